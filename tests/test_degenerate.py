@@ -280,8 +280,8 @@ SENTENCES = {
         "'prior_angle_rad' parameter",
     ),
     "calibrate: complex prior": (
-        lambda: calibrate(ARM, ANGLES, GROUPS, prior_probe_mm=2 + 0j),
-        "'prior_probe_mm' parameter",
+        lambda: calibrate(ARM, ANGLES, GROUPS, prior_length_mm=2 + 0j),
+        "'prior_length_mm' parameter",
     ),
     "calibrate: lengths": (lambda: calibrate(ARM, ANGLES, GROUPS, lengths=300), "a list"),
     "calibrate: too long": (

@@ -16,7 +16,7 @@ from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
-from sklearn_raacmm.arm._kinematics import frames_of, joint_jacobian, points_of
+from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import check_places, html_table, write_whole
 
@@ -553,7 +553,7 @@ class Arm:
         ndarray of shape (n_samples, n_joints + 1, 3, 4)
             ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
         """
-        return frames_of(self, check_angles(angles, self.n_joints, angle_unit))
+        return frame_poses(self, check_angles(angles, self.n_joints, angle_unit))
 
     def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Compute the derivative of the probe's position by each joint angle.

@@ -44,7 +44,7 @@ _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
-_PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
+_PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both"), StrOptions({"auto"})]
 
 
 @one_blas_thread
@@ -52,9 +52,8 @@ _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
     {
         "arm": [Arm],
         "loss": [StrOptions(set(WEIGHTS))],
-        "prior_length_mm": [*_PRIOR, StrOptions({"auto"})],
-        "prior_angle_rad": [*_PRIOR, StrOptions({"auto"})],
-        "prior_probe_mm": _PRIOR,
+        "prior_length_mm": _PRIOR,
+        "prior_angle_rad": _PRIOR,
         "angle_unit": [StrOptions({"rad", "deg"})],
     },
     prefer_skip_nested_validation=True,
@@ -74,7 +73,6 @@ def calibrate(
     loss: str = "soft_l1",
     prior_length_mm: float | str = "auto",
     prior_angle_rad: float | str = "auto",
-    prior_probe_mm: float = UNKNOWN_PLACE_MM,
     angle_unit: str = "rad",
 ) -> CalibrationResult:
     """Identify the static parameters of an arm.
@@ -113,8 +111,6 @@ def calibrate(
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
         long and short lengths apart.
-    prior_probe_mm : float, default=1000
-        Standard deviation of the true probe about that of `arm`.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
 
@@ -187,7 +183,7 @@ def calibrate(
         asked = asked[poses.first]
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
-    priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
+    priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
     fit, given, before = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))
     bare = None
     if asked is not None:

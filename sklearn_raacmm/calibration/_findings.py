@@ -1,4 +1,4 @@
-"""What is to be said of a calibration that has settled."""
+"""Findings on a calibration that has settled."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause

@@ -9,7 +9,7 @@ import re
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_program import function
 from sklearn_raacmm.export._c_text import Tables, comment, plain
-from sklearn_raacmm.export._program import fingerprint_of, pruned
+from sklearn_raacmm.export._program import hash_program, pruned
 
 # What the functions return.
 STATUS = ("OK", "FADED", "NOT_FINITE")
@@ -38,7 +38,7 @@ def sources(program, name, stem, dtype, card=None, notes=()):
         with_std = pruned(program, ("y", "trust", "std"))
         text += "\n" + function(with_std, tables, "evaluate_std", _FADED_BELOW)
     text = f"{tables.text}\n{text}"
-    digest = fingerprint_of(program)
+    digest = hash_program(program)
     used = re.findall(r"\b(sin|cos|sqrt|atan2|exp|log|fabs|isfinite)f?\(", text)
     facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
     facts += [about["arm"]] if "arm" in about else []

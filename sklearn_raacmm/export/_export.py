@@ -17,9 +17,9 @@ from sklearn_raacmm.export._c_test import make_test
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
-from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._onnx import convert, run_onnx
-from sklearn_raacmm.export._program import fingerprint_of, run
+from sklearn_raacmm.export._program import hash_program, run
 from sklearn_raacmm.export._proof import check_answers, make_test_rows, rows_as_json
 from sklearn_raacmm.utils import check_flags, write_whole
 
@@ -154,7 +154,7 @@ def export_c(
     name = check_name(path.stem if name is None else name)
     _check(dtype, card, std=std, any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
-    program = program_of(model, std, any_probe)
+    program = build_program(model, std, any_probe)
     rows = make_test_rows(model, given, std, dtype, any_probe)
     notes = _check_in_c(program, rows, dtype)
     source, header = sources(program, name, path.stem, dtype, card, notes)
@@ -207,7 +207,7 @@ def fingerprint(model: Any) -> str:
     ValueError
         If the model cannot be exported.
     """
-    return fingerprint_of(program_of(model))
+    return hash_program(build_program(model))
 
 
 def to_onnx(
@@ -267,9 +267,9 @@ def to_onnx(
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
     _check(dtype, card, std=std)
-    program = program_of(model, std)
+    program = build_program(model, std)
     made = convert(program, dtype)
-    facts = {"sklearn_raacmm_version": __version__, "fingerprint": fingerprint_of(program)}
+    facts = {"sklearn_raacmm_version": __version__, "fingerprint": hash_program(program)}
     rows = make_test_rows(model, poses, std, dtype)
     found = run_onnx(made, rows["X"])
     if found is not None and (notes := check_answers("the ONNX file", rows, found, dtype)):

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._program import hash_program
 from sklearn_raacmm.utils import check_flags, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
@@ -208,13 +208,13 @@ def load_c(
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
     check_flags(std=std)
-    return _compiled(program_of(model, std), "double", cache_dir)
+    return _compiled(build_program(model, std), "double", cache_dir)
 
 
 def _compiled(program, dtype, folder, flags=_FLAGS):
     text = sources(program, NAME, NAME, dtype)
     about = {key: program.about[key] for key in ("corrects", "flat")}
-    facts = fingerprint_of(program), program.n_inputs, program.n_outputs, dtype, about
+    facts = hash_program(program), program.n_inputs, program.n_outputs, dtype, about
     return CompiledModel(text, facts, folder, flags)
 
 

@@ -20,8 +20,8 @@ from sklearn.utils import _safe_indexing, check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._program import hash_program
 from sklearn_raacmm.export._steps import (
     check_fitted,
     described,
@@ -185,7 +185,7 @@ def describe(
         else "as fitted",
     )
     with contextlib.suppress(ValueError):  # a model that cannot be exported has none
-        card["fingerprint"] = fingerprint_of(program_of(model))
+        card["fingerprint"] = hash_program(build_program(model))
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}

@@ -94,7 +94,7 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def program_of(model, std=False, any_probe=False):
+def build_program(model, std=False, any_probe=False):
     """The program of a fitted model; ValueError names a step that cannot be exported.
 
     Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has

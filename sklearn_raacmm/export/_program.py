@@ -123,7 +123,7 @@ def pruned(program, names):
     return Program(ops, {name: place[int(i)] for name, i in outputs.items()}, program.about)
 
 
-def fingerprint_of(program):
+def hash_program(program):
     """SHA-256 of every operation and constant that the prediction is made of."""
     digest = hashlib.sha256()
     for op in pruned(program, ("y",)).ops:

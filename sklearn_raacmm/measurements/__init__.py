@@ -1,4 +1,4 @@
-"""What was measured, and what is to be said about it, for every function that takes data."""
+"""What was measured, and findings on it, for every function that takes data."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause

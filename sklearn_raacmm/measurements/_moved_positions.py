@@ -29,7 +29,7 @@ _BESIDE = 100
 _SAME_POSE = 0.01
 # Squared length of a normal error in three coordinates, in the median, in units of its variance.
 _MEDIAN_SQUARE = 2.366
-# Distances of poses are told apart in so many classes, of at least so many pairs each.
+# Distances of poses are divided into so many classes, of at least so many pairs each.
 _CLASSES, _PAIRS = 10, 50
 # Standard deviations beyond which a pose that differs from its neighbours in the order is left out.
 _OUTLIER = 8.0

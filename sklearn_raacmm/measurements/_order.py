@@ -21,7 +21,7 @@ _STANDS_STILL = 1e-5
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 MOST_TOLD = 0.2
 _TREES, _FOLDS = 100, 5
-# Chance that a run without drift is said to drift.
+# Chance that a run without drift is called drifting.
 _BY_CHANCE = 0.01
 
 # Steps that angles are rounded to, deg, and how far a multiple may be off, as a part of it.
@@ -75,8 +75,8 @@ def order_told_by(angles: np.ndarray, codes: np.ndarray) -> float:
     trees = ExtraTreesRegressor(_TREES, min_samples_leaf=3, random_state=0)
     folds = GroupKFold(min(_FOLDS, int(codes.max()) + 1))
     features = np.hstack([np.cos(angles), np.sin(angles)])
-    told = cross_val_predict(trees, features, number, groups=codes, cv=folds)
-    return float(1 - np.square(number - told).mean() / number.var())
+    guessed = cross_val_predict(trees, features, number, groups=codes, cv=folds)
+    return float(1 - np.square(number - guessed).mean() / number.var())
 
 
 def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray | None) -> Finding:
@@ -103,9 +103,9 @@ def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray |
     by_chance = f_distribution.sf(share, rank, n_free) if n_free > 0 else 1.0
     moved = centred(effect @ coef, codes)
     size = float(np.sqrt(np.square(moved).sum(axis=1).mean()))
-    said = f"This run drifted by {1000 * size:.0f} um from its first row to its last"
-    said += "." if by_chance < _BY_CHANCE else ", no more than noise explains."
-    return Finding("drift-of-run", said, weight="note", size_mm=size)
+    text = f"This run drifted by {1000 * size:.0f} um from its first row to its last"
+    text += "." if by_chance < _BY_CHANCE else ", no more than noise explains."
+    return Finding("drift-of-run", text, weight="note", size_mm=size)
 
 
 def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Whether targets can be residuals of this arm, as they are said to be."""
+"""Whether targets can be residuals of this arm, as the caller has it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause

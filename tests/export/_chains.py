@@ -15,7 +15,7 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.export import export_c, to_onnx
-from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import run
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
@@ -86,7 +86,7 @@ def ways_out(folder, model, X, std=False):
     """Name, mean and deviation or None of every way out of Python."""
     for compiler in COMPILERS:
         yield compiler, *in_c(folder, compiler, model, X, std)
-    found = run(program_of(model, std), X)
+    found = run(build_program(model, std), X)
     yield "program", found["y"], found.get("std")
     try:
         import onnxruntime

@@ -38,14 +38,9 @@ def test_the_exponential(model, tmp_path, compiler, dtype, least, error):
     real = {"double": np.float64, "float": np.float32}[dtype]
     rng = np.random.default_rng(0)
     halves = -np.log(2) * (np.arange(0, 125) + 0.5)  # where n changes
-    x = np.concatenate(
-        [
-            rng.uniform(least, 0, 3000),
-            -np.exp(rng.uniform(-40, np.log(-least), 3000)),
-            *(halves * (1 + shift) for shift in (-1e-12, 0, 1e-12)),
-            [0.0, -0.0, least],
-        ]
-    ).astype(real)
+    near = [halves * (1 + shift) for shift in (-1e-12, 0, 1e-12)]
+    small = -np.exp(rng.uniform(-40, np.log(-least), 3000))
+    x = np.r_[rng.uniform(least, 0, 3000), small, *near, 0.0, -0.0, least].astype(real)
     got = np.empty_like(x)
     place = ctypes.c_void_p
     for flags in (["-O1"], ["-O3"]):  # scalar, and several at once
@@ -53,13 +48,12 @@ def test_the_exponential(model, tmp_path, compiler, dtype, least, error):
         loaded.exps(place(x.ctypes.data), place(got.ctypes.data), len(x))
         digits = Context(prec=40)
         exact = [digits.exp(Decimal(float(value))) for value in x]
-        gaps = [
-            abs(Decimal(float(value)) / true - 1) for value, true in zip(got, exact, strict=True)
-        ]
+        found = [Decimal(float(value)) for value in got]
+        gaps = [abs(value / true - 1) for value, true in zip(found, exact, strict=True)]
         assert max(gaps) <= error
         assert max(gaps) > error / 4  # the bound says something
-    said = re.search(r"exp\(x\) for (\S+?)f? <= x <= 0, to (\S+) of itself", source.read_text())
-    assert (float(said[1]), float(said[2])) == (least, error)
+    printed = re.search(r"exp\(x\) for (\S+?)f? <= x <= 0, to (\S+) of itself", source.read_text())
+    assert (float(printed[1]), float(printed[2])) == (least, error)
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -87,8 +81,8 @@ def test_other_processors(model, tmp_path, compiler, flags):
     if done.returncode and "387" in done.stderr and compiler == "clang":
         pytest.skip("this clang has no such option")
     assert done.returncode == 0, done.stderr
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    got = np.array([float.fromhex(line) for line in said.split()])
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    got = np.array([float.fromhex(line) for line in printed.split()])
     np.testing.assert_allclose(got, model.predict(X), rtol=0, atol=1e-13)
 
 

@@ -179,15 +179,15 @@ def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
     model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as said:
+    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as found:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
-    assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
+    assert [one.filename for one in found if "fixed point" in str(one.message)] == [__file__]
 
 
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")  # of calibrate
 def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
     nominal = Arm.from_name("panda", probe=(0, 0, 138))
-    said = {}
+    found = {}
     for name in ("panda_2", "panda_3"):
         data = panda(name)
         result = calibrate(nominal, data.angles, data.groups)
@@ -196,9 +196,9 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
             data.angles, left, groups=data.groups
         ).predict(data.angles)
         every = np.ones(len(left))
-        said[name] = [*map(str, moved_positions(left, data.angles, every, data.groups, 0.0))]
-    assert said["panda_3"] == []
-    (sentence,) = said["panda_2"]
+        found[name] = [*map(str, moved_positions(left, data.angles, every, data.groups, 0.0))]
+    assert found["panda_3"] == []
+    (sentence,) = found["panda_2"]
     assert sentence.count("position '") == 2
     assert "position 'high/0'" in sentence
     assert "position 'high/1'" in sentence
