@@ -2,14 +2,14 @@
 What positions are worth to the chain
 =====================================
 
-Every regressor of the chain is fitted twice: told which rows are of one position, by
-``fit(X, y, groups=positions)``, and not told. On simulated arms it learns at some positions and is
+Every regressor of the chain is fitted twice: with ``fit(X, y, groups=positions)``, which names the
+rows of one position, and without. On simulated arms it learns at some positions and is
 judged at twenty others by the mean 2S that its correction leaves; on real arms at placements (UR10:
 goals) left out. The table has what is left, as a share of what there was, and the ratio of both
 fits. Settings are the same for both.
 
 The default, the network on twelve simulated arms and the real ones, takes about ten CPU minutes;
-``--models`` measures the others, ``--rows`` the time of one row.
+``--models`` measures the others.
 """
 
 import argparse
@@ -21,11 +21,8 @@ from _comparison import ALL, INPUTS, PAPER, Table, chain, gaussian_process
 from compare_regressors import panda, ur10
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
-from sklearn.linear_model import Ridge
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
+from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import _positions, bp_network_chain, database_chain, polynomial_chain
@@ -108,38 +105,6 @@ def left(folds, labels, absolute, model=None, told=False):
     return single_point_repeatability(rest, np.concatenate(labels))
 
 
-def one_row(rounds=60, calls=20):
-    """CPU time of one row, as a ratio to a scaled ridge; all take their turns in each round."""
-    test = make_single_point(n_positions=12, n_poses=30, random_state=0)
-    network = RBFNetRegressor(60, random_state=0)
-    pose, arm = PoseFeatures(test.arm), test.arm
-    models = {
-        "StandardScaler, Ridge": make_pipeline(StandardScaler(), Ridge()),
-        "chain": CylindricalResidualTarget(make_pipeline(pose, network), azimuth=arm.azimuth),
-        "chain with a StandardScaler": CylindricalResidualTarget(
-            make_pipeline(pose, StandardScaler(), network), azimuth=arm.azimuth
-        ),
-        "chain, last in a pipeline, with a StandardScaler": make_pipeline(
-            PoseFeatures(arm, append_azimuth=True),
-            CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
-        ),
-    }
-    times = {name: [] for name in models}
-    for model in models.values():
-        model.fit(test.data, test.target)
-    row = test.data[:1].copy()
-    for _ in range(rounds):
-        for name, model in models.items():
-            start = time.process_time()
-            for _ in range(calls):
-                model.predict(row)
-            times[name].append((time.process_time() - start) / calls)
-    medians = {name: np.median(values) for name, values in times.items()}
-    for name, seconds in medians.items():
-        ratio = seconds / medians["StandardScaler, Ridge"]
-        print(f"{name:<52}{1e6 * seconds:>6.0f} us{ratio:>8.2f}")
-
-
 def main(argv=None):
     """Print the table."""
     parser = argparse.ArgumentParser(description="What positions are worth to the chain.")
@@ -150,11 +115,7 @@ def main(argv=None):
     parser.add_argument("--real", nargs="*", default=REAL, choices=REAL)
     parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
     parser.add_argument("--turns", type=int, help="most fits by turns (default: the package's)")
-    parser.add_argument("--rows", action="store_true", help="time one row, and nothing else")
     args = parser.parse_args(argv)
-    if args.rows:
-        one_row()
-        return
     if args.turns is not None:
         _positions.MOST_TURNS = args.turns
     columns = [("inputs", 24, ""), ("data", 26, ""), ("regressor", 19, "")]

@@ -5,7 +5,7 @@ poses come by chance, where the cones are spread and poses come by chance, and a
 :func:`plan_poses` has them, with a probe that leans at most 60 degrees or comes from anywhere. The
 other cones have poses by chance, or those of another plan with a lean of 60.
 
-Run it with ``python benchmarks/bench_first_test.py`` (a minute).
+Run it with ``python benchmarks/bench_first_test.py`` (two minutes).
 """
 
 import argparse
@@ -29,7 +29,7 @@ def read(machine, plan, seed, angles=None):
 def main():
     """Print a line for each way to choose a first test."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--arms", type=int, default=3)
+    parser.add_argument("--arms", type=int, default=8)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     found = {}

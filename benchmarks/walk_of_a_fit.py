@@ -1,15 +1,16 @@
 """Walk of a default fit through the package: own files, moves between them, own frames.
 
-``python benchmarks/walk_of_a_fit.py`` fits the arm's model to a simulated single-point test and
-counts, by Python's profiler hook, in how many of the package's files a function ran, how often a
-call went from one of them to another, and how many of the package's frames were open at once.
+``python benchmarks/walk_of_a_fit.py`` fits the arm's model to a simulated single-point test, then
+learns a correction from the same test, and counts, by Python's profiler hook, in how many of the
+package's files a function ran, how often a call went from one of them to another, and how many of
+the package's frames were open at once.
 """
 
 import os
 import sys
 
 import sklearn_raacmm
-from sklearn_raacmm import ArmResidualRegressor
+from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.datasets import make_single_point
 
 FOLDER = os.path.dirname(sklearn_raacmm.__file__)
@@ -42,12 +43,17 @@ def walk(call):
 
 
 def main():
-    """Print the three numbers of a fit to 300 simulated poses."""
+    """Print the three numbers of a fit to 300 simulated poses, and of learning from them."""
     test = make_single_point(n_positions=10, n_poses=30, random_state=0)
     model = ArmResidualRegressor(test.arm)
-    model.fit(test.data, test.target, groups=test.groups)  # tables that are kept are made
-    found = walk(lambda: model.fit(test.data, test.target, groups=test.groups))
-    print("own files {}, moves between files {}, frames {}".format(*found))
+    calls = {
+        "fit of the arm's model": lambda: model.fit(test.data, test.target, groups=test.groups),
+        "learn_correction": lambda: learn_correction(test.nominal_arm, test.data, test.groups),
+    }
+    for name, call in calls.items():
+        call()  # tables that are kept are made
+        found = walk(call)
+        print("{}: own files {}, moves between files {}, frames {}".format(name, *found))
 
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def test_sklearn_checks(estimator, check):
     check(adapted(estimator, check))
 
 
-@parametrize_with_checks(ESTIMATORS)
+@parametrize_with_checks([*{type(estimator): estimator for estimator in ESTIMATORS}.values()])
 def test_sklearn_checks_with_metadata_routing(estimator, check):
     with config_context(enable_metadata_routing=True):
         check(adapted(estimator, check))

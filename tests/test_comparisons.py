@@ -106,6 +106,7 @@ def nested_fourier(cone, module, n_folds):
     return single_point_repeatability(cone.target - correction, cone.groups, aggregate=None)
 
 
+@pytest.mark.exhaustive
 def test_quick_comparison(example, capsys):
     example("compare_regressors").main(["--quick", "--jobs", "1", "--output", "table.csv"])
     captured = capsys.readouterr()

@@ -42,7 +42,7 @@ from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import check_places, heard_findings, numbered_rows, write_whole
+from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
@@ -62,7 +62,7 @@ def learn(options):
     like = [load_correction(folder).model for folder in options.like or ()]
     _progress(-1, 1, "calibration")
     # Findings stand in the result, and are printed with it.
-    with numbered_rows(table.rows), heard_findings():
+    with numbered_rows(table.rows), collected_findings():
         result = learn_correction(
             arm,
             table.angles,

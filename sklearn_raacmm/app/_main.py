@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        return _refuse(options, _sentence_of(error))
+        return _refuse(options, _describe_error(error))
     # ImportError: an extra is missing, and the sentence says which.
     except (ValueError, TypeError, ImportError) as error:
         return _refuse(options, error)
@@ -93,7 +93,7 @@ def _refuse(options, error):
     return BAD_INPUT
 
 
-def _sentence_of(error):
+def _describe_error(error):
     """Sentence of an error; of the system's own, without its number."""
     if error.strerror and error.filename is not None:
         # Files are written under another name first.

@@ -104,7 +104,7 @@ def read_table(
     Raises
     ------
     TableError
-        If something cannot be told, or is wrong: the sentence has the row and the column.
+        If something cannot be decided, or is wrong: the sentence names the row and the column.
 
     Examples
     --------

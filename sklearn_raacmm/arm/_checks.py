@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, report_findings
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -57,7 +57,8 @@ def check_fields(arm: Any) -> dict[str, Any]:
 
 def check_numbers(name, value, size, unit, bound, broadcast=False):
     """One finite float64 per joint, read-only."""
-    array = floats(name, value)
+    # The fields of an arm that a calibration changes are such arrays: they need no conversion.
+    array = value if type(value) is np.ndarray and value.dtype == float else floats(name, value)
     if broadcast and array.ndim == 0:
         array = np.broadcast_to(array, size)
     if array.ndim != 1 or not array.size or size not in (None, array.size):
@@ -175,4 +176,4 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
 
 
 def _say(text, advice, weight: Any = "doubt", joints=()):
-    say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])
+    report_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

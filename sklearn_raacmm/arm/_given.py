@@ -6,7 +6,7 @@
 from typing import Any
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.utils import Finding, say_findings
+from sklearn_raacmm.utils import Finding, report_findings
 
 _BUILT_IN = "aacmm6"
 
@@ -26,7 +26,7 @@ def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
         "those of your arm."
     )
     advice = f'Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
-    say_findings([Finding("built-in-arm", text, advice)])
+    report_findings([Finding("built-in-arm", text, advice)])
     return Arm.from_name(_BUILT_IN)
 
 

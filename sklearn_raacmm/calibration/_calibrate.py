@@ -30,7 +30,7 @@ from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
-    say_findings,
+    report_findings,
     slip_factors,
     with_findings,
 )
@@ -178,7 +178,7 @@ def calibrate(
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
     problem = check_problem(angles, groups, points, lengths, tools, stations)
     poses, angles, problem = one_row_a_pose(angles, problem)
-    say_findings(wrong_units(arm, angles, problem))
+    report_findings(wrong_units(arm, angles, problem))
     if asked is not None:
         asked = asked[poses.first]
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
@@ -191,9 +191,9 @@ def calibrate(
         problem = replace(problem, correction=None)
         bare = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))[0]
     result = _result(fit, given, before, groups)
-    say_findings(findings_of_fit(fit, result, bare, lengths, poses))
+    report_findings(findings_of_fit(fit, result, bare, lengths, poses))
     result = _with_all_rows(result, poses)
-    say_findings(outliers(result))
+    report_findings(outliers(result))
     return result
 
 

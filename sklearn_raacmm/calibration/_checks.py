@@ -15,7 +15,7 @@ from sklearn_raacmm.utils import (
     Finding,
     encode_groups,
     floats,
-    say_findings,
+    report_findings,
 )
 
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -62,7 +62,7 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     if lonely:
         names = tuple(positions[i] for i in lonely)
         text = f"{len(lonely)} groups have one point and say nothing, such as {names[0]}."
-        say_findings([Finding("lonely-position", text, positions=names)])
+        report_findings([Finding("lonely-position", text, positions=names)])
     return problem
 
 
@@ -84,9 +84,7 @@ def predicted(correction, angles, problem, probes):
     """Residuals (n, 3) that a model predicts at rows, with the probe of each tool (n_tools, 3)."""
     residuals = np.empty((len(angles), 3))
     # A model with a second stage cannot be moved to another probe.
-    can_be_moved = (
-        hasattr(correction, "with_arm") and getattr(correction, "regressor_", None) is None
-    )
+    can_be_moved = hasattr(correction, "with_arm")
     for tool, probe in enumerate(probes):
         rows, model = problem.rows_of_tool(tool), correction
         if can_be_moved:
@@ -135,7 +133,7 @@ def one_row_a_pose(angles, problem):
     poses = find_poses(angles, None if codes is None else codes.ravel(), problem.points)
     if not poses.merges:
         return poses, angles, problem
-    say_findings(poses.findings())
+    report_findings(poses.findings())
     names = ("index", "points", "correction", "tools", "stations")
     parts = {name: poses.mean(getattr(problem, name)) for name in names}
     problem = replace(problem, **parts)

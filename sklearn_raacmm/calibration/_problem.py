@@ -94,7 +94,7 @@ def pack(arm):
 
 def unpack(arm, x, tool=0):
     """The arm with the parameters of one vector; further tools follow the first one's probe."""
-    start = 4 * arm.n_joints
+    start = 4 * len(arm.a)
     parts = [*np.split(x[:start], 4), x[start + 3 * tool :][:3]]
     return arm.replace(**dict(zip(FIELDS, parts, strict=True)))
 
@@ -104,7 +104,7 @@ def points_and_jacobian(arm, angles, x, problem):
 
     By table and probes, mm and rad.
     """
-    n_table = 4 * arm.n_joints
+    n_table = 4 * len(arm.a)
     points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
         rows, start = problem.rows_of_tool(tool), n_table + 3 * tool

@@ -4,13 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from typing import NamedTuple
+from datetime import date as calendar
 
 import numpy as np
 
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import LinearModel, constrained
+from sklearn_raacmm.error_model import constrained
 from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
 from sklearn_raacmm.utils import centred
 
@@ -32,19 +32,12 @@ _NEW_ORDERS = 2
 _TRIED = 200
 
 
-class Changed(NamedTuple):
-    """A linear model that has changed."""
-
-    model: LinearModel
-    tau: dict  # how much each part has changed
-    noise_sd: float  # mm
-    pose_weight: np.ndarray  # (n,) what the loss left of the weight of each pose
-
-
-def changed_model(linear, poses, log_noise=_LOG_NOISE):
+def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
-    `log_noise` bounds the logarithm of the noise in units of the old model's.
+    `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
+    model, what `updates_` keeps of the change (`tau` says how much each part has changed), and
+    what the loss left of the weight of each pose, (n,).
     """
     linear = with_low_orders(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
@@ -57,7 +50,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
     half = after.half[:p] + fold @ after.half[p:]
     # As many columns as rows hold the same covariance.
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
-    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out.errors)))
+    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
     model = replace(
         linear,
         coef=after.mean[:p] + fold @ after.mean[p:],
@@ -73,7 +66,13 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
         free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
-    return Changed(model, after.tau, after.noise_sd, after.row_weight)
+    entry = {
+        "date": calendar.today().isoformat() if date is None else str(date),
+        "n_poses": len(angles),
+        "tau": after.tau,
+        "noise_sd_mm": after.noise_sd,
+    }
+    return model, entry, after.row_weight
 
 
 def _informed(half, columns, place, weights):

@@ -30,10 +30,9 @@ from sklearn_raacmm.correction._change import (
     with_low_orders,
 )
 from sklearn_raacmm.correction._new_poses import NewPoses, place_columns
-from sklearn_raacmm.correction._update import record_of
 from sklearn_raacmm.error_model import order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import Finding, centred, one_blas_thread, say_findings
+from sklearn_raacmm.utils import Finding, centred, one_blas_thread, report_findings
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
@@ -71,18 +70,17 @@ def transferred_model(models, arm, X, y, groups=None):
     # Its calibration holds what the extra columns do in the mean of its own rows.
     prior = replace(prior, terms=prior.terms._replace(extra=own.linear_model_.terms.extra))
     groups = groups if own.linear_model_.offsets else None
-    poses = NewPoses.checked(own, X, y, groups, None)
-    changed = changed_model(prior, poses, _LOG_NOISE)
-    entry = record_of(changed, len(poses.angles), None)
-    poses = poses._replace(weights=poses.weights * changed.pose_weight * own.pose_weight_)
-    gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
+    poses = NewPoses(own, X, y, groups, None)
+    linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE)
+    poses.weights = poses.weights * pose_weight * own.pose_weight_
+    gain = _evidence_of_change(prior, entry, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
     if gain >= LEAST_GAIN_NATS:
-        linear = replace(changed.model, offsets=poses.codes is not None)
+        linear = replace(linear, offsets=poses.codes is not None)
         new.linear_model_ = replace(linear, fading_half=linear.gauge_free_half)
         new.fading_ = replace(own.fading_, factor=_FADING)
         new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
-        new.pose_weight_ = changed.pose_weight
+        new.pose_weight_ = pose_weight
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
     new.updates_ = (entry | {"n_arms": len(models), "gain_nats": float(gain)},)
@@ -95,7 +93,7 @@ def _suitable_models(models, arm, n_columns):
     for number, model in enumerate(models, start=1):
         if why := _why_not(model, kept, arm, n_columns):
             said = f"Earlier arm {number} of {len(models)} is passed over: {why}."
-            say_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
+            report_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
         else:
             kept.append(model)
     return kept
@@ -181,12 +179,12 @@ def _pooled(linears, arm):
     )
 
 
-def _evidence_of_change(prior, changed, poses):
+def _evidence_of_change(prior, entry, poses):
     """Log evidence under the prior of the earlier arms."""
     prior = with_low_orders(prior)
     known = prior_of(prior)
-    sd = np.array([changed.tau[name] for name in known.part]) * known.size
-    return _log_evidence(prior, np.hstack([known.half, np.diag(sd)]), poses, changed.noise_sd)
+    sd = np.array([entry["tau"][name] for name in known.part]) * known.size
+    return _log_evidence(prior, np.hstack([known.half, np.diag(sd)]), poses, entry["noise_sd_mm"])
 
 
 def _evidence_of_fit(linear, poses):

@@ -25,7 +25,7 @@ _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
 _AFTER = {"color": AFTER["color"], "linewidth": 1.0}
 # The longest residual is drawn as long as this share of the arm, or a little shorter.
 _LONGEST = 0.3
-# Matplotlib leaves room around a box in space for any view; the usual ones need less.
+# Matplotlib leaves space around a box in space for any view; the usual ones need less.
 _ZOOM = 1.05
 
 
@@ -154,8 +154,11 @@ class ArmPosesDisplay(FittedDisplay):
         if ax is not None and not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
         check_scalar(max_poses, "max_poses", Integral, min_val=1)
-        is_number = isinstance(magnification, Real) and 0 < magnification < np.inf
-        if not is_number and not (isinstance(magnification, str) and magnification == "auto"):
+        if isinstance(magnification, str):
+            fits = magnification == "auto"
+        else:
+            fits = isinstance(magnification, Real) and 0 < magnification < np.inf
+        if not fits:
             raise ValueError(
                 f'magnification must be "auto" or positive, got {magnification!r:.60}.'
             )

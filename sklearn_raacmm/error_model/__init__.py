@@ -11,7 +11,6 @@ from sklearn_raacmm.error_model._columns import (
     SHIFT,
     Terms,
     column_table,
-    given_factors,
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
@@ -19,7 +18,6 @@ from sklearn_raacmm.error_model._fading import Fading
 from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._moved import lever_mm
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import IDLE_SD, order_price, smooth_shares
 
@@ -39,8 +37,6 @@ __all__ = [
     "column_table",
     "constrained",
     "force_on_probe",
-    "given_factors",
-    "lever_mm",
     "limits_of",
     "order_price",
     "smooth_shares",

@@ -10,41 +10,31 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn import config_context
-from sklearn.base import MultiOutputMixin, RegressorMixin, clone
-from sklearn.utils._param_validation import HasMethods, Interval, StrOptions
-from sklearn.utils.validation import has_fit_parameter
+from sklearn.base import MultiOutputMixin, RegressorMixin
+from sklearn.utils._param_validation import Interval, StrOptions
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
     check_fit,
-    check_poses,
     poses_of,
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
-from sklearn_raacmm.error_model._constants import fit_with_constants
 from sklearn_raacmm.error_model._extra import with_references
-from sklearn_raacmm.error_model._fading import find_fading, warn_where_unknown
-from sklearn_raacmm.error_model._in_use import ModelInUseMixin
+from sklearn_raacmm.error_model._fading import find_fading
+from sklearn_raacmm.error_model._fit import fit_with_constants
+from sklearn_raacmm.error_model._in_use import FittedArmModel
 from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
-from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import offered_harmonics
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PointCorrectionMixin
 from sklearn_raacmm.utils import (
     VersionedEstimator,
-    centred,
-    check_flags,
-    heard_findings,
     many_without_weight,
     one_blas_thread,
-    say_findings,
+    report_findings,
     whole_fit,
 )
 
 
-class ArmResidualRegressor(
-    ModelInUseMixin, PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
-):
+class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, VersionedEstimator):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
     An encoder's error is a periodic function of its own angle,
@@ -83,9 +73,6 @@ class ArmResidualRegressor(
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not
         at all. "auto": 1, or less where four positions or more have offsets.
-    regressor : estimator, default=None
-        A second stage, fitted on joint angles in rad to what the linear model leaves, in the
-        cylindrical frame of the probe.
 
     Attributes
     ----------
@@ -110,8 +97,6 @@ class ArmResidualRegressor(
         Cosine and sine of each of `column_harmonics_`, then the values of `terms_`.
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of each.
-    regressor_ : CylindricalResidualTarget or None
-        The fitted second stage.
     fading_ : Fading
         How corrections fade: `factor` and `size_mm` (r).
     helps_ : bool
@@ -174,7 +159,6 @@ class ArmResidualRegressor(
         "causes": ["array-like"],
         "offsets": ["boolean", StrOptions({"auto"})],
         "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
-        "regressor": [HasMethods(["fit", "predict"]), None],
     }
 
     def __init__(
@@ -187,7 +171,6 @@ class ArmResidualRegressor(
         causes: Sequence[str] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
-        regressor: Any = None,
     ) -> None:
         self.arm = arm
         self.angle_unit = angle_unit
@@ -196,7 +179,6 @@ class ArmResidualRegressor(
         self.causes = causes
         self.offsets = offsets
         self.fade = fade
-        self.regressor = regressor
 
     @one_blas_thread
     @whole_fit(prefer_skip_nested_validation=True)
@@ -241,8 +223,8 @@ class ArmResidualRegressor(
         ValueError
             If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
             infinite, the model has no columns at all, or ``offsets=True`` comes without `groups`;
-            if `y` are the probe's points, or half of them longer
-            than a twentieth of the arm's reach; if `probes` come with a second stage.
+            if `y` are the probe's points, or half of them longer than a twentieth of the arm's
+            reach.
 
         Warns
         -----
@@ -270,159 +252,16 @@ class ArmResidualRegressor(
         model = replace(model, n_positions=float(positions.max() + 1))
         robust = rows.weights * fitted.pose_weight
         rest = robust, rows.codes
-        self.fading_: Any = find_fading(rows.y, *rest, self.fade, model.std_scale)
-        self.judgement_: Any = None
+        self.fading_ = find_fading(rows.y, *rest, self.fade, model.std_scale)
+        self.judgement_ = None
         if groups is not None and left_out is not None:
             self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
-        self.helps_: bool = self.judgement_ is None or self.judgement_.helps
-        self.linear_model_: LinearModel = model
+        self.helps_ = self.judgement_ is None or self.judgement_.helps
+        self.linear_model_ = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
-        say_findings(many_without_weight(fitted.pose_weight))
-        self.regressor_: Any = None
-        if self.regressor is not None:
-            left = centred(rows.y - model.predict(rows.X)[0] * self.helps_, rows.codes, robust)
-            self.regressor_ = self._fitted_second_stage(rows, left, robust)
+        report_findings(many_without_weight(fitted.pose_weight))
         return self
-
-    def _fitted_second_stage(self, rows, left, weights):
-        """The second stage, fitted to what the linear model leaves where no pose is an outlier."""
-        arm, kept = rows.arm, weights > 0
-        stage = CylindricalResidualTarget(clone(self.regressor), azimuth=arm.azimuth)
-        takes_weights = has_fit_parameter(self.regressor, "sample_weight")
-        options = {"sample_weight": weights[kept]} if takes_weights else {}
-        if rows.codes is not None:
-            options["groups"] = rows.codes[kept]
-        # These weights are the model's own, not metadata that a user routes.
-        with config_context(enable_metadata_routing=False), heard_findings():
-            return stage.fit(rows.X[kept, : arm.n_joints], left[kept], **options)
-
-    # The fitted numbers in readable form; all of them are those of `linear_model_`.
-
-    @property
-    def harmonics_(self) -> Any:
-        return self.linear_model_.harmonic_table()
-
-    @property
-    def terms_(self) -> Any:
-        return self.linear_model_.term_table()
-
-    @property
-    def column_harmonics_(self) -> Any:
-        return np.add(self.linear_model_.terms.harmonics, (1, 0))
-
-    @property
-    def coef_(self) -> Any:
-        return self.linear_model_.coef
-
-    @property
-    def prior_sd_(self) -> Any:
-        return self.linear_model_.prior_sd
-
-    @property
-    def noise_sd_(self) -> float:
-        return self.linear_model_.noise_sd
-
-    @property
-    def n_determined_(self) -> Any:
-        return self.linear_model_.n_determined
-
-    @property
-    def offsets_(self) -> Any:
-        return self.linear_model_.offsets
-
-    @property
-    def arm_(self) -> Arm:
-        return self.linear_model_.arm
-
-    def predict(
-        self,
-        X: ArrayLike,
-        return_std: bool = False,
-        with_noise: bool = False,
-        *,
-        return_cov: bool = False,
-        with_unseen: bool = False,
-    ) -> Any:
-        """Predict residuals.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-        return_std : bool, default=False
-            Also return the standard deviation of the correction before it fades.
-        with_noise : bool, default=False
-            Add the noise of a measured coordinate to it: of the residual that a new measurement
-            shows, rather than of the correction.
-        return_cov : bool, default=False
-            Instead of standard deviations, return the covariance of all coordinates of all poses.
-        with_unseen : bool, default=False
-            Whether the covariance contains what a single-point test cannot show, such as a common
-            scale, as far as the model knows it: for lengths over several positions.
-
-        Returns
-        -------
-        residuals : ndarray of shape (n_samples, 3)
-            dx, dy and dz in mm: subtract them from the measured points.
-        std : ndarray of shape (n_samples, 3)
-            In mm, where asked for: 1.96 of them make an interval of 95 % at positions that were
-            left out of the fit. Where positions have offsets, without a motion of the base. A
-            second stage does not change them.
-        covariance : ndarray of shape (3 n_samples, 3 n_samples)
-            In mm^2, where asked for: x, y and z of the first pose, then of the next. With g the
-            derivatives of a length by these coordinates, ``g @ covariance @ g`` is its variance.
-
-        Raises
-        ------
-        sklearn.exceptions.NotFittedError
-            If the model is not fitted.
-        ValueError
-            If X does not fit the model, or holds NaN or infinity; if `arm` is not the one that the
-            model was fitted with: `with_arm` moves it; if `return_std` and `return_cov` are both
-            asked for.
-
-        Warns
-        -----
-        UserWarning
-            If the angles are most likely in the other unit, or most of the corrections are reduced
-            to less than a tenth.
-        """
-        check_flags(
-            return_std=return_std,
-            with_noise=with_noise,
-            return_cov=return_cov,
-            with_unseen=with_unseen,
-        )
-        if return_std and return_cov:
-            raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
-        X = check_poses(self, X)
-        model, fading = self.linear_model_, self.fading_
-        mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
-        mean = mean * self.helps_ + self.second_stage(X)
-        if doubt is not None:
-            share = fading.share(doubt)
-            if self.helps_:
-                warn_where_unknown(share)
-            mean = share[:, None] * mean
-        if return_cov:
-            return mean, model.joint_covariance(X, with_noise, with_unseen)
-        # Without a correction the errors are at least those that the residuals had.
-        least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
-        return (mean, np.maximum(model.widened(std, with_noise), least)) if return_std else mean
-
-    def _points_of(self, X):
-        """Where the arm says that its probe is, (n, 3) in mm."""
-        return self.arm_.forward(check_poses(self, X)[:, : self.arm_.n_joints])
-
-    def _knows_deviations_only(self):
-        return self.offsets_
-
-    def second_stage(self, angles: np.ndarray) -> np.ndarray:
-        """What the second stage adds at angles in rad before it fades, (n_samples, 3) in mm."""
-        if self.regressor_ is None:
-            return np.zeros((len(angles), 3))
-        return self.regressor_.predict(angles[:, : self.arm_.n_joints])
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

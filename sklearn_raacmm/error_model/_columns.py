@@ -19,7 +19,7 @@ from sklearn_raacmm.error_model._extra import force_on_probe, parsed
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own; then that of harmonics that are taken for
 # themselves, and that of all low orders together.
-GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE = range(6)
+GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, HARMONICS, SMOOTH = range(8)
 FAMILIES = (
     "gravity", "kinematics", "wobble", "temperature", "direction", "force", "harmonics", "smooth",
 )  # fmt: skip
@@ -64,21 +64,20 @@ class Column(NamedTuple):
     frame: int  # whose axis it is: 0 is the base
     axis: int  # 0, 1, 2: x, y, z of the frame
     unit: float  # rad or mm per unit coefficient; for LOAD per mm of lever, too
-    of: int = 0  # joint of the wave from 0; for LOAD the frame of the load, n_joints + 1: the probe
+    joint: int = 0  # of the wave, from 0
     order: int = 0  # of the wave: cosine if positive, sine if negative, none if 0
+    load: int = 0  # for LOAD the frame of the load, n_joints + 1: the probe
     by: int = -1  # the extra column that multiplies it, from 0; -1: none
     reference: float = 0.0  # what is taken off that column before
 
 
-class ColumnTable(NamedTuple):
-    """The fields of all columns as arrays of shape (n_columns,)."""
-
-    kind: np.ndarray
-    frame: np.ndarray
-    axis: np.ndarray
-    unit: np.ndarray
-    of: np.ndarray
-    order: np.ndarray
+_NUMBERS = np.dtype(
+    [
+        (name, float if kind is float else int)
+        for name, kind in Column.__annotations__.items()
+        if name != "name"
+    ]
+)
 
 
 def _first_frame(arm):
@@ -92,7 +91,7 @@ def _harmonics(arm, pairs):
     for j, k in pairs.tolist():
         unit = arm.joint_signs[j] * ARCSEC
         for order in (k, -k):
-            yield Column("", len(FAMILIES) - 2, TURN, j + first, 2, unit, j, order)
+            yield Column("", HARMONICS, TURN, j + first, 2, unit, j, order)
 
 
 def _gravity(arm):
@@ -107,7 +106,7 @@ def _gravity(arm):
             for load in range(frame + 1, n + 2):
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                yield Column(name, GRAVITY, LOAD, frame, axis, unit, load)
+                yield Column(name, GRAVITY, LOAD, frame, axis, unit, load=load)
 
 
 def _kinematics(arm):
@@ -190,18 +189,18 @@ def _extra(arm, extra):
 
 
 @lru_cache(maxsize=64)
-def _others(arm, gravity, kinematics, wobble, extra):
-    """Columns that are no harmonics, in their order."""
-    columns = [*_gravity(arm)] if gravity else []
-    columns += _kinematics(arm) if kinematics else []
-    columns += _wobble(arm) if wobble else []
-    columns += _extra(arm, extra)
+def _columns_of_causes(arm, causes):
+    """Columns that are no harmonics, in their order; `causes` are `Terms` without harmonics."""
+    columns = [*_gravity(arm)] if causes.gravity else []
+    columns += _kinematics(arm) if causes.kinematics else []
+    columns += _wobble(arm) if causes.wobble else []
+    columns += _extra(arm, causes.extra)
     return tuple(columns)
 
 
 def other_columns(arm, terms):
     """Columns that are no harmonics, as a tuple of `Column`."""
-    return _others(arm, *terms[1:])
+    return _columns_of_causes(arm, terms._replace(harmonics=()))
 
 
 def term_names(arm, terms):
@@ -210,108 +209,74 @@ def term_names(arm, terms):
     return [c.name for c in others], np.array([c.family for c in others], dtype=int)
 
 
-def column_table(arm: Arm, terms: Terms) -> ColumnTable:
-    """What each column is: a cosine and a sine turn for each harmonic, then the others."""
+def column_table(arm: Arm, terms: Terms) -> np.ndarray:
+    """What each column is, as a structured array of the numbers of `Column`.
+
+    A cosine and a sine turn for each harmonic come first, then the others.
+    """
     columns = [*_harmonics(arm, terms.harmonics), *other_columns(arm, terms)]
-    return ColumnTable(
-        *(
-            np.array([getattr(c, name) for c in columns], float if name == "unit" else int)
-            for name in ColumnTable._fields
-        )
-    )
+    return np.array([column[1:] for column in columns], dtype=_NUMBERS)
 
 
-class GivenFactors(NamedTuple):
-    """By what the extra columns of X multiply columns of the model."""
-
-    column: np.ndarray  # (n_given,) which columns
-    by: np.ndarray  # (n_given,) extra column
-    reference: np.ndarray  # (n_given,) what is taken off before
-
-
-def given_factors(arm: Arm, terms: Terms) -> GivenFactors:
-    """Columns that an extra column of X multiplies, see `GivenFactors`."""
-    others = enumerate(other_columns(arm, terms), start=2 * len(terms.harmonics))
-    given = [(i, c.by, c.reference) for i, c in others if c.by >= 0]
-    parts = zip(*given, strict=True) if given else [()] * 3
-    types = (int, int, float)
-    return GivenFactors(*(np.array(v, kind) for v, kind in zip(parts, types, strict=True)))
-
-
-class _Plan(NamedTuple):
+class _Plan:
     """A column table, arranged for whole arrays: all that does not depend on the pose."""
 
-    which: np.ndarray  # (n_columns,) into the vectors of `axis_vectors`
-    unit: np.ndarray  # (n_columns,)
-    runs: tuple[Any, ...]  # of (first, last column, vector, unit) where many waves share one vector
-    rest: int  # columns from here on are selected by `which`
-    waves: np.ndarray  # (n_waves,) columns that are cosines and sines by turns
-    wave_joint: np.ndarray  # (n_pairs,) of all waves: those of the runs, then the others
-    wave_order: np.ndarray
-    loads: np.ndarray  # (n_loads,) columns
-    load_x: np.ndarray  # (n_loads,) into the vectors: axis u of the torque
-    load_of: np.ndarray  # (n_loads,) place of the load
-    load_frame: np.ndarray  # (n_loads,) place of the axis
-    pushes: np.ndarray  # (n_pushes,) columns
-    push_turn: np.ndarray  # (n_pushes,) into the vectors: what the turn does to the probe
-    given: GivenFactors
-    grown: np.ndarray  # (n_grown,) columns of the growth of the probe
-    grown_axis: np.ndarray  # (n_grown,)
+    def __init__(self, arm, terms):
+        table = column_table(arm, terms)
+        self.n_joints, n_axes = arm.n_joints, 3 * (arm.n_joints + 1)
+        axis = 3 * table["frame"] + table["axis"]
+        which = np.where(table["kind"] == SHIFT, n_axes, 0) + axis  # into the `axis_vectors`
+        # Runs of columns (first, last, vector, unit): many waves that share one vector.
+        self.runs, self.rest = [], 0
+        n_waves = 2 * len(terms.harmonics)
+        if n_waves and n_waves >= _LONG_RUN * len(np.unique(terms.harmonics[:, 0])):
+            ends = np.flatnonzero(np.diff(which[:n_waves], append=-1)) + 1
+            for start, end in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+                self.runs.append((start, end, int(which[start]), float(table["unit"][start])))
+            self.rest = n_waves  # columns from here on are selected by `which`
+        cosines = table[table["order"] > 0]  # of all waves: those of the runs, then the others
+        self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
+        rest, axis = table[self.rest :], axis[self.rest :]
+        self.which, self.unit = which[self.rest :], rest["unit"]
+        self.waves = np.flatnonzero(rest["order"])
+        self.loads = np.flatnonzero(rest["kind"] == LOAD)
+        self.load_x = n_axes + axis[self.loads]  # axis u of the torque, into the vectors
+        self.load_at, self.load_frame = rest["load"][self.loads], rest["frame"][self.loads]
+        self.pushes = np.flatnonzero(rest["kind"] == PUSH)
+        self.push_turn = axis[self.pushes]  # into the vectors: what the turn does to the probe
+        self.given = np.flatnonzero(rest["by"] >= 0)  # columns that an extra column multiplies
+        self.by, self.reference = rest["by"][self.given], rest["reference"][self.given]
+        # Growth of the probe.
+        grows = [
+            c.family == TEMPERATURE and c.name[:6] == "probe_" for c in other_columns(arm, terms)
+        ]
+        self.grown = n_waves - self.rest + np.flatnonzero(grows)
+        self.grown_axis = rest["axis"][self.grown]
 
 
 @lru_cache(maxsize=64)
-def _planned(arm, pairs, gravity, kinematics, wobble, extra):
-    """`_Plan` of an arm and terms; `pairs` are the bytes of the harmonics."""
-    harmonics = np.frombuffer(pairs, dtype=int).reshape(-1, 2)
-    terms = Terms(harmonics, gravity, kinematics, wobble, extra)
-    table = column_table(arm, terms)
-    n_axes = 3 * (arm.n_joints + 1)
-    axis = 3 * table.frame + table.axis
-    which = np.where(table.kind == SHIFT, n_axes, 0) + axis
-    cosines = np.flatnonzero(table.order > 0)
-    runs, rest = [], 0
-    n_waves = 2 * len(harmonics)
-    if n_waves and n_waves >= _LONG_RUN * len(np.unique(harmonics[:, 0])):
-        ends = np.flatnonzero(np.diff(which[:n_waves], append=-1)) + 1
-        for start, end in zip([0, *ends[:-1]], ends, strict=True):
-            runs.append((int(start), int(end), int(which[start]), float(table.unit[start])))
-        rest = n_waves
-    loads = np.flatnonzero(table.kind == LOAD)
-    pushes = np.flatnonzero(table.kind == PUSH)
-    given = given_factors(arm, terms)
-    growths = [
-        c.family == TEMPERATURE and c.name[:6] == "probe_" for c in other_columns(arm, terms)
-    ]
-    grown = n_waves + np.flatnonzero(growths)
-    return _Plan(
-        which[rest:],
-        table.unit[rest:],
-        tuple(runs),
-        rest,
-        np.flatnonzero(table.order[rest:]),
-        table.of[cosines],
-        table.order[cosines],
-        loads - rest,
-        n_axes + axis[loads],
-        table.of[loads],
-        table.frame[loads],
-        pushes - rest,
-        axis[pushes],
-        given._replace(column=given.column - rest),
-        grown - rest,
-        table.axis[grown],
-    )
+def _planned(arm, harmonics, causes):
+    """`_Plan` of an arm; `harmonics` are the bytes of those of the terms, `causes` the others."""
+    pairs = np.frombuffer(harmonics, dtype=int).reshape(-1, 2)
+    return _Plan(arm, causes._replace(harmonics=pairs))
 
 
-class FactoredColumns(NamedTuple):
+def _plan(arm, terms):
+    harmonics = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
+    return _planned(arm, harmonics, terms._replace(harmonics=()))
+
+
+class FactoredColumns:
     """Columns of the model at n poses, those of many waves of one joint as factors.
 
     The waves of a joint share the vector by which a turn about its axis moves the probe. Products
     with the columns are therefore taken with the waves first: one number for each pose, not three.
+    The `runs` are of (first, last column, vector (n, 3), waves (n, k)), `rest` (n, 3, m) are the
+    columns after them.
     """
 
-    runs: list[Any]  # of (first, last column, vector (n, 3), waves (n, k))
-    rest: np.ndarray  # (n, 3, m) the columns after the runs
+    def __init__(self, runs: list[Any], rest: np.ndarray) -> None:
+        self.runs, self.rest = runs, rest
 
     def dot(self, coef):
         """``columns @ coef``, (n, 3)."""
@@ -346,7 +311,7 @@ def _filled(rows):
 
 def factored_columns(arm, angles, terms):
     """Columns as `term_columns` gives them, not multiplied out."""
-    return _factored(arm, angles, _plan_of(arm, terms), terms, None)
+    return _factored(arm, angles, _plan(arm, terms), terms, None)
 
 
 def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
@@ -355,7 +320,7 @@ def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
     The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names;
     then the probe of each row in the last frame, mm, where it is not the arm's.
     """
-    plan = _plan_of(arm, terms)
+    plan = _plan(arm, terms)
     out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
     found = _factored(arm, angles, plan, terms, out[:, :, plan.rest :])
     for start, end, vector, waves in found.runs:
@@ -363,26 +328,22 @@ def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
     return out
 
 
-def parts_of_rows(arm: Arm, terms: Terms, rows: np.ndarray) -> tuple[Any, Any, Any]:
+def _parts_of_rows(n_joints, terms, rows):
     """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
-    n, end = arm.n_joints, arm.n_joints + len(terms.extra)
-    return rows[:, :n], rows[:, n:end], rows[:, end:] if rows.shape[1] > end else None
+    end = n_joints + len(terms.extra)
+    probes = rows[:, end:] if rows.shape[1] > end else None
+    return rows[:, :n_joints], rows[:, n_joints:end], probes
 
 
 def points_of_rows(arm, terms, rows):
     """Probe points (n, 3) of rows that `term_columns` takes, mm."""
-    angles, _, probes = parts_of_rows(arm, terms, rows)
+    angles, _, probes = _parts_of_rows(arm.n_joints, terms, rows)
     return points_of(arm, angles, probes)
-
-
-def _plan_of(arm, terms):
-    pairs = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
-    return _planned(arm, pairs, *terms[1:])
 
 
 def _factored(arm, angles, plan, terms, out):
     """`FactoredColumns` by a plan; its `rest` is written to `out`, where that is given."""
-    angles, values, probes = parts_of_rows(arm, terms, angles)
+    angles, values, probes = _parts_of_rows(plan.n_joints, terms, angles)
     vectors, places = axis_vectors(arm, angles, probes)
     phase = angles[:, plan.wave_joint] * plan.wave_order
     wave = np.empty((len(angles), 2 * phase.shape[1]))
@@ -394,7 +355,7 @@ def _factored(arm, angles, plan, terms, out):
     ]
     factor = np.tile(plan.unit, (len(angles), 1))
     if len(plan.loads):
-        x, y = (places[:, i, plan.load_of] - places[:, i, plan.load_frame] for i in (0, 1))
+        x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in (0, 1))
         ux, uy = (vectors[:, i, plan.load_x] for i in (0, 1))
         factor[:, plan.loads] *= uy * x - ux * y
     factor[:, plan.waves] *= wave[:, plan.rest :]
@@ -403,8 +364,7 @@ def _factored(arm, angles, plan, terms, out):
             factor[:, plan.grown] *= probes[:, plan.grown_axis] / arm.probe[plan.grown_axis]
         force = force_on_probe(terms.extra, values)
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
-        columns, by, reference = plan.given
-        factor[:, columns] *= values[:, by] - reference
+        factor[:, plan.given] *= values[:, plan.by] - plan.reference
     rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)
     return FactoredColumns(runs, rest)
 

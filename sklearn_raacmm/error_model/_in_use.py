@@ -1,4 +1,4 @@
-"""A fitted model of an arm in use: moved to a probe, uncertain together, the other way round."""
+"""A fitted model of an arm in use: its predictions, its tables, moved to a probe, the inverse."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -15,15 +15,146 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
+from sklearn_raacmm.error_model._fading import Fading, warn_where_unknown
+from sklearn_raacmm.error_model._left_out import Judgement
+from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._solve import angles_for
+from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import check_flags, floats, warn_user
 
 
-class ModelInUseMixin:
-    """What a fitted `ArmResidualRegressor` can do beside predicting."""
+class FittedArmModel(PointCorrectionMixin):
+    """What a fitted `ArmResidualRegressor` knows and can do."""
 
-    def with_arm(self: Any, arm: Arm) -> Any:
+    arm: Arm | None
+    angle_unit: str
+    linear_model_: LinearModel
+    fading_: Fading
+    judgement_: Judgement | None
+    helps_: bool
+
+    # The fitted numbers in readable form; all of them are those of `linear_model_`.
+
+    @property
+    def harmonics_(self) -> Any:
+        return self.linear_model_.harmonic_table()
+
+    @property
+    def terms_(self) -> Any:
+        return self.linear_model_.term_table()
+
+    @property
+    def column_harmonics_(self) -> Any:
+        return np.add(self.linear_model_.terms.harmonics, (1, 0))
+
+    @property
+    def coef_(self) -> Any:
+        return self.linear_model_.coef
+
+    @property
+    def prior_sd_(self) -> Any:
+        return self.linear_model_.prior_sd
+
+    @property
+    def noise_sd_(self) -> float:
+        return self.linear_model_.noise_sd
+
+    @property
+    def n_determined_(self) -> Any:
+        return self.linear_model_.n_determined
+
+    @property
+    def offsets_(self) -> Any:
+        return self.linear_model_.offsets
+
+    @property
+    def arm_(self) -> Arm:
+        return self.linear_model_.arm
+
+    def predict(
+        self,
+        X: ArrayLike,
+        return_std: bool = False,
+        with_noise: bool = False,
+        *,
+        return_cov: bool = False,
+        with_unseen: bool = False,
+    ) -> Any:
+        """Predict residuals.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
+        return_std : bool, default=False
+            Also return the standard deviation of the correction before it fades.
+        with_noise : bool, default=False
+            Add the noise of a measured coordinate to it: of the residual that a new measurement
+            shows, rather than of the correction.
+        return_cov : bool, default=False
+            Instead of standard deviations, return the covariance of all coordinates of all poses.
+        with_unseen : bool, default=False
+            Whether the covariance contains what a single-point test cannot show, such as a common
+            scale, as far as the model knows it: for lengths over several positions.
+
+        Returns
+        -------
+        residuals : ndarray of shape (n_samples, 3)
+            dx, dy and dz in mm: subtract them from the measured points.
+        std : ndarray of shape (n_samples, 3)
+            In mm, where asked for: 1.96 of them make an interval of 95 % at positions that were
+            left out of the fit. Where positions have offsets, without a motion of the base.
+        covariance : ndarray of shape (3 n_samples, 3 n_samples)
+            In mm^2, where asked for: x, y and z of the first pose, then of the next. With g the
+            derivatives of a length by these coordinates, ``g @ covariance @ g`` is its variance.
+
+        Raises
+        ------
+        sklearn.exceptions.NotFittedError
+            If the model is not fitted.
+        ValueError
+            If X does not fit the model, or holds NaN or infinity; if `arm` is not the one that the
+            model was fitted with: `with_arm` moves it; if `return_std` and `return_cov` are both
+            asked for.
+
+        Warns
+        -----
+        UserWarning
+            If the angles are most likely in the other unit, or most of the corrections are reduced
+            to less than a tenth.
+        """
+        check_flags(
+            return_std=return_std,
+            with_noise=with_noise,
+            return_cov=return_cov,
+            with_unseen=with_unseen,
+        )
+        if return_std and return_cov:
+            raise ValueError("return_std and return_cov cannot both be True: ask for one of them.")
+        X = check_poses(self, X)
+        model, fading = self.linear_model_, self.fading_
+        mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
+        mean = mean * self.helps_
+        if doubt is not None:
+            share = fading.share(doubt)
+            if self.helps_:
+                warn_where_unknown(share)
+            mean = share[:, None] * mean
+        if return_cov:
+            return mean, model.joint_covariance(X, with_noise, with_unseen)
+        # Without a correction the errors are at least those that the residuals had.
+        least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
+        return (mean, np.maximum(model.widened(std, with_noise), least)) if return_std else mean
+
+    def _points_of(self, X):
+        """Where the arm says that its probe is, (n, 3) in mm."""
+        return self.arm_.forward(check_poses(self, X)[:, : self.arm_.n_joints])
+
+    def _knows_deviations_only(self):
+        return self.offsets_
+
+    def with_arm(self, arm: Arm) -> Any:
         """Move the fitted model to another probe.
 
         A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
@@ -45,8 +176,7 @@ class ModelInUseMixin:
         sklearn.exceptions.NotFittedError
             If the model is not fitted.
         ValueError
-            If the table is another one; or if the model has a second stage, which has seen the old
-            probe only.
+            If the table is another one.
 
         Examples
         --------
@@ -67,18 +197,13 @@ class ModelInUseMixin:
         check_is_fitted(self)
         check_arm(arm)
         old = self.linear_model_
-        if self.regressor_ is not None and not np.array_equal(arm.probe, old.arm.probe):
-            raise ValueError(
-                f"{type(self).__name__} has a second stage, which has seen the old probe only: a "
-                "model with regressor=None can be moved."
-            )
         moved = copy(self)
         moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
         moved.fading_ = moved_fading(self.fading_, old.arm, arm)
         return moved
 
     def sample_y(
-        self: Any,
+        self,
         X: ArrayLike,
         n_samples: int = 1,
         random_state: int | np.random.RandomState | None = None,
@@ -126,7 +251,7 @@ class ModelInUseMixin:
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
-    def angles_for(self: Any, points: ArrayLike, start: ArrayLike) -> np.ndarray:
+    def angles_for(self, points: ArrayLike, start: ArrayLike) -> np.ndarray:
         """Joint angles that bring the corrected probe to wanted points, by Newton's method.
 
         Parameters
@@ -194,7 +319,7 @@ class ModelInUseMixin:
             )
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
 
-    def fading(self: Any, X: ArrayLike) -> np.ndarray:
+    def fading(self, X: ArrayLike) -> np.ndarray:
         """Share of the correction that `predict` returns at each pose.
 
         Parameters
@@ -210,7 +335,7 @@ class ModelInUseMixin:
         X = check_poses(self, X)
         return self.fading_.share(self.linear_model_.predict_with_doubt(X)[2])
 
-    def distance_std(self: Any, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
+    def distance_std(self, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
         """Standard deviation of corrected lengths between two poses each, without noise.
 
         Parameters

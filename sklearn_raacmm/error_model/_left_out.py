@@ -38,19 +38,6 @@ _PER_FEW_POSITIONS = 2.0
 _LEAST_GAIN = 1e-3
 
 
-class LeftOut(NamedTuple):
-    """What models without the block of a row say of it, (n, 3) each in mm.
-
-    Errors and their standard deviation are those of deviations from the position's mean where
-    positions have offsets.
-    """
-
-    correction: np.ndarray
-    doubt: np.ndarray  # (n,) what the correction fades by
-    errors: np.ndarray  # of the residuals that were measured
-    spread: np.ndarray  # what the models say of the errors, without noise
-
-
 class Judgement(NamedTuple):
     """Whether a correction helps at positions that were left out; means over positions."""
 
@@ -66,8 +53,12 @@ def leave_out(fitted, terms, positions, weights):
     """Errors at the rows of each block of neighbouring positions by a model of the others.
 
     The harmonics of `terms` were offered to the fit, and `positions` (n,) count from 0. Outliers
-    keep their `weights` in the means of their positions. A `LeftOut`, or None where all positions
-    are at one place, or all weight is in one block.
+    keep their `weights` in the means of their positions.
+
+    Returns what models without the block of a row say of it: the correction (n, 3); the doubt (n,)
+    that it fades by; errors (n, 3) of the measured residuals, and their standard deviations (n, 3)
+    without noise, both of deviations from the position's mean where positions have offsets. All in
+    mm. Or None where all positions are at one place, or all weight is in one block.
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
     points = points_of_rows(rows.arm, terms, rows.X)
@@ -91,7 +82,7 @@ def leave_out(fitted, terms, positions, weights):
     }
     whole = combined(list(parts.values()), [1.0] * len(parts))
     n = len(points)
-    found = LeftOut(*(np.empty(n if name == "doubt" else (n, 3)) for name in LeftOut._fields))
+    found = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty((n, 3))
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.
         sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
@@ -104,7 +95,7 @@ def leave_out(fitted, terms, positions, weights):
 
 
 def _errors(model, rows, weights):
-    """The fields of `LeftOut` at some rows by a model that has not seen them."""
+    """What `leave_out` returns, at some rows by a model that has not seen them."""
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     if rows.codes is None:
         return mean, doubt, rows.y - mean, std
@@ -139,13 +130,14 @@ def with_honest_intervals(model, left_out, weights, codes, positions):
     if left_out is None or n_positions < LEAST_POSITIONS:
         wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
         return replace(model, noise_scale=wider, std_scale=wider)
-    noise = np.full(left_out.errors.shape, model.noise_sd)
+    _, _, errors, spread = left_out
+    noise = np.full(errors.shape, model.noise_sd)
     if codes is not None:  # the position's own mean has taken its share of the noise
         share = 1 / np.maximum(np.bincount(codes, weights)[codes], 1.0)
         noise *= np.sqrt(1 - share)[:, None]
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())
     usual = 0.0 if codes is None else _USUAL_LOG_B
-    scales = interval_scales(left_out.errors, noise, left_out.spread, weights, worth, usual)
+    scales = interval_scales(errors, noise, spread, weights, worth, usual)
     return replace(model, noise_scale=scales[0], std_scale=scales[1])
 
 
@@ -157,7 +149,7 @@ def judge(left_out, fading, y, weights, codes, positions):
     `weights` (n,).
     """
     kept = weights > 0
-    after = y - fading.share(left_out.doubt)[:, None] * left_out.correction
+    after = y - fading.share(left_out[1])[:, None] * left_out[0]
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
     before, after = (
         group_means(

@@ -23,7 +23,7 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -58,7 +58,12 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
     theorem); `known`, the noise variance over that of the offsets, draws them to 0 as rows of this
     weight would. Without offsets `weights` may be negative changes.
     """
-    poses = _sorted_poses(angles, y, weights, codes, known)
+    if codes is None:
+        parts: Any = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
+    else:
+        order = np.argsort(codes, kind="stable")
+        parts = _parts_of_positions(codes[order])
+        angles, y, weights = angles[order], y[order], weights[order]
     spans = _joint_spans(offered)
     n_joints = len(arm.a)
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
@@ -67,28 +72,27 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
     own = np.zeros((3, len(offered)))
     gram: Any = 0.0
     cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
-    for rows, starts in poses.parts:
-        columns = term_columns(arm, poses.angles[rows], terms)
+    for rows, starts in parts:
+        columns = term_columns(arm, angles[rows], terms)
         turns[rows] = columns[:, :, : 2 * n_joints : 2]  # the cosines of order 0
-        columns = np.concatenate([columns[:, :, 2 * n_joints :], poses.y[rows, :, None]], axis=2)
-        weighted = _weighted_deviations(columns, poses.weights[rows], starts, known)
+        columns = np.concatenate([columns[:, :, 2 * n_joints :], y[rows, :, None]], axis=2)
+        weighted = _weighted_deviations(columns, weights[rows], starts, known)
         flat = columns.reshape(-1, columns.shape[2])
         gram = gram + flat.T @ weighted.reshape(flat.shape)
         for sums, (joint, _, _) in zip(cross, spans, strict=True):
             share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
-            sums.add(poses.angles[rows, joint], share)
-        own += _own_blocks(
-            turns[rows], poses.angles[rows], poses.weights[rows], starts, spans, known
-        )
+            sums.add(angles[rows, joint], share)
+        own += _own_blocks(turns[rows], angles[rows], weights[rows], starts, spans, known)
     cross = _products(cross, len(gram))
 
     def rows_of(pairs):
         pairs, size = offered[pairs], _LARGEST_BATCH
-        parts = [pairs[i : i + size] for i in range(0, len(pairs), size)]
-        return np.concatenate([_gram_rows(poses, turns, spans, part) for part in parts])
+        batches = [pairs[i : i + size] for i in range(0, len(pairs), size)]
+        poses = angles, turns, weights, parts, known
+        return np.concatenate([_gram_rows(*poses, spans, batch) for batch in batches])
 
-    n_taken = 0 if known else poses.n_groups
-    n_observations = float(y.shape[1]) * (poses.weights.sum() - n_taken)
+    n_taken = 0 if known or codes is None else len(np.unique(codes))
+    n_observations = float(y.shape[1]) * (weights.sum() - n_taken)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -101,32 +105,20 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
     )
 
 
-class _Poses(NamedTuple):
-    """Poses sorted by position, in chunks of whole positions."""
+def _parts_of_positions(codes):
+    """Chunks of whole positions of sorted rows, so that a chunk knows the means that it takes out.
 
-    angles: np.ndarray
-    y: np.ndarray
-    weights: np.ndarray
-    parts: list  # (rows, first row of each position in the chunk or None)
-    n_groups: int
-    known: float  # weight by which offsets are drawn to 0
-
-
-def _sorted_poses(angles, y, weights, codes, known):
-    """Whole positions stay together, so that a chunk knows the means that it takes out."""
-    if codes is None:
-        parts = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
-        return _Poses(angles, y, weights, parts, 0, known)
-    order = np.argsort(codes, kind="stable")
-    first = np.flatnonzero(np.diff(codes[order], prepend=-1))
-    ends, parts, begin = np.append(first[1:], len(angles)), [], 0
+    Pairs of rows, and of the first row of each position in the chunk.
+    """
+    first = np.flatnonzero(np.diff(codes, prepend=-1))
+    ends, parts, begin = np.append(first[1:], len(codes)), [], 0
     limit = chunk_size(_CHUNK)
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
         if last or ends[i + 1] - first[begin] > limit:
             parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
             begin = i + 1
-    return _Poses(angles[order], y[order], weights[order], parts, len(first), known)
+    return parts
 
 
 def _joint_spans(offered):
@@ -181,25 +173,25 @@ def _own_blocks(turns, angles, weights, starts, spans, known):
     return out
 
 
-def _gram_rows(poses, turns, spans, pairs):
+def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
     """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
-    found = [_WaveSums(orders, len(poses.angles)) for _, orders, _ in spans]
+    found = [_WaveSums(orders, len(angles)) for _, orders, _ in spans]
     (joints, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
-    for rows, starts in poses.parts:
-        angles, turn, weights = poses.angles[rows], turns[rows], poses.weights[rows]
-        phase = order * angles[:, joints]
+    for rows, starts in parts:
+        theta, turn, weight = angles[rows], turns[rows], weights[rows]
+        phase = order * theta[:, joints]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
         columns = None
         if starts is not None:
             columns = turn[:, :, twice] * wave[:, None]
-            columns = _weighted_deviations(columns, weights, starts, poses.known)
+            columns = _weighted_deviations(columns, weight, starts, known)
         for sums, (joint, _, _) in zip(found, spans, strict=True):
             if columns is None:  # the turns of the joints alone are contracted
-                along = np.einsum("ncj,nc->nj", turn, weights[:, None] * turn[:, :, joint])
+                along = np.einsum("ncj,nc->nj", turn, weight[:, None] * turn[:, :, joint])
                 share = np.take(along, twice, axis=1) * wave
             else:
                 share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
-            sums.add(angles[:, joint], share)
+            sums.add(theta[:, joint], share)
     return _products(found, 2 * len(pairs))
 
 
@@ -223,7 +215,7 @@ class _WaveSums:
         if self._grid is None:
             return self._total
         found = rfft(np.ascontiguousarray(self._total.T), axis=1).take(self.orders, axis=1)
-        return np.conj(found * self._grid.correction[self.orders]).view(float)
+        return np.conj(found * self._grid[2][self.orders]).view(float)
 
 
 def _sums_of_doubles(theta, size, orders):
@@ -257,20 +249,15 @@ def waves(theta, orders):
     return out
 
 
-class _Grid(NamedTuple):
-    size: int  # points around the circle
-    sharpness: float
-    correction: np.ndarray  # (highest + 1,) one over the transform of the kernel
-
-
 @lru_cache(maxsize=16)
 def _grid(highest):
+    """Points around the circle, sharpness, and one over the transform of the kernel."""
     size = next_fast_len(_PER_ORDER * highest, real=True)
     sharpness = _SHARPNESS * np.pi * _WIDTH * (1 - highest / size)
     nodes, shares = np.polynomial.legendre.leggauss(_NODES)
     phase = np.outer(np.arange(highest + 1), nodes * _WIDTH * np.pi / size)
     transform = np.cos(phase) @ (shares * _kernel(nodes, sharpness)) * _WIDTH / 2
-    return _Grid(size, sharpness, 1 / transform)
+    return size, sharpness, 1 / transform
 
 
 def _kernel(x, sharpness):
@@ -280,9 +267,10 @@ def _kernel(x, sharpness):
 
 def _spread(theta, grid):
     """What each angle gives to the points of the grid around it, (n, size) sparse."""
-    at = np.mod(theta / (2 * np.pi), 1.0) * grid.size
+    size, sharpness, _ = grid
+    at = np.mod(theta / (2 * np.pi), 1.0) * size
     points = np.ceil(at - _WIDTH / 2).astype(np.int32)[:, None] + np.arange(_WIDTH, dtype=np.int32)
-    values = _kernel((points - at[:, None]) * (2 / _WIDTH), grid.sharpness)
+    values = _kernel((points - at[:, None]) * (2 / _WIDTH), sharpness)
     ends = np.arange(0, values.size + 1, _WIDTH, dtype=np.int32)
-    points %= grid.size
-    return csr_array((values.ravel(), points.ravel(), ends), shape=(len(theta), grid.size))
+    points %= size
+    return csr_array((values.ravel(), points.ravel(), ends), shape=(len(theta), size))

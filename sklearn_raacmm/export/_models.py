@@ -17,7 +17,6 @@ from sklearn_raacmm.error_model import (
     ArmResidualRegressor,
     column_table,
     force_on_probe,
-    given_factors,
 )
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder
@@ -298,12 +297,12 @@ def linear_model(chain, linear, fades):
     """Correction of a `LinearModel`, variances, and squared doubt; each None where not needed."""
     p, arm = chain.p, linear.arm
     table = column_table(arm, linear.terms)
-    m, n_axes = len(table.kind), 3 * (arm.n_joints + 1)
+    m, n_axes = len(table), 3 * (arm.n_joints + 1)
     if not m:
         return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
     # Columns that share a vector stand together; large groups last, where rows of a triangle are
     # long anyway.
-    vector = np.where(table.kind == SHIFT, n_axes, 0) + 3 * table.frame + table.axis
+    vector = np.where(table["kind"] == SHIFT, n_axes, 0) + 3 * table["frame"] + table["axis"]
     order = np.lexsort([vector, np.bincount(vector)[vector]])
     vectors = _vectors(chain)
     sizes = p.take(_sizes(chain, linear, table, vectors), order)
@@ -355,19 +354,19 @@ def _vectors(chain):
 
 def _sizes(chain, linear, table, vectors):
     """Size of each column: unit, wave, torque, and what an extra column says."""
-    p, arm, m = chain.p, linear.arm, len(table.kind)
+    p, arm, m = chain.p, linear.arm, len(table)
     n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
-    sizes = p.constant(table.unit)
-    if np.any(table.order):
-        waves = p("waves", chain.angles(), joint=table.of * (table.order != 0), order=table.order)
+    sizes = p.constant(table["unit"])
+    if np.any(table["order"]):
+        waves = p("waves", chain.angles(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
-    loaded = np.flatnonzero(table.kind == LOAD)
+    loaded = np.flatnonzero(table["kind"] == LOAD)
     if len(loaded):
         # The torque of a load: gravity is along -z.
         places = p("join", chain.frames(), chain.probe())
-        of, frame = (12 * at[loaded] + 9 for at in (table.of, table.frame))
-        of = np.where(table.of[loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
-        axis = 12 * table.frame[loaded] + 3 * table.axis[loaded]
+        of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
+        of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
+        axis = 12 * table["frame"][loaded] + 3 * table["axis"][loaded]
         x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in (0, 1))
         ux, uy = (p.take(places, axis + k) for k in (0, 1))
         torque = p("sub", p("mul", uy, x), p("mul", ux, y))
@@ -375,20 +374,20 @@ def _sizes(chain, linear, table, vectors):
     if not extra:
         return sizes
     values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
-    pushed = np.flatnonzero(table.kind == PUSH)
+    pushed = np.flatnonzero(table["kind"] == PUSH)
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
         unit_forces = np.round(force_on_probe(extra, mean + np.eye(len(extra)))).T
         force = p.affine(p("sub", values, mean), unit_forces)
-        turns = 3 * table.frame[pushed] + table.axis[pushed]
+        turns = 3 * table["frame"][pushed] + table["axis"][pushed]
         at = np.arange(3) * 2 * n_axes + turns[:, None]
         torque = p("dots", p.take(vectors, at.ravel()), force)
         sizes = p("mul", sizes, _at_columns(p, m, pushed, torque))
-    column, by, reference = given_factors(arm, linear.terms)
-    if not len(column):
+    given = np.flatnonzero(table["by"] >= 0)
+    if not len(given):
         return sizes
-    given = p("sub", p.take(values, by), reference)
-    return p("mul", sizes, _at_columns(p, m, column, given))
+    factors = p("sub", p.take(values, table["by"][given]), table["reference"][given])
+    return p("mul", sizes, _at_columns(p, m, given, factors))
 
 
 def _at_columns(p, m, columns, factors):

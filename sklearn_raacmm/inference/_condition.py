@@ -43,14 +43,6 @@ class Prior(NamedTuple):
     log_noise: tuple[float, float]  # bounds of the logarithm of the noise, in units of the prior's
 
 
-class LeftOut(NamedTuple):
-    """What each row of some weight would show if it had been left out, (n_used, c) each."""
-
-    errors: np.ndarray
-    noise: np.ndarray  # standard deviations: of the measurement
-    std: np.ndarray  # and of the prediction
-
-
 class Posterior(NamedTuple):
     """Coefficients after the new rows: those of the columns, then those that are nearly free."""
 
@@ -59,7 +51,7 @@ class Posterior(NamedTuple):
     tau: dict[str, float]  # by the name of the part
     noise_sd: float
     row_weight: np.ndarray  # (n,) what the loss left of the weight of each row
-    left_out: LeftOut
+    left_out: tuple[np.ndarray, np.ndarray, np.ndarray]  # see `_left_out`
 
 
 def condition(
@@ -236,7 +228,9 @@ def _prior_root(half, sd):
 
 
 def _left_out(left, spread, weights, noise_sd):
-    """Rows left out, without another fit.
+    """What each row of some weight would show if it had been left out, without another fit.
+
+    Its errors, and the standard deviations of measurement and prediction, (n_used, c) each.
 
     With C the columns at one row times a root of the posterior's covariance, ``H = C C' / s^2`` is
     the part of its own noise that the fit follows. Without this row it would be off by
@@ -252,4 +246,4 @@ def _left_out(left, spread, weights, noise_sd):
     errors = np.einsum("nij,nj->ni", inverse, left)
     total = variance[:, None] * np.einsum("nii->ni", inverse)
     noise = np.broadcast_to(np.sqrt(variance)[:, None], total.shape)
-    return LeftOut(errors, noise, np.sqrt(np.maximum(total - noise**2, 0.0)))
+    return errors, noise, np.sqrt(np.maximum(total - noise**2, 0.0))

@@ -243,7 +243,7 @@ class _Leftover:
 
     def take(self, candidate, likely):
         """Choose a candidate; LinAlgError if only rounding is left of it."""
-        columns = columns_of([candidate])
+        columns = [2 * candidate, 2 * candidate + 1]
         pairs, others = self.free[[candidate]], self.free[np.asarray(likely, dtype=int)]
         rows = self.sums.rows(pairs, others.tolist(), self.free) / self.noise
         if self.extra is not None:

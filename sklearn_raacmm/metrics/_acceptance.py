@@ -241,7 +241,7 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
     Parameters
     ----------
     points : array-like of shape (n_points, 3)
-        Without groups, the centres themselves, mm: the means of a seat, or centres of spheres.
+        Without groups, the centres themselves, mm: the means of a cone, or centres of spheres.
         With groups, points probed on one sphere.
     groups : array-like of shape (n_points,), default=None
         Label of the articulation of each point: a least-squares sphere is fitted to each group,

@@ -26,7 +26,7 @@ def position_residuals(
     points : array-like of shape (n_points, 3)
         Probe points in mm, as the arm's forward kinematics gives them.
     groups : array-like of shape (n_points,)
-        Label of the position (the seat) each point belongs to: numbers or text.
+        Label of the position each point belongs to: numbers or text.
     sample_weight : array-like of shape (n_points,), default=None
         Weight of each point in the mean of its position; equal if None.
 

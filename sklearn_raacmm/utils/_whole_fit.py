@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 
 from sklearn.base import _fit_context
 
-from sklearn_raacmm.utils._findings import hear
+from sklearn_raacmm.utils._findings import call_collecting
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
 _LOGGER = logging.getLogger("sklearn_raacmm")
@@ -34,8 +34,8 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Fit], Fit]:
         def wrapper(self, *args, **kwargs):
             aside = object.__new__(type(self))
             aside.__dict__ = dict(vars(self))
-            _, heard = hear(fit, aside, *args, **kwargs)
-            aside.findings_ = tuple(heard)
+            _, findings = call_collecting(fit, aside, *args, **kwargs)
+            aside.findings_ = tuple(findings)
             self.__dict__ = aside.__dict__
             return self
 

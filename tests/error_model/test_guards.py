@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
-from sklearn.kernel_ridge import KernelRidge
-from sklearn.neighbors import KNeighborsRegressor
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
@@ -213,100 +211,16 @@ def test_corrections_fade_away_from_the_data(cones):
     assert seen[0].filename == __file__
 
 
-# -- the second stage -----------------------------------------------------------------------------
-
-
-def kernel_ridge():
-    return KernelRidge(kernel="rbf", gamma=1.0, alpha=0.05)
-
-
-def smooth_error(theta):
-    """Of two joints together, which no cause of the linear model has."""
-    return np.sin(3 * theta[:, 1:2]) * np.sin(3 * theta[:, 2:3]) * [0.0, 0.0, 0.2]
-
-
-def in_base_frame(cylindrical, azimuth):
-    radial, tangential, axial = cylindrical.T
-    x = radial * np.cos(azimuth) - tangential * np.sin(azimuth)
-    return np.stack([x, radial * np.sin(azimuth) + tangential * np.cos(azimuth), axial], axis=1)
-
-
-def in_cylindrical_frame(vectors, azimuth):
-    x, y, axial = vectors.T
-    radial = x * np.cos(azimuth) + y * np.sin(azimuth)
-    return np.stack([radial, y * np.cos(azimuth) - x * np.sin(azimuth), axial], axis=1)
-
-
-@pytest.mark.parametrize("second", [kernel_ridge(), KNeighborsRegressor(5)])
-def test_the_second_stage_learns_what_the_first_leaves(cones, second):
-    """In the cylindrical frame, with the weights where it takes any."""
-    theta, _, _, truth = cones
-    truth = truth + smooth_error(theta)
-    y = truth + np.random.default_rng(1).normal(0, 0.01, truth.shape)
-    weights = np.random.default_rng(0).integers(0, 3, len(y)).astype(float)
-    model = small(fade=0, regressor=second).fit(theta, y, sample_weight=weights)
-    first = model.linear_model_.predict(theta)[0]
-    kept, azimuth = weights > 0, ARM.azimuth(theta)
-    left = in_cylindrical_frame(y - first, azimuth)[kept]
-    options = {"sample_weight": (weights * model.pose_weight_)[kept]}
-    by_hand = clone(second).fit(
-        theta[kept], left, **(options if isinstance(second, KernelRidge) else {})
-    )
-    added = in_base_frame(by_hand.predict(theta), azimuth)
-    assert_allclose(model.predict(theta), first + added, atol=1e-12)
-    assert_allclose(model.second_stage(theta), added, atol=1e-12)
-    assert np.linalg.norm(first + added - truth) < 0.8 * np.linalg.norm(first - truth)
-    assert not hasattr(second, "X_fit_")
-
-
-def test_the_second_stage_fades_with_the_first(cones):
-    theta, y, groups, _ = cones
-    model = small(fade=3.0, regressor=kernel_ridge()).fit(theta, y, groups=groups)
-    whole = model.linear_model_.predict(theta)[0] + model.second_stage(theta)
-    assert_allclose(model.predict(theta), model.fading(theta)[:, None] * whole, atol=1e-12)
-    degrees = small(fade=3.0, regressor=kernel_ridge(), angle_unit="deg")
-    degrees.fit(np.rad2deg(theta), y, groups=groups)
-    assert_allclose(degrees.predict(np.rad2deg(theta)), model.predict(theta), atol=1e-8)
-
-
-def test_constants_of_positions_do_not_reach_the_second_stage(cones):
-    """They are unknown, and of any size; outliers do not reach it, either."""
-    theta, y, groups, _ = cones
-    moved = y + np.random.default_rng(0).normal(0, 2.0, (24, 3))[groups]
-    model = small(offsets=True, regressor=kernel_ridge())
-    expected = clone(model).fit(theta, y, groups=groups).predict(theta)
-    assert_allclose(
-        clone(model).fit(theta, moved, groups=groups).predict(theta), expected, atol=1e-5
-    )
-    slipped = y.copy()
-    slipped[7] += 5.0
-    found = clone(model).fit(theta, slipped, groups=groups)
-    assert found.pose_weight_[7] == 0
-    assert np.abs(found.predict(theta) - expected).max() < 0.02
-
-
-def test_a_second_stage_is_left_where_the_first_does_not_help(cones):
-    theta, _, groups, _ = cones
-    smooth = smooth_error(theta)
-    y = smooth + np.random.default_rng(0).normal(0, 0.01, smooth.shape)
-    model = ArmResidualRegressor(ARM, orders=[300], causes=[], regressor=kernel_ridge(), fade=0)
-    model.fit(theta, y, groups=groups)
-    assert not model.helps_
-    assert_allclose(model.predict(theta), model.second_stage(theta))
-    assert np.linalg.norm(smooth - model.predict(theta)) < 0.5 * np.linalg.norm(smooth)
-
-
 # -- what changes nothing -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("offsets", [False, True])
-@pytest.mark.parametrize("second", [None, kernel_ridge()])
-def test_rows_of_weight_0_change_nothing(cones, offsets, second):
+def test_rows_of_weight_0_change_nothing(cones, offsets):
     """Whatever is in them: positions of their own, slipped poses, other labels."""
     theta, y, groups, _ = cones
     y = position_residuals(y, groups)
     rng, rows = np.random.default_rng(0), groups < 10
-    model = small(offsets=offsets, regressor=second)
+    model = small(offsets=offsets)
     expected = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
     new = rng.uniform(-2, 2, (150, 6))
     X = np.vstack([new, theta[rows]])
@@ -329,7 +243,7 @@ def test_weights_are_repeats(cones):
     y = position_residuals(y, groups)
     weights = np.random.default_rng(0).integers(0, 3, len(y))
     repeat = np.repeat(np.arange(len(y)), weights)
-    model = small(offsets=True, regressor=kernel_ridge())
+    model = small(offsets=True)
     weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
     repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
     assert_allclose(weighted.judgement_, repeated.judgement_, rtol=1e-6)

@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    RBFNetRegressor,
     calibrate,
     check_correction,
     update_correction,
@@ -108,12 +107,6 @@ def test_only_the_probe_may_differ(model):
         model.with_arm(ARM.replace(d=ARM.d + np.eye(6)[2]))
     with pytest.raises(ValueError, match="only the probe may differ"):
         model.with_arm(Arm.from_name("panda"))
-    X, y = rows(100, 3)
-    stage = ArmResidualRegressor(ARM, orders=2, regressor=RBFNetRegressor(5))
-    stage.fit(X[:, :6], y)
-    with pytest.raises(ValueError, match="second stage"):
-        stage.with_arm(LONG)
-    assert stage.with_arm(ARM).arm_ == ARM
 
 
 def test_an_exchanged_arm_is_not_ignored(model):

@@ -26,7 +26,7 @@ def fitted(request):
     return model.fit(X, y), new
 
 
-def frames_of(arm, row):
+def frame_matrices(arm, row):
     """Frames of the arm as matrices, from the definition of the parameters."""
     found = [mpmath.eye(4)]
     for i in range(arm.n_joints):
@@ -52,19 +52,21 @@ def cross(u, v):
 def in_50_digits(model, row):
     """The sum of all columns times their coefficients at one pose."""
     linear = model.linear_model_
-    frames = frames_of(linear.arm, row)
+    frames = frame_matrices(linear.arm, row)
     probe = (frames[-1] * mpmath.matrix([*linear.arm.probe, 1]))[:3, 0]
     places = [frame[:3, 3] for frame in frames] + [probe]
     total = mpmath.matrix(3, 1)
     table = column_table(linear.arm, linear.terms)
-    for coef, kind, frame, axis, unit, of, order in zip(linear.coef, *table, strict=True):
+    names = ["kind", "frame", "axis", "unit", "joint", "order", "load"]
+    for coef, column in zip(linear.coef, table[names].tolist(), strict=True):
+        kind, frame, axis, unit, joint, order, load = column
         u, origin = frames[frame][:3, axis], places[frame]
         value = u if kind == SHIFT else cross(u, probe - origin)
         if kind == LOAD:
-            value = value * mpmath.fdot(u, cross(places[of] - origin, mpmath.matrix([0, 0, -1])))
+            value = value * mpmath.fdot(u, cross(places[load] - origin, mpmath.matrix([0, 0, -1])))
         if order:
             wave = mpmath.cos if order > 0 else mpmath.sin
-            value = value * wave(abs(int(order)) * mpmath.mpf(row[of]))
+            value = value * wave(abs(int(order)) * mpmath.mpf(row[joint]))
         total += mpmath.mpf(coef) * mpmath.mpf(unit) * value
     return [float(x) for x in total]
 

@@ -295,9 +295,9 @@ MISTAKES = [
 
 def find_codes(name, data):
     """Codes of all findings, notes included, and the sentence of a refusal."""
-    from sklearn_raacmm.utils import heard_findings
+    from sklearn_raacmm.utils import collected_findings
 
-    with heard_findings() as found, warnings.catch_warnings():
+    with collected_findings() as found, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             FUNCTIONS[name](data)

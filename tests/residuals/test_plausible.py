@@ -21,7 +21,7 @@ TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1])
 SHIFT = np.array([2500.0, -900.0, 400.0])
 
 LINEAR = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
-FITS = {
+ESTIMATORS = {
     "linear model": LINEAR,
     "both stages": clone(LINEAR).set_params(regressor=LinearRegression()),
     "on angles": CylindricalResidualTarget(azimuth=ARM.azimuth),
@@ -29,7 +29,7 @@ FITS = {
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget()
     ),
 }
-KNOW_THE_ARM = [name for name in FITS if name != "in a pipeline"]
+KNOW_THE_ARM = [name for name in ESTIMATORS if name != "in a pipeline"]
 
 
 def measured(turn, shift):
@@ -37,7 +37,7 @@ def measured(turn, shift):
     return POINTS - (turn.apply(POINTS - RESIDUALS) + shift)
 
 
-@pytest.mark.parametrize("name", FITS)
+@pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize(
     "y",
     [
@@ -52,30 +52,30 @@ def measured(turn, shift):
 )
 def test_points_and_differences_between_frames_are_refused(name, y):
     with pytest.raises(ValueError, match=r"y are (points, not|no) residuals.*\d mm"):
-        FITS[name].fit(ANGLES, y)
+        ESTIMATORS[name].fit(ANGLES, y)
 
 
 @pytest.mark.parametrize("name", KNOW_THE_ARM)
 def test_small_motions_of_the_base_are_warned_of(name):
     y = measured(Rotation.from_rotvec([0, 0.006, 0.007]), [1.0, 2.0, 0.0])
     with pytest.warns(UserWarning, match=r"a turn by 0\.0092 rad and a shift by .* leave 0\.0"):
-        FITS[name].fit(ANGLES, y)
+        ESTIMATORS[name].fit(ANGLES, y)
 
 
 def test_without_the_arm_a_shift_is_warned_of():
     with pytest.warns(UserWarning, match=r"base: a shift by 5.* mm .* leave 0\.0"):
-        FITS["in a pipeline"].fit(ANGLES, np.add(RESIDUALS, [5.0, 0, 0]))
+        ESTIMATORS["in a pipeline"].fit(ANGLES, np.add(RESIDUALS, [5.0, 0, 0]))
 
 
-@pytest.mark.parametrize("name", FITS)
+@pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize("rows", [1, 3, 6, 60])
 @pytest.mark.parametrize("size", [0.0, 1e-3, 1.0, 100.0])
 def test_residuals_of_any_size_and_number_are_taken(name, rows, size):
     near = ANGLES[:1] + 0.01 * ANGLES  # an error that is the same all over a small region is one
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        FITS[name].fit(ANGLES[:rows], size * RESIDUALS[:rows])
-        FITS[name].fit(near, 0.05 * np.cos(near[:, :3]) + 0.3)
+        ESTIMATORS[name].fit(ANGLES[:rows], size * RESIDUALS[:rows])
+        ESTIMATORS[name].fit(near, 0.05 * np.cos(near[:, :3]) + 0.3)
 
 
 def test_deviations_from_one_position_are_residuals():

@@ -66,7 +66,7 @@ def function(filename, source, **names):
 
 def test_lines_of_the_package_are_skipped_and_no_others():
     inner = function(f"{PACKAGE}/_a.py", "def f():\n warn('so', FutureWarning)", warn=warn_user)
-    deep = function(f"{PACKAGE}/wing/_b.py", "def f():\n g()", g=inner)
+    deep = function(f"{PACKAGE}/part/_b.py", "def f():\n g()", g=inner)
     beside = function(f"{PACKAGE}_user.py", "def f():\n\n\n g()", g=deep)
     (one,) = said_by(function("/elsewhere.py", "def f():\n g()", g=beside))
     assert (one.filename, one.lineno) == (f"{PACKAGE}_user.py", 4)
