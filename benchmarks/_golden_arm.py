@@ -16,10 +16,9 @@ from _arm_folds import (
     ur10_folds,
     ur10b_folds,
 )
-from bench_after_the_lab import mean_deviation, one_draw
+from bench_after_the_lab import Robot, mean_deviation, one_draw
 from bench_check import knock, poses_of_simulated_arm
 from bench_speed import simulated as simulated_cones
-from bench_transfer import Robot
 
 from sklearn_raacmm import (
     Arm,
@@ -120,7 +119,7 @@ def update(data_home):
         for seed in range(3):
             known = np.zeros(len(angles), bool)
             known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
-            draws.append(one_draw(model, first.arm, angles, points, known)[0])
+            draws.append(one_draw(model, first.arm, angles, points, known))
         bare, _, registered, updated = np.median(draws, axis=0)
         name = f"A to B, {n} poses"
         found |= {f"{name}: no correction": bare, f"{name}: registered": registered}

@@ -1,15 +1,15 @@
 """Regression problems of the benchmarks: generated ones with known truth, and two real arms."""
 
-import os
-import sys
 import zlib
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from _arm_folds import read_panda, read_ur10
 from sklearn.datasets import make_friedman1, make_friedman2, make_friedman3
 
-ROOT = Path(__file__).resolve().parent.parent
+from sklearn_raacmm import Arm, PoseFeatures, calibrate, position_residuals
+from sklearn_raacmm.residuals import cartesian_to_cylindrical
+
 N_TEST = 2000
 
 
@@ -108,20 +108,8 @@ def generated(name, n, seed=0):
     return Problem(X[:n], y[:n], X[n:], f[n:], y[n:])
 
 
-def _readers():
-    """The tests' readers of the real data, and the folder of the data."""
-    sys.path.insert(0, str(ROOT / "tests"))
-    import conftest
-
-    default = ROOT.parent / "shared" / "data"
-    return conftest, Path(os.environ.get("SKLEARN_RAACMM_DATA", default))
-
-
 def _problem(arm, angles, residuals, learn, test, joints):
     """Joint angles to features, Cartesian residuals into the frame of the probe's azimuth."""
-    from sklearn_raacmm import PoseFeatures
-    from sklearn_raacmm.residuals import cartesian_to_cylindrical
-
     inputs = {"joints": "all", "encoding": "periodic"} if joints == "all" else {}
     X = PoseFeatures(arm, **inputs).fit(angles).transform(angles)
     Y = cartesian_to_cylindrical(residuals, arm.azimuth(angles))
@@ -130,39 +118,27 @@ def _problem(arm, angles, residuals, learn, test, joints):
 
 def panda_folds(joints="pose"):
     """Every placement of the ball sockets left out once, by calibration too."""
-    from sklearn_raacmm import Arm, calibrate, position_residuals
-
-    conftest, folder = _readers()
-    data = conftest.read_panda(folder / "panda_ball_socket" / "panda_3")
-    for placement in np.unique(data.placements):
-        train = data.placements != placement
-        others = np.unique(data.placements[train])
+    angles, sockets, placements = read_panda("panda_3")
+    for placement in np.unique(placements):
+        train = placements != placement
         # The two sockets of a placement are 50 mm apart.
-        known = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in others]
+        known = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in np.unique(placements[train])]
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        result = calibrate(nominal, data.angles[train], data.groups[train], lengths=known)
-        residuals = np.zeros((len(train), 3))
-        for rows in (train, ~train):
-            points = result.arm.forward(data.angles[rows])
-            residuals[rows] = position_residuals(points, data.groups[rows])
+        result = calibrate(nominal, angles[train], sockets[train], lengths=known)
+        residuals = position_residuals(result.arm.forward(angles), sockets)
         learn = np.flatnonzero(train)[result.sample_weight > 0]
-        yield _problem(result.arm, data.angles, residuals, learn, ~train, joints)
+        yield _problem(result.arm, angles, residuals, learn, ~train, joints)
 
 
 def ur10(joints="pose", n=None, seed=0):
     """A third of the goal positions left out; n training rows of whole goals, or all."""
-    from sklearn_raacmm import Arm, calibrate
-
-    conftest, folder = _readers()
-    data = conftest.read_ur10(folder / "ur10_tracker" / "measurements_grid.csv")
-    goals = np.random.default_rng(seed).permutation(data.groups.max() + 1)
-    n_test = len(goals) // 3
-    test = np.isin(data.groups, goals[:n_test])
-    rank = np.argsort(goals)[data.groups]
+    angles, points, groups = read_ur10("A")
+    goals = np.random.default_rng(seed).permutation(groups.max() + 1)
+    test = np.isin(groups, goals[: len(goals) // 3])
+    rank = np.argsort(goals)[groups]
     learn = np.flatnonzero(~test)
     learn = np.sort(learn[np.argsort(rank[learn], kind="stable")][:n])
     nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-    result = calibrate(nominal, data.angles[learn], points=data.points[learn])
-    true = (data.points - result.base_translation) @ result.base_rotation
-    residuals = result.arm.forward(data.angles) - true
-    yield _problem(result.arm, data.angles, residuals, learn, test, joints)
+    result = calibrate(nominal, angles[learn], points=points[learn])
+    true = (points - result.base_translation) @ result.base_rotation
+    yield _problem(result.arm, angles, result.arm.forward(angles) - true, learn, test, joints)

@@ -1,6 +1,4 @@
-"""
-What positions are worth to the chain
-=====================================
+"""What positions are worth to the chain.
 
 Every regressor of the chain is fitted twice: with ``fit(X, y, groups=positions)``, which names the
 rows of one position, and without. On simulated arms it learns at some positions and is
@@ -13,12 +11,12 @@ The default, the network on twelve simulated arms and the real ones, takes about
 """
 
 import argparse
-import time
 import warnings
+from itertools import product
 
 import numpy as np
 from _comparison import ALL, INPUTS, PAPER, Table, chain, gaussian_process
-from compare_regressors import panda, ur10
+from _data_sets import MIXES, panda, ur10
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
@@ -27,7 +25,6 @@ from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import _positions, bp_network_chain, database_chain, polynomial_chain
 
-MIXES = ["gravity", "typical", "eccentricity"]
 # Positions that are learnt from, and poses at each of them.
 SHAPES = [(10, 60), (30, 20)]
 TEST_POSITIONS, TEST_POSES = 20, 20
@@ -37,9 +34,6 @@ REAL = ["panda_3", "panda_2", "ur10"]
 # Plain settings, the same for both fits.
 MODELS = {
     "RBF network": lambda arm, inputs: chain(arm, RBFNetRegressor(random_state=0), inputs),
-    "RBF network, shared": lambda arm, inputs: chain(
-        arm, RBFNetRegressor(shared=True, random_state=0), inputs
-    ),
     "polynomial": lambda arm, inputs: polynomial_chain(
         arm, degree=3 if inputs == PAPER else 2, **INPUTS[inputs]
     ),
@@ -88,7 +82,7 @@ def real(name, data_home):
     return folds, [f.positions[f.test] for f in problem.folds], problem.folds[0].absolute
 
 
-def left(folds, labels, absolute, model=None, told=False):
+def left(folds, labels, absolute, model=None, known=False):
     """Mean 2S of what is left, or mean distance from the truth where it is known, mm."""
     rests = []
     for arm, X, y, groups, T, measured in folds:
@@ -97,7 +91,7 @@ def left(folds, labels, absolute, model=None, told=False):
             continue
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # widths at their bounds, perceptrons stopped early
-            fitted = model(arm).fit(X, y, groups=groups if told else None)
+            fitted = model(arm).fit(X, y, groups=groups if known else None)
         rests.append(fitted.correct(T, measured))
     rest = np.concatenate(rests)
     if absolute:
@@ -106,10 +100,9 @@ def left(folds, labels, absolute, model=None, told=False):
 
 
 def main(argv=None):
-    """Print the table."""
-    parser = argparse.ArgumentParser(description="What positions are worth to the chain.")
+    """Print the table, and medians over arms."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", nargs="*", type=int, default=[50, 51, 52, 53])
-    parser.add_argument("--machine", nargs="*", default=MIXES, choices=MIXES)
     parser.add_argument("--shapes", nargs="*", type=int, default=[0, 1], choices=[0, 1])
     parser.add_argument("--models", nargs="*", default=["RBF network"], choices=list(MODELS))
     parser.add_argument("--real", nargs="*", default=REAL, choices=REAL)
@@ -119,43 +112,30 @@ def main(argv=None):
     if args.turns is not None:
         _positions.MOST_TURNS = args.turns
     columns = [("inputs", 24, ""), ("data", 26, ""), ("regressor", 19, "")]
-    columns += [
-        ("without", 7, ".3f"),
-        ("told", 6, ".3f"),
-        ("ratio", 6, ".3f"),
-        ("seconds", 7, ".1f"),
-    ]
+    columns += [("without", 7, ".3f"), ("with", 6, ".3f"), ("ratio", 6, ".3f")]
     table, ratios = Table(*columns), {}
 
     def show(kind, label, folds, labels, absolute):
         before = left(folds, labels, absolute)
-        for name in args.models:
-            for inputs in (PAPER, ALL):
-                start = time.process_time()
+        for name, inputs in product(args.models, (PAPER, ALL)):
 
-                def model(arm, name=name, inputs=inputs):
-                    return MODELS[name](arm, inputs)
+            def model(arm, name=name, inputs=inputs):
+                return MODELS[name](arm, inputs)
 
-                without = left(folds, labels, absolute, model) / before
-                told = left(folds, labels, absolute, model, told=True) / before
-                seconds = time.process_time() - start
-                table.row(inputs, label, name, without, told, told / without, seconds)
-                ratios.setdefault((name, inputs, kind), []).append((without, told))
+            both = [left(folds, labels, absolute, model, known) / before for known in (False, True)]
+            table.row(inputs, label, name, *both, both[1] / both[0])
+            ratios.setdefault((name, inputs, kind), []).append(both)
 
-    for shape in args.shapes:
-        for mix in args.machine:
-            for seed in args.seeds:
-                n_positions, n_poses = SHAPES[shape]
-                found = simulated(mix, seed, n_positions, n_poses)
-                label = f"{mix} {seed}, {n_positions} x {n_poses}"
-                show(f"{mix}, {n_positions} x {n_poses}", label, *found, absolute=False)
+    for shape, mix in product(args.shapes, MIXES):
+        n_positions, n_poses = SHAPES[shape]
+        kind = f"{mix}, {n_positions} x {n_poses}"
+        for seed in args.seeds:
+            found = simulated(mix, seed, n_positions, n_poses)
+            show(kind, f"{kind}, {seed}", *found, absolute=False)
     for name in args.real:
         show(name, name, *real(name, args.data_home))
-    print("\nMedians over arms, and the largest ratio")
     for (name, inputs, kind), found in ratios.items():
-        without, told = np.transpose(found)
-        shown = f"{np.median(without):.3f}  {np.median(told):.3f}  {np.median(told / without):.3f}"
-        print(f"{name:<19}  {inputs:<24}  {kind:<24}  {shown}  {np.max(told / without):.3f}")
+        table.row(inputs, f"median, {kind}", name, *np.median(found, axis=0), None)
 
 
 if __name__ == "__main__":

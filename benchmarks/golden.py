@@ -14,7 +14,6 @@ SKLEARN_RAACMM_DATA names.
 """
 
 import argparse
-import importlib.util
 import json
 import os
 import time
@@ -27,14 +26,12 @@ from pathlib import Path
 import numpy as np
 from _arm_folds import DATA
 from _golden_arm import SECTIONS, seconds
+from _golden_network import numbers
 
 FILE = Path(__file__).with_name("golden.json")
 MOVED = 0.005  # a move keeps the numbers to rounding; a fold of two mechanisms may cost this much
 
-if importlib.util.find_spec("_golden_network"):
-    from _golden_network import numbers
-
-    SECTIONS = {**SECTIONS, "network": numbers}
+SECTIONS = {**SECTIONS, "network": numbers}
 
 
 def measured(names, data_home):

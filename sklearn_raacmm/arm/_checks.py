@@ -57,7 +57,8 @@ def checked_fields(arm: Any) -> dict[str, Any]:
 
 def numbers(name, value, size, unit, bound, broadcast=False):
     """One finite float64 per joint, read-only."""
-    array = floats(name, value)
+    # The fields of an arm that a calibration changes are such arrays: they need no conversion.
+    array = value if type(value) is np.ndarray and value.dtype == float else floats(name, value)
     if broadcast and array.ndim == 0:
         array = np.broadcast_to(array, size)
     if array.ndim != 1 or not array.size or size not in (None, array.size):

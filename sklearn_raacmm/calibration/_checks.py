@@ -88,7 +88,7 @@ def check_correction(correction, angles, angle_unit):
 def predicted(correction, angles, problem, probes):
     """Residuals (n, 3) that a model predicts at rows, with the probe of each tool (n_tools, 3)."""
     residuals = np.empty((len(angles), 3))
-    # A model with a second stage cannot be moved to another probe.
+    # Only a model of the arm's own causes can be moved to another probe.
     can_be_moved = hasattr(correction, "with_arm")
     for tool, probe in enumerate(probes):
         rows, model = problem.rows_of_tool(tool), correction

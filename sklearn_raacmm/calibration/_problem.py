@@ -26,7 +26,7 @@ _LONG_SHARE = 0.25
 # gives the same: nine freedoms that a few poses determine.
 UNKNOWN_PLACE_MM = 1000.0
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in benchmarks/bench_after_the_lab.py.
+# worst way of registering leaves in benchmarks/bench_after_the_lab.py series.
 REGISTERED_PLACE_MM = 5.0
 
 
@@ -94,7 +94,7 @@ def pack(arm):
 
 def unpack(arm, x, tool=0):
     """The arm with the parameters of one vector; further tools follow the first one's probe."""
-    n = arm.n_joints
+    n = len(arm.a)
     start = 4 * n + 3 * tool
     return arm.replace(
         a=x[:n],
@@ -110,7 +110,7 @@ def points_and_jacobian(arm, angles, x, problem):
 
     By table and probes, mm and rad.
     """
-    n_table = 4 * arm.n_joints
+    n_table = 4 * len(arm.a)
     points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
         rows, start = problem.rows_of_tool(tool), n_table + 3 * tool

@@ -18,7 +18,7 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, report_findings
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
-# benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
+# benchmarks/bench_after_the_lab.py series have 1.0 to 1.9.
 _STRANGE = 10.0
 
 

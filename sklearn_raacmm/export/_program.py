@@ -208,8 +208,6 @@ _RADIAL = {
     "gaussian": lambda s: np.exp(-0.5 * s),
     "matern32": lambda s: (1.0 + np.sqrt(3.0 * s)) * np.exp(-np.sqrt(3.0 * s)),
     "matern52": lambda s: (1.0 + np.sqrt(5.0 * s) + 5 / 3 * s) * np.exp(-np.sqrt(5.0 * s)),
-    "rational_quadratic": lambda s: 1.0 / (1.0 + 0.5 * s),
-    "inverse_multiquadric": lambda s: 1.0 / np.sqrt(1.0 + s),
 }
 
 

@@ -47,11 +47,16 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     natural_order,
     share_of_means,
-    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._matrices import align
-from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
+from sklearn_raacmm.utils._robust import (
+    TUKEY_CUT,
+    many_without_weight,
+    robust_scale,
+    slip_factors,
+    tukey_weights,
+)
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import one_blas_thread
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
