@@ -5,8 +5,6 @@ import warnings
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sklearn.base import clone
-from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
@@ -23,7 +21,6 @@ SHIFT = np.array([2500.0, -900.0, 400.0])
 LINEAR = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
 ESTIMATORS = {
     "linear model": LINEAR,
-    "both stages": clone(LINEAR).set_params(regressor=LinearRegression()),
     "on angles": CylindricalResidualTarget(azimuth=ARM.azimuth),
     "in a pipeline": make_pipeline(
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget()
