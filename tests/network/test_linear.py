@@ -139,9 +139,7 @@ def test_features_beside_a_tail_with_a_ridge():
         return np.sin(block.X[:, :3])
 
     blocks = []
-    problem.reduce(
-        lambda b: blocks.append((b.basis, b.targets, features(b))), lambda *_: None, 8
-    )
+    problem.reduce(lambda b: blocks.append((b.basis, b.targets, features(b))), lambda *_: None, 8)
     Q, y, F = (np.vstack(parts) for parts in zip(*blocks, strict=True))
     Q = np.vstack([Q, problem.basis_rows])
     np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
