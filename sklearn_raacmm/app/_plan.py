@@ -27,7 +27,7 @@ def plan(options):
     lines = [",".join(["cone", *names])]
     lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
     shown = {"plan": found, "names": names, "poses": poses}
-    page = render("_plan.html", arm=repr(arm), figure=draw_plan(arm, found.positions), **shown)
+    page = render("_plan.html", arm=repr(arm), figure=draw_plan(arm, found), **shown)
     write_whole({paths["plan.csv"]: "\n".join(lines) + "\n", paths["plan.html"]: page})
     print(
         f"{options.cones} cones, {options.poses} poses in each: about {found.minutes:.0f} minutes."

@@ -70,8 +70,7 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), .parquet or .jsonl (with pandas), or a robot's
-        program.
+        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), or a robot's program.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None

@@ -49,7 +49,7 @@ from sklearn_raacmm.utils._groups import (
     share_of_means,
 )
 from sklearn_raacmm.utils._html import html_table
-from sklearn_raacmm.utils._matrices import align, nearest_rotation
+from sklearn_raacmm.utils._matrices import align
 from sklearn_raacmm.utils._robust import (
     TUKEY_CUT,
     many_without_weight,
