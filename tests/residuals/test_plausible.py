@@ -18,9 +18,8 @@ POINTS = ARM.forward(ANGLES)
 TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1])
 SHIFT = np.array([2500.0, -900.0, 400.0])
 
-LINEAR = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
 ESTIMATORS = {
-    "linear model": LINEAR,
+    "linear model": ArmResidualRegressor(ARM, orders=1, causes=["kinematics"]),
     "on angles": CylindricalResidualTarget(azimuth=ARM.azimuth),
     "in a pipeline": make_pipeline(
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget()
@@ -79,7 +78,7 @@ def test_deviations_from_one_position_are_residuals():
     """The points of one position are its deviations, but for a shift."""
     near = ANGLES[:1] + 1e-5 * ANGLES
     y = ARM.forward(near)
-    LINEAR.fit(near, y - y.mean(axis=0), groups=np.zeros(len(y)))
+    ESTIMATORS["linear model"].fit(near, y - y.mean(axis=0), groups=np.zeros(len(y)))
 
 
 def test_offsets_may_be_of_any_size():
