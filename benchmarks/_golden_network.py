@@ -3,13 +3,8 @@
 Generated problems with the truth known, two Panda arms and a UR10 with whole groups left out. Of
 each is kept the held-out error in standard deviations of the truth, the share of new observations
 inside the 95 % interval, and the number of centres. Everything by default parameters.
-
-    OMP_NUM_THREADS=1 python benchmarks/_golden_network.py FOLDER_OF_THE_DATA > numbers.json
 """
 
-import hashlib
-import json
-import os
 import sys
 import warnings
 from pathlib import Path
@@ -98,34 +93,6 @@ def _ur10(path):
     return found.arm, angles, residuals, list(GroupKFold(3).split(angles, groups=groups))
 
 
-def centers_at_given_widths(shared):
-    """Centres of exact orthogonal least squares at given widths, by name; no search is involved.
-
-    Parameters
-    ----------
-    shared : dict
-        Parameters that make several outputs share their centres.
-    """
-    found = {}
-    rng = np.random.default_rng(5)
-    X = rng.uniform(-1, 1, (3000, 3))
-    y = np.sin(4 * X[:, 0]) * np.cos(2 * X[:, 1]) + X[:, 2] ** 2
-    y += 0.05 * rng.standard_normal(len(X))
-    Y = np.column_stack([y, np.cos(3 * X[:, 0]), 0.1 * rng.standard_normal(len(X))])
-    model = RBFNetRegressor(60, length_scale=0.7, alpha=1e-3).fit(X[:1000], y[:1000])
-    found["60 of 1000"] = model.center_indices_
-    model = RBFNetRegressor(60, length_scale=0.7, alpha=1e-3, **shared).fit(X[:1000], Y[:1000])
-    found["60 of 1000, three outputs share them"] = model.center_indices_
-    ridges = [1e-4, 1e-2, 1.0]
-    model = RBFNetRegressor(60, length_scale=0.7, alpha=ridges, **shared).fit(X[:1000], Y[:1000])
-    found["60 of 1000, three ridges"] = model.center_indices_
-    model = RBFNetRegressor(200, length_scale=0.5, alpha=0).fit(X, y)
-    found["200 of 3000"] = model.center_indices_
-    model = RBFNetRegressor(100, kernel="matern32", length_scale=0.2, alpha=0).fit(X, y)
-    found["100 of 3000, rough"] = model.center_indices_
-    return {name: [int(i) for i in indices] for name, indices in found.items()}
-
-
 def numbers(data_home):
     """Golden numbers of the network.
 
@@ -162,18 +129,3 @@ def numbers(data_home):
             _of_arm(arm, joints, angles, residuals, folds)
         )
     return found
-
-
-def main():
-    """Print the numbers, and the centres at given widths with a sum to compare them by."""
-    parameters = RBFNetRegressor().get_params()
-    shared = {"shared": True} if "shared" in parameters else {}
-    centers = centers_at_given_widths(shared)
-    text = json.dumps(centers, sort_keys=True)
-    home = sys.argv[1] if len(sys.argv) > 1 else os.environ["SKLEARN_RAACMM_DATA"]
-    both = {"centers": centers, "sum": hashlib.sha256(text.encode()).hexdigest()}
-    print(json.dumps(both | {"numbers": numbers(home)}, indent=1))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,14 +1,10 @@
-"""Regression problems of the benchmarks: generated ones with known truth, and two real arms."""
+"""Regression problems of the benchmarks, generated with known truth."""
 
 import zlib
 from typing import NamedTuple
 
 import numpy as np
-from _arm_folds import read_panda, read_ur10
 from sklearn.datasets import make_friedman1, make_friedman2, make_friedman3
-
-from sklearn_raacmm import Arm, PoseFeatures, calibrate, position_residuals
-from sklearn_raacmm.residuals import cartesian_to_cylindrical
 
 N_TEST = 2000
 
@@ -106,39 +102,3 @@ def generated(name, n, seed=0):
     X, f, noise = GENERATED[name](n + N_TEST, rng)
     y = f + noise * rng.standard_normal(f.shape)
     return Problem(X[:n], y[:n], X[n:], f[n:], y[n:])
-
-
-def _problem(arm, angles, residuals, learn, test, joints):
-    """Joint angles to features, Cartesian residuals into the frame of the probe's azimuth."""
-    inputs = {"joints": "all", "encoding": "periodic"} if joints == "all" else {}
-    X = PoseFeatures(arm, **inputs).fit(angles).transform(angles)
-    Y = cartesian_to_cylindrical(residuals, arm.azimuth(angles))
-    return Problem(X[learn], Y[learn], X[test], Y[test], Y[test])
-
-
-def panda_folds(joints="pose"):
-    """Every placement of the ball sockets left out once, by calibration too."""
-    angles, sockets, placements = read_panda("panda_3")
-    for placement in np.unique(placements):
-        train = placements != placement
-        # The two sockets of a placement are 50 mm apart.
-        known = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in np.unique(placements[train])]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        result = calibrate(nominal, angles[train], sockets[train], lengths=known)
-        residuals = position_residuals(result.arm.forward(angles), sockets)
-        learn = np.flatnonzero(train)[result.sample_weight > 0]
-        yield _problem(result.arm, angles, residuals, learn, ~train, joints)
-
-
-def ur10(joints="pose", n=None, seed=0):
-    """A third of the goal positions left out; n training rows of whole goals, or all."""
-    angles, points, groups = read_ur10("A")
-    goals = np.random.default_rng(seed).permutation(groups.max() + 1)
-    test = np.isin(groups, goals[: len(goals) // 3])
-    rank = np.argsort(goals)[groups]
-    learn = np.flatnonzero(~test)
-    learn = np.sort(learn[np.argsort(rank[learn], kind="stable")][:n])
-    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-    result = calibrate(nominal, angles[learn], points=points[learn])
-    true = (points - result.base_translation) @ result.base_rotation
-    yield _problem(result.arm, angles, result.arm.forward(angles) - true, learn, test, joints)

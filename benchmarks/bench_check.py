@@ -25,7 +25,8 @@ together, by all that the model knows (``with_unseen=True``), and as though poin
 um at positions that no fit has seen. ``set-ups``: a tracker or a target that moved half way.
 ``steps``: simulated arms with warming, backlash, payloads and slipped probes. Steps are looked for
 in what `ArmResidualRegressor` leaves; then the socket of one position is moved halfway through its
-poses, and the model fitted to that.
+poses, and the model fitted to that. Tests without a step are looked at in the order of the test,
+by clusters of poses and shuffled.
 
 With ``--real`` the same is asked of a real UR10 and two Pandas, which are looked for where
 `_arm_folds` says.
@@ -39,6 +40,7 @@ from functools import partial
 
 import numpy as np
 from _arm_folds import read_panda, read_ur10
+from sklearn.cluster import KMeans
 
 from sklearn_raacmm import (
     Arm,
@@ -344,12 +346,11 @@ def simulated_test(seed):
     return test.arm, test.data, test.target, test.groups
 
 
-def steps_left(arm, angles, y, groups):
-    """Steps in what the model leaves, and the positions by number."""
+def look(arm, angles, y, groups):
+    """What the model leaves, positions by number, and the variance of its noise."""
     model = ArmResidualRegressor(arm).fit(angles, y, groups=groups)
     left = y - model.linear_model_.predict(angles)[0]
-    codes = np.unique(groups, return_inverse=True)[1].ravel()
-    return find_steps(left, angles, codes, model.noise_sd_**2), codes
+    return left, np.unique(groups, return_inverse=True)[1].ravel(), model.noise_sd_**2
 
 
 def steps(options):
@@ -357,14 +358,19 @@ def steps(options):
     for seed in range(5000, 5000 + options.tests):
         arm, angles, y, groups = simulated_test(seed)
         rng = np.random.default_rng([1, seed])
-        moved, codes = steps_left(arm, angles, y, groups)
-        alarms += bool(moved)
+        left, codes, variance = look(arm, angles, y, groups)
+        features = np.hstack([np.cos(angles), np.sin(angles)])
+        clusters = KMeans(3, n_init=1, random_state=0).fit_predict(features)
+        by_pose = np.lexsort((rng.random(len(y)), clusters, codes))
+        orders = np.arange(len(y)), by_pose, rng.permutation(len(y))
+        alarms += any(find_steps(left[o], angles[o], codes[o], variance) for o in orders)
         rows = np.flatnonzero(codes == rng.integers(codes.max() + 1))
         middle, direction = rows[len(rows) // 2], rng.normal(size=3)
         size = (0.03, 0.1, 0.3)[seed // 3 % 3]
         y[rows[len(rows) // 2 :]] += size * direction / np.linalg.norm(direction)
         # The model is fitted to what was measured, the moved half included.
-        moved, _ = steps_left(arm, angles, y, groups)
+        left, codes, variance = look(arm, angles, y, groups)
+        moved = find_steps(left, angles, codes, variance)
         right = [abs(step.after - middle) <= 2 for step in moved]
         found.setdefault((size, len(rows)), []).append(any(right))
     print(f"{alarms} of {options.tests} tests without a step are named")
@@ -376,7 +382,8 @@ def steps(options):
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
         arm = calibrate(nominal, angles, groups, lengths=lengths).arm
         y = position_residuals(arm.forward(angles), groups)
-        for step in steps_left(arm, angles, y, groups)[0]:
+        left, codes, variance = look(arm, angles, y, groups)
+        for step in find_steps(left, angles, codes, variance):
             print(f"{name}, {np.unique(groups)[step.code]}: {step}")
 
 

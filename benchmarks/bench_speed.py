@@ -1,16 +1,16 @@
-"""Times that doc/log.md shows: forward kinematics, `calibrate`, and one row of a model.
+"""Times that doc/log.md shows: `calibrate`, and one row of a model.
 
-    python benchmarks/bench_speed.py forward
     python benchmarks/bench_speed.py calibrate
+    python benchmarks/bench_speed.py python
     python benchmarks/bench_speed.py row              # prints the table
     python benchmarks/bench_speed.py row --write      # and puts it into doc/log.md
-
-``forward``: one pose a call, in medians of CPU time, by turns with Pinocchio, if it is installed
-(``pip install pin``; its positions have to be ours).
 
 ``calibrate``: beside what a laboratory writes in an afternoon, `scipy.optimize.least_squares` over
 the same parameters, with differences for derivatives and the same loss, but no search of priors, no
 standard deviations and no outliers.
+
+``python``: `predict` of one row beside that of scikit-learn's `Ridge`. Nearly all is validation:
+what counts is how often it is done.
 
 ``row``: a fitted model in C, in ONNX and in Python, and the files' sizes. C is timed in a loop in
 C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread.
@@ -36,6 +36,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -61,51 +62,6 @@ void std_rows(const double *q, double *out, long n)
 { double s[3]; for (long i = 0; i < n; ++i) arm_correct_std(q + 6 * i, out + 3 * i, s); }
 """
 FLAGS = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
-
-
-def pinocchio_forward(arm):
-    """Return a function from the angles of one pose to Pinocchio's place of the probe."""
-    import pinocchio as pin
-
-    model, parent = pin.Model(), 0
-    for i in range(arm.n_joints):
-        # Modified convention: x before the joint, z after it.
-        c, s = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
-        rotation = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-        place = pin.SE3(rotation, np.array([arm.a[i], -s * arm.d[i], c * arm.d[i]]))
-        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint{i}")
-    probe = pin.Frame("probe", parent, pin.SE3(np.eye(3), arm.probe), pin.FrameType.OP_FRAME)
-    frame, data, offset = model.addFrame(probe), model.createData(), arm.theta_offset
-
-    def forward(q):
-        pin.forwardKinematics(model, data, q + offset)
-        return pin.updateFramePlacement(model, data, frame).translation
-
-    return forward
-
-
-def forward(rounds=60, calls=50):
-    """Time calls with one pose, by turns."""
-    arm = Arm.from_name("panda", probe=(0, 0, 138))
-    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (1, arm.n_joints))
-    functions = {"Arm.forward": lambda: arm.forward(q)}
-    try:
-        peer = pinocchio_forward(arm)
-        assert np.allclose(peer(q[0]), arm.forward(q)[0], atol=1e-9)
-        functions["Pinocchio"] = lambda: peer(q[0])
-    except ImportError:
-        print("pinocchio is not installed: left out")
-    times = {name: [] for name in functions}
-    for _ in range(rounds):
-        for name, function in functions.items():
-            start = time.process_time()
-            for _ in range(calls):
-                function()
-            times[name].append((time.process_time() - start) / calls)
-    ours = np.array(times["Arm.forward"])
-    for name, taken in times.items():
-        ratio = np.median(ours / taken)
-        print(f"{name:<28}{1e6 * np.median(taken):>8.1f} us, Arm.forward over it {ratio:.1f}")
 
 
 def simulated(arm, n, n_groups, seed=0):
@@ -164,7 +120,7 @@ def by_hand(arm, angles, points, groups):
     return least_squares(residuals, z, loss="soft_l1", x_scale="jac").cost
 
 
-def calibrations(repeats):
+def calibrations(repeats=3):
     """Time `calibrate` and the fit by hand by turns."""
     arm = Arm.from_name("aacmm6")
     for n, n_groups in ((3000, None), (10_000, 40)):
@@ -313,15 +269,44 @@ def table(n_rows):
     return [*head, *body, "", note]
 
 
+def python(rounds=60, calls=20):
+    """Time `predict` of one row against that of a bare Ridge, by turns."""
+    data = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    X, y, arm = data.data, data.target, data.arm
+    network = RBFNetRegressor(60, random_state=0)
+    inner = make_pipeline(StandardScaler(), network)
+    models = {
+        "Ridge": Ridge(),
+        "RBFNetRegressor": network,
+        "chain, pipeline": make_pipeline(
+            PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
+        ),
+        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
+    }
+    times = {name: [] for name in models}
+    for model in models.values():
+        model.fit(X, y)
+    row = X[:1].copy()
+    for _ in range(rounds):
+        for name, model in models.items():
+            start = time.process_time()
+            for _ in range(calls):
+                model.predict(row)
+            times[name].append((time.process_time() - start) / calls)
+    medians = {name: np.median(values) for name, values in times.items()}
+    print(f"{'one row, 60 centres':<36}{'CPU us':>8}{'ratio':>8}")
+    for name, seconds in medians.items():
+        print(f"{name:<36}{1e6 * seconds:>8.0f}{seconds / medians['Ridge']:>8.2f}")
+
+
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["forward", "calibrate", "row"])
-    parser.add_argument("--repeats", type=int, default=3, help="of a calibration")
+    parser.add_argument("part", choices=["calibrate", "python", "row"])
     parser.add_argument("--rows", type=int, default=20_000, help="of a model")
     parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
     args = parser.parse_args(argv)
     if args.part != "row":
-        return forward() if args.part == "forward" else calibrations(args.repeats)
+        return (calibrations if args.part == "calibrate" else python)()
     lines = table(args.rows)
     print("\n".join(lines))
     if args.write:

@@ -208,7 +208,7 @@ def test_noise_of_the_benchmark(benchmark):
 
 @pytest.mark.exhaustive
 def test_good_centres_are_worth_what_is_said(benchmark):
-    script = benchmark("bench_small_models")
+    script = benchmark("bench_selection")
     problem = benchmark("_problems").generated("fourier3", 3000, 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -148,7 +148,7 @@ def with_low_orders(linear):
     """The same model with the orders 1 and 2 of every joint among its columns.
 
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
-    free orders cost more than they find (benchmarks/bench_months.py).
+    free orders cost more than they find (benchmarks/bench_after_the_lab.py months).
     """
     if "harmonics" not in linear.prior_sd:
         return linear

@@ -45,7 +45,7 @@ class Dwells(NamedTuple):
         return origin + group_means(within_turn(angles - origin[self.pose]), self.pose)
 
     def findings(self) -> Any:
-        """What is to be said of it."""
+        """Findings on copies and dwells."""
         n, n_poses = len(self.pose), len(self.first)
         if self.n_copies:
             yield Finding(
