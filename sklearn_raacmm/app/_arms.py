@@ -117,7 +117,10 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
     and degrees or what the header says; the probe (3,) is in mm.
     """
     table = Columns(path, 3)
-    found = {field: _find_column(table, words) for field, words in _COLUMNS.items()}
+    found = {
+        field: next((table.names.index(word) for word in words if word in table.names), None)
+        for field, words in _COLUMNS.items()
+    }
     missing = [field for field in ("a", "alpha", "d") if found[field] is None]
     if missing:
         raise TableError(f"{path} has no column {missing[0]!r}; it has {table}.")
@@ -127,25 +130,14 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
         if field == "names" and column is not None:
             values[field] = table.labels(rows, column).tolist()
         elif column is not None:
-            usual = "deg" if field in _ANGLES else "mm"
-            values[field] = _read_column(table, rows, column, usual)
+            units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
+            unit = table.units[column] or units[0]
+            if unit not in units:
+                raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
+            values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
     low, high = values.pop("low", None), values.pop("high", None)
     if low is not None and high is not None:
         values["limits"] = list(zip(low, high, strict=True))
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
     return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)
-
-
-def _find_column(table, words):
-    """The column of the first of these names that the table has, or None."""
-    return next((table.names.index(word) for word in words if word in table.names), None)
-
-
-def _read_column(table, rows, column, usual_unit):
-    """Numbers of a column in mm or rad; the unit is that of its name, or else the usual one."""
-    units = ("deg", "rad") if usual_unit == "deg" else ("mm", "m")
-    unit = table.units[column] or usual_unit
-    if unit not in units:
-        raise TableError(f"{table.path}: the column {table.header[column]!r} is in {unit}.")
-    return (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()

@@ -25,7 +25,7 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Fit], Fit]:
     `prefer_skip_nested_validation`.
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
     assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
-    What is found in the data meanwhile is kept in `findings_`, and said at the end.
+    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
     """
 
     def decorate(fit: Fit) -> Fit:
