@@ -547,7 +547,7 @@ def refused():
     yield calibrated, "free", [3], "a list"
     yield calibrated, "loss", [["linear"]], "'loss' parameter"
     yield calibrated, "prior_angle_rad", [1e-300], "'prior_angle_rad' parameter"
-    yield calibrated, "prior_probe_mm", [2 + 0j], "'prior_probe_mm' parameter"
+    yield calibrated, "prior_length_mm", [2 + 0j], "'prior_length_mm' parameter"
     yield lambda arm: calibrate(arm, ANGLES, GROUPS), "arm", ["aacmm6"], "must be an instance"
     yield regression, "length_scale", [1e-8], "1e-08 for feature"
     yield regression, "length_scale", [5e-324], "at least 1e-50"
@@ -579,9 +579,8 @@ def refused():
     yield poses, "max_poses", [0], "max_poses"
     yield poses, "magnification", ["big"], "magnification must be"
     yield poses, "arm", ["panda"], "must be an Arm"
-    yield export.fingerprint, "model", [None], "fitted estimator"
+    yield export.fingerprint, "model", [None], "not an estimator"
     yield lambda y: export.describe(CHAIN, ANGLES, y), "y", [RESIDUALS[:, :2]], "model predicts"
-    yield partial(export.to_onnx, CHAIN), "target_opset", ["latest"], "whole number"
     yield (
         partial(export.export_c, LINEAR, "a.c"),
         "card",

@@ -11,7 +11,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, report_findings
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
@@ -76,7 +76,7 @@ def with_kept_causes(data, calibration):
     gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
     if gone:
         said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
-        say_findings([Finding("cause-not-kept", said, weight="note")])
+        report_findings([Finding("cause-not-kept", said, weight="note")])
     kept = copy(data)
     kept.causes, kept.values = tuple(named), data.values[:, keep]
     return kept
@@ -120,7 +120,7 @@ def say_worth_of_directions(data, left, unknown):
         f"out, and {lost:.4f} mm where they are not known."
     )
     advice = "Hand them on when you correct: see directions_of."
-    say_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
+    report_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
 
 
 def say_make(model):
@@ -132,4 +132,4 @@ def say_make(model):
     said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "
     said += f"for them is {gain:.1f} nats."
     code = "make-believed" if believed else "make-not-believed"
-    say_findings([Finding(code, said, weight="note")])
+    report_findings([Finding(code, said, weight="note")])

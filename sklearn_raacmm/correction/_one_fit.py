@@ -21,7 +21,7 @@ from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, listed, unheard
+from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -151,7 +151,7 @@ class Data:
         model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
         probes = self._probes(calibration, rows)
-        with unheard():  # what there is to say is said of the rows that are learnt from
+        with ignored_findings():  # what there is to say is said of the rows that are learnt from
             model.fit(self.inputs[rows], y, groups=self.positions[rows], probes=probes)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 

@@ -55,7 +55,7 @@ def plan_poses(
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
-    allows, and in an order of short ways (``benchmarks/bench_first_test.py``).
+    allows, and in an order of short ways (``benchmarks/bench_after_the_lab.py plan``).
 
     Parameters
     ----------

@@ -32,17 +32,19 @@ from sklearn_raacmm.correction._change import (
 from sklearn_raacmm.correction._new_poses import NewPoses, place_columns
 from sklearn_raacmm.error_model import order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import Finding, centred, one_blas_thread, say_findings
+from sklearn_raacmm.utils import Finding, centred, one_blas_thread, report_findings
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
-# benchmarks/bench_transfer.py judges: it does not choose.
+# benchmarks/bench_after_the_lab.py transfer judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
 # Nats of evidence for the earlier arms from which on they are believed: one draw of a Panda lost a
-# third at 0.5, the sixteen draws with at least 5 gained (``benchmarks/bench_transfer.py --panda``).
+# third at 0.5, the sixteen draws with at least 5 gained
+# (``benchmarks/bench_after_the_lab.py transfer --panda``).
 LEAST_GAIN_NATS = 4.0
 # Factor of the fading of a believed start: Wiener's is 1, and half of it leaves as little on Pandas
-# as none (``benchmarks/bench_transfer.py --panda``), for the mean of the make is known beside it.
+# as none (``benchmarks/bench_after_the_lab.py transfer --panda``), for the mean of the make is
+# known beside it.
 _FADING = 0.5
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
@@ -93,7 +95,7 @@ def _suitable_models(models, arm, n_columns):
     for number, model in enumerate(models, start=1):
         if why := _why_not(model, kept, arm, n_columns):
             said = f"Earlier arm {number} of {len(models)} is passed over: {why}."
-            say_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
+            report_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
         else:
             kept.append(model)
     return kept

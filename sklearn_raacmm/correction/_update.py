@@ -15,10 +15,10 @@ from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings
+from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, report_findings
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
-# benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
+# benchmarks/bench_after_the_lab.py series have 1.0 to 1.9.
 _STRANGE = 10.0
 
 
@@ -118,7 +118,7 @@ def update_correction(
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
     new = X, y, groups, sample_weight
-    updated, found = hear(_updated, model, new, date)
+    updated, found = call_collecting(_updated, model, new, date)
     updated.findings_ = tuple(found)
     return updated
 
@@ -129,9 +129,9 @@ def _updated(model, new, date):
     linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
-        say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
+        report_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
-    say_findings(what_is_wrong(model, poses))
+    report_findings(what_is_wrong(model, poses))
     updated.linear_model_, entry, _ = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
@@ -142,6 +142,6 @@ def _updated(model, new, date):
             "are they of this arm, and residuals in its base frame, registered through the "
             "correction?"
         )
-        say_findings([Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"])])
+        report_findings([Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"])])
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated

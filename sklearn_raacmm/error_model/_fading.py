@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, centred, say_findings
+from sklearn_raacmm.utils import Finding, centred, report_findings
 
 # Factor of the standard deviation with a reference for every pose: Wiener's. With 2 instead 25
 # simulated errors at poses of real arms leave 3 % and 11 % more.
@@ -73,4 +73,4 @@ def warn_where_unknown(share):
             "are reduced to less than a tenth."
         )
         advice = "Measure there before you correct, or see `fading`."
-        say_findings([Finding("little-known", said, advice)])
+        report_findings([Finding("little-known", said, advice)])

@@ -302,21 +302,18 @@ def repeatability_scorer(
             "Enable it first by sklearn.set_config(enable_metadata_routing=True), or tell the "
             "scorer the groups: repeatability_scorer(X, groups)."
         )
-    scorer = make_scorer(
-        _routed_scatter, greater_is_better=False, statistic=statistic, aggregate=aggregate
-    )
+    options: dict = {"statistic": statistic, "aggregate": aggregate}
+    scorer = make_scorer(_routed_scatter, greater_is_better=False, **options)
     return scorer.set_score_request(groups=True)
 
 
-def _routed_scatter(y_true, y_pred, *, groups=None, statistic, aggregate):
+def _routed_scatter(y_true, y_pred, *, groups=None, **options):
     if groups is None:
         raise ValueError(
             "repeatability_scorer() got no groups. Enable metadata routing and pass groups, or "
             "tell the scorer beforehand: repeatability_scorer(X, groups)."
         )
-    return within_position_scatter(
-        y_true, y_pred, groups=groups, statistic=statistic, aggregate=aggregate
-    )
+    return within_position_scatter(y_true, y_pred, groups=groups, **options)
 
 
 class _RowScorer:
@@ -325,7 +322,7 @@ class _RowScorer:
     def __init__(self, X, groups, statistic, aggregate):
         X = floats("X", X, -1)
         self.labels, position = check_groups(groups, len(X))
-        self.statistic, self.aggregate = statistic, aggregate
+        self.options = {"statistic": statistic, "aggregate": aggregate}
         self.position_of_row = {}
         for row, p in zip(X, position, strict=True):
             if self.position_of_row.setdefault(row.tobytes(), p) != p:
@@ -344,13 +341,7 @@ class _RowScorer:
                 f"{n_unknown} of {len(rows)} rows were not in the X given to "
                 "repeatability_scorer(X, groups), so their groups are unknown."
             )
-        return -within_position_scatter(
-            y,
-            estimator.predict(X),
-            groups=position,
-            statistic=self.statistic,
-            aggregate=self.aggregate,
-        )
+        return -within_position_scatter(y, estimator.predict(X), groups=position, **self.options)
 
 
 def _difference(y_true, y_pred):

@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_raacmm.network._blocks import is_dask
 from sklearn_raacmm.network._read import IN_MEMORY_ROWS
 from sklearn_raacmm.network._search import EXACT_ROWS
-from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weight, say_findings
+from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weight, report_findings
 
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
 # rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.
@@ -85,7 +85,7 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
             vars(estimator).update(first)
             return
     estimator.row_weight_ = factor
-    say_findings(many_without_weight(factor[given > 0]))
+    report_findings(many_without_weight(factor[given > 0]))
 
 
 def evidence(value, n, far):

@@ -40,7 +40,7 @@ from sklearn_raacmm.utils import stage
 # Kernels that `kernel="auto"` chooses from.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 # Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
-# all: there the second would take as long as that costs (benchmarks/bench_cliffs.py).
+# all: there the second would take as long as that costs (benchmarks/bench_rows.py --cliffs).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about

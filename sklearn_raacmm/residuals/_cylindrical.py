@@ -161,8 +161,7 @@ def direction_of(x, y):
 
 def to_cylindrical(vectors, direction):
     cos, sin = direction
-    x, y, z = vectors.T
-    return np.stack([x * cos + y * sin, y * cos - x * sin, z], axis=1)
+    return to_cartesian(vectors, (cos, -sin))  # the turn back
 
 
 def to_cartesian(vectors: np.ndarray, direction: Any) -> np.ndarray:

@@ -28,13 +28,13 @@ from sklearn_raacmm.utils._findings import (
     Finding,
     FindingError,
     FindingWarning,
-    hear,
-    heard_findings,
+    call_collecting,
+    collected_findings,
+    ignored_findings,
     numbered_rows,
     one_warning,
+    report_findings,
     row_numbers,
-    say_findings,
-    unheard,
     with_findings,
 )
 from sklearn_raacmm.utils._groups import (
@@ -49,7 +49,7 @@ from sklearn_raacmm.utils._groups import (
     share_of_means,
 )
 from sklearn_raacmm.utils._html import html_table
-from sklearn_raacmm.utils._matrices import align, nearest_rotation
+from sklearn_raacmm.utils._matrices import align
 from sklearn_raacmm.utils._robust import (
     TUKEY_CUT,
     many_without_weight,

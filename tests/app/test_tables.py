@@ -41,9 +41,9 @@ def test_separators_decimal_signs_and_encodings(write, separator, decimal, encod
     assert table.angle_unit == "deg"
     assert table.positions.tolist() == LABELS
     assert table.rows.tolist() == [2, 3, 4]
-    said = " ".join(table.notes)
-    assert {".": "decimal points", ",": "decimal commas"}[decimal] in said
-    assert "Columns not used: Höhe." in said
+    printed = " ".join(table.notes)
+    assert {".": "decimal points", ",": "decimal commas"}[decimal] in printed
+    assert "Columns not used: Höhe." in printed
 
 
 def test_what_loggers_put_around_the_table(write):
@@ -81,14 +81,11 @@ def test_columns_can_be_named_or_numbered(write):
         assert table.angle_unit == "rad"
 
 
-def test_points_of_a_tracker_in_metres(write):
+def test_points_of_a_tracker_in_metres_and_without_labels(write):
     path = write("p,q1/rad,q2/rad,X (m),Y (m),Z (m)\nA,1,2,0.5,1,1.5\nA,1,2,0.25,1,1.5\n")
     table = read_table(path, 2, points=["x", "y", "z"], position="p")
     np.testing.assert_allclose(table.points, [[500, 1000, 1500], [250, 1000, 1500]])
     assert table.angle_unit == "rad"
-
-
-def test_points_of_a_tracker_need_no_labels(write):
     path = write("q1 [rad];q2 [rad];x;y;z;note\n1;2;3;4;5;a\n1;2;3;4;6;b\n")
     table = read_table(path, 2, points=["x", "y", "z"])
     assert table.positions is None
