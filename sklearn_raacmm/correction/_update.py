@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, judged_fading
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -73,7 +73,7 @@ def update_correction(
     Raises
     ------
     TypeError
-        If the model holds no linear model in use: such a one can be registered, not updated.
+        If the model is no linear model: such a one can be registered, not updated.
     ValueError
         If shapes do not fit, something is NaN or infinite, or groups are missing though the model
         has offsets.
@@ -132,8 +132,7 @@ def _updated(model, new, date):
         say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
     say_findings(what_is_wrong(model, poses))
-    left = poses.residuals
-    changed = changed_model(linear, poses._replace(residuals=left))
+    changed = changed_model(linear, poses)
     if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
             f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
@@ -145,6 +144,9 @@ def _updated(model, new, date):
         )
         say_findings([Finding("strange-poses", said, advice, size_mm=changed.noise_sd)])
     updated.linear_model_ = changed.model
+    weighed = poses._replace(weights=poses.weights * changed.pose_weight)
+    updated.fading_, judgement = judged_fading(linear, weighed, model.fading_)
+    updated.judgement_ = judgement or model.judgement_
     before = vars(model).get("updates_", ())
     updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
     return updated
