@@ -82,8 +82,8 @@ def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: what fades beyond the doubt at the new poses
-    is compared with what fades from no doubt on, and both with a share of less than one, at each
-    fifth of the poses by a model that was changed without it.
+    is compared with what fades from no doubt on, and the share that is used follows, at each fifth
+    of the poses by a model that was changed without it.
 
     Returns the fading, and its `Judgement`; None where fewer than four positions are known.
     """
@@ -99,12 +99,25 @@ def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
         rest = poses.at(~out)
         model = linear if rest.too_few else changed_model(linear, rest, log_noise).model
         correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
-    within = replace(fading, known_mm=float(doubt[poses.weights > 0].max()))
     found = [
-        judge(poses.residuals, correction, doubt, one, poses.weights, poses.codes, positions)
-        for one in (within, replace(fading, known_mm=0.0))
+        judge(
+            poses.residuals,
+            correction,
+            doubt,
+            one,
+            poses.weights,
+            poses.codes,
+            positions,
+            fading.most,
+        )
+        for one in fadings_for(fading, doubt[poses.weights > 0])
     ]
     return min(found, key=lambda one: one[1].mean_after_mm)
+
+
+def fadings_for(fading, doubt):
+    """Fading beyond the largest doubt at some poses, and from no doubt on."""
+    return replace(fading, known_mm=float(doubt.max())), replace(fading, known_mm=0.0)
 
 
 def _informed(half, columns, place, weights):

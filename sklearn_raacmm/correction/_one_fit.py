@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import ismethod
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
-from sklearn_raacmm.calibration import calibrate, check_length
+from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
 from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -86,6 +86,14 @@ class Data:
             arm, angles, given[1][first], points, tools, lengths, first, given, causes,
             values[first], like,
         )  # fmt: skip
+
+    def without_wrong(self, calibration):
+        """The same without the known lengths that the calibration of all rows found to be wrong."""
+        if not self.lengths or self.points is not None:
+            return self
+        wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
+        lengths = [entry for entry, out in zip(self.lengths, wrong, strict=True) if not out]
+        return replace(self, lengths=lengths)
 
     @property
     def inputs(self):

@@ -94,12 +94,14 @@ def judge(
     weights: np.ndarray,
     codes: np.ndarray | None,
     positions: np.ndarray,
+    before: float | None = None,
 ) -> tuple[Fading, Judgement]:
     """How much of a correction is used, by positions that were left out of the fit.
 
     With y the residuals (n, 3) and f what of the `correction` has not faded, the share is ``sum
     y.f / sum f.f``, from 0 to 1: that of least squares. Poses that slipped have no `weights` (n,).
-    With fewer than four `positions` it is 1 or 0, by whether the mean deviation falls at each.
+    With fewer than four `positions` it is 1 or 0, by whether the mean deviation falls at each. A
+    share that was known `before` moves as far as it is more than a standard error away.
 
     Returns the fading with this share, and how well it did.
     """
@@ -113,17 +115,22 @@ def judge(
     def deviations(left):
         return group_means(np.linalg.norm(left, axis=1)[kept], places, weights[kept])
 
-    before = deviations(y)
+    without = deviations(y)
     if n < LEAST_POSITIONS:
-        gains = before - deviations(y - used)
+        gains = without - deviations(y - used)
         error = gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
-        most = float(gains.mean() > max(error, _LEAST_GAIN * before.mean()) and gains.min() > 0)
+        most = float(gains.mean() > max(error, _LEAST_GAIN * without.mean()) and gains.min() > 0)
     else:
-        size = weights @ np.square(used).sum(axis=1)
-        most = float(np.clip(weights @ (y * used).sum(axis=1) / max(size, 1e-300), 0.0, 1.0))
-    gains = before - deviations(y - most * used)
+        size = max(weights @ np.square(used).sum(axis=1), 1e-300)
+        most = weights @ (y * used).sum(axis=1) / size
+        if before is not None:
+            pulls = np.bincount(places, (weights * ((y - most * used) * used).sum(axis=1))[kept])
+            error = np.linalg.norm(pulls) / size
+            most = np.clip(before, most - error, most + error)
+        most = float(np.clip(most, 0.0, 1.0))
+    gains = without - deviations(y - most * used)
     error = gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
-    means = float(before.mean()), float((before - gains).mean())
+    means = float(without.mean()), float((without - gains).mean())
     return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
 
 
