@@ -232,8 +232,8 @@ def _fit(rows, terms, structures) -> tuple[Any, Any]:
         start = factor
         state = search(Problem(sums[0], structures, sums[1]), state)
         state, factor, sums = _settled(rows, terms, structures, sums, state, factor)
-        if not state.with_field:
-            beside = beside_field(Problem(sums[0], structures, sums[1]), state)
+        if structures.share is not None and not state.with_field:
+            beside = _beside_field(rows, terms, structures, sums, state, factor)
             if beside is not None:
                 state, factor, sums = _settled(rows, terms, structures, sums, beside, factor)
         if np.all(factor == start):
@@ -241,13 +241,28 @@ def _fit(rows, terms, structures) -> tuple[Any, Any]:
     return state, factor
 
 
+def _beside_field(rows, terms, structures, sums, state, factor):
+    """The choice beside the field, or None; sums of the field alone say whether it is searched."""
+    problem = Problem(sums[0], structures, sums[1])
+    pairs = problem.pairs_and_shares(state.lines, True)[0]
+    few, of_field, lines = _of_pairs(terms, structures, state.lines, pairs)
+    some = rows.weighted(factor).sums(few)
+    alone = state._replace(lines=lines, pairs=lines)
+    return beside_field(problem, state, Problem(some[0], of_field, some[1]), alone)
+
+
+def _of_pairs(terms, structures, lines, pairs):
+    """Terms, structures, and which are lines, where some pairs are the only candidates."""
+    share = None if structures.share is None else structures.share[pairs]
+    few = terms._replace(harmonics=terms.harmonics[pairs])
+    structures = structures._replace(price=structures.price[pairs], share=share)
+    return few, structures, np.flatnonzero(np.isin(pairs, lines))
+
+
 def _settled(rows, terms, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
-    few = terms._replace(harmonics=terms.harmonics[pairs])
-    share = None if structures.share is None else structures.share[pairs]
-    structures = structures._replace(price=structures.price[pairs], share=share)
-    lines = np.flatnonzero(np.isin(pairs, state.lines))
+    few, structures, lines = _of_pairs(terms, structures, state.lines, pairs)
     some = (sums_of_pairs(sums[0], pairs), None)
     for _ in range(_ROUNDS):
         old, new = factor, _pose_weights(rows, _expected(rows, few, state), factor)

@@ -151,7 +151,9 @@ def test_directions_of_rounding_are_no_information():
     none = np.empty((200, 0))
     own = np.empty((3, 0))
     sums = Sums(A.T @ A, A.T @ y, A.T @ none, own, none.T @ y, y @ y, 200.0, GramRows(None, 0))
-    structures = Structures(np.zeros(3, int), np.empty(0), None, 16.0, np.full(3, np.nan), 1e12)
+    structures = Structures(
+        np.zeros(3, int), np.empty(0), None, 16.0, np.full(3, np.nan), 1e12, 900.0
+    )
     state = Problem(sums, structures).state(np.empty(0, int), False, np.full(3, 1e10), 0.01)
     assert np.isfinite(state.log_evidence)
     assert_allclose(A @ state.coef, A[:, :2] @ np.linalg.lstsq(A[:, :2], y)[0], atol=1e-4)
