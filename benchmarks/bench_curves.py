@@ -93,11 +93,11 @@ def ur10_curve(seed):
 
 
 def panda_curve(name, seed):
-    """The same of a Panda: a third of the placements is left out."""
+    """The same of a Panda: a third of the placements is left out, at least one."""
     angles, sockets, placements = read_panda(name)
     rng = np.random.default_rng([23, seed])
     labels = rng.permutation(np.unique(placements))
-    out = np.isin(placements, labels[: len(labels) // 3])
+    out = np.isin(placements, labels[: max(1, len(labels) // 3)])
     rest, ratios = rng.permutation(np.flatnonzero(~out)), []
     for n in COUNTS:
         train = rest[:n]
