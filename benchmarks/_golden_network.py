@@ -5,11 +5,10 @@ each is kept the held-out error in standard deviations of the truth, the share o
 inside the 95 % interval, and the number of centres. Everything by default parameters.
 """
 
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
+from _arm_folds import read_panda, read_ur10
 from _problems import GENERATED, generated
 from scipy.stats import norm
 from sklearn.model_selection import GroupKFold
@@ -63,33 +62,25 @@ def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
     return np.sqrt(left / whole)
 
 
-def _panda(folder):
+def _panda(name, home):
     """Arm, angles, residuals, labels and folds of whole placements."""
-    import conftest
-
-    data = conftest.read_panda(folder)
-    placements = np.unique(data.placements)
-    known = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in placements]
-    found = calibrate(
-        Arm.from_name("panda", probe=(0, 0, 138)), data.angles, data.groups, lengths=known
-    )
+    angles, groups, placements = read_panda(name, home)
+    known = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+    found = calibrate(Arm.from_name("panda", probe=(0, 0, 138)), angles, groups, lengths=known)
     good = found.sample_weight > 0
-    angles, groups = data.angles[good], data.groups[good]
+    angles, groups = angles[good], groups[good]
     residuals = position_residuals(found.arm.forward(angles), groups)
-    folds = list(GroupKFold(4).split(angles, groups=data.placements[good]))
+    folds = list(GroupKFold(4).split(angles, groups=placements[good]))
     return found.arm, angles, residuals, groups, folds
 
 
-def _ur10(path):
+def _ur10(home):
     """Arm, angles, residuals and folds of whole goals, of every fourth goal."""
-    import conftest
-
-    data = conftest.read_ur10(path)
-    some = data.groups % 4 == 0
-    angles, points, groups = data.angles[some], data.points[some], data.groups[some]
+    angles, points, groups = read_ur10("A", home)
+    some = groups % 4 == 0
+    angles, points, groups = angles[some], points[some], groups[some]
     found = calibrate(Arm.from_name("ur10", probe=(0, 0, 109)), angles, points=points)
-    true = (points - found.base_translation) @ found.base_rotation
-    residuals = found.arm.forward(angles) - true
+    residuals = found.residuals(angles, points)
     return found.arm, angles, residuals, list(GroupKFold(3).split(angles, groups=groups))
 
 
@@ -105,8 +96,6 @@ def numbers(data_home):
     -------
     dict of str to float
     """
-    root, home = Path(__file__).resolve().parent.parent, Path(data_home)
-    sys.path.insert(0, str(root / "tests"))
     found = {}
     warnings.simplefilter("ignore")
     for name in GENERATED:
@@ -115,8 +104,8 @@ def numbers(data_home):
             found[f"network, {name}, {n} rows, error"] = float(error)
             found[f"network, {name}, {n} rows, inside 95 %"] = float(covered)
             found[f"network, {name}, {n} rows, centres"] = float(centers)
-    arms = {name: _panda(home / "panda_ball_socket" / name) for name in ("panda_2", "panda_3")}
-    ur10 = _ur10(home / "ur10_tracker" / "measurements_grid.csv")
+    arms = {name: _panda(name, data_home) for name in ("panda_2", "panda_3")}
+    ur10 = _ur10(data_home)
     for joints in (False, True):
         kind = "all joints" if joints else "pose"
         for name, (arm, angles, residuals, groups, folds) in arms.items():

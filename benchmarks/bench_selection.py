@@ -123,7 +123,7 @@ def compare(problem, sizes, seed):
     alpha = float(np.exp(np.mean(np.log(full.alpha_))))
     rng = np.random.default_rng(seed)
     errors = np.empty((len(sizes), len(WAYS)))
-    pivots = pivoted_cholesky(Z, "gaussian", tol=0.0, max_rank=max(sizes), block_size=1).pivots
+    pivots = pivoted_cholesky(Z, "gaussian", tol=0.0, max_rank=max(sizes), block_size=1)[1]
     for i, k in enumerate(sizes):
         model = RBFNetRegressor(k, length_scale=full.length_scale_, alpha=alpha, shared=True)
         model.fit(X, y if y.shape[1] > 1 else y[:, 0])

@@ -106,7 +106,7 @@ def described(step):
             texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
         return f"{name}: {'; '.join(texts)}"
     if isinstance(step, PoseFeatures):
-        return f"{name}: {', '.join(step._names())}"
+        return f"{name}: {', '.join(step.get_feature_names_out())}"
     if isinstance(step, ArmResidualRegressor):
         return f"{name}: {len(step.linear_model_.coef)} terms"
     return name
