@@ -82,8 +82,9 @@ def learn_correction(
         left out.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
-        prior of this one's, if the evidence for it is at least 4 nats against a model that is
-        fitted to these rows alone; ``learned.model.updates_`` keeps it as `gain_nats`. One that
+        prior of this one's, if the evidence is for it against a model that is
+        fitted to these rows alone (by 4 nats with fewer than four positions), and positions left
+        out say how much is used; ``learned.model.updates_`` keeps `gain_nats`. One that
         does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
         then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
