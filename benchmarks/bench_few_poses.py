@@ -176,7 +176,7 @@ def panda_curve(name, seed):
     angles, sockets, placements = read_panda(name)
     rng = np.random.default_rng([23, seed])
     labels = rng.permutation(np.unique(placements))
-    out = np.isin(placements, labels[: len(labels) // 3])
+    out = np.isin(placements, labels[: max(1, len(labels) // 3)])
     rest, ratios = rng.permutation(np.flatnonzero(~out)), []
     for n in COUNTS:
         model, y = panda_fit(angles, sockets, rest[:n])

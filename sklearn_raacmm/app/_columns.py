@@ -5,6 +5,7 @@
 
 import re
 from itertools import chain, zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -197,7 +198,7 @@ class Columns:
         values = np.empty((len(rows), len(columns)))
         for j, column in enumerate(columns):
             cells = [cells[column] for _, cells in rows]
-            found = self.source.numbers(cells)
+            found: Any = self.source.numbers(cells)
             if found is None or not np.all(np.isfinite(found)):
                 found = [self.source.number(cell) for cell in cells]
                 first = next(i for i, v in enumerate(found) if v is None or not np.isfinite(v))
@@ -289,7 +290,7 @@ class Columns:
         joint_names = [name.lower() for name in joint_names or ()]
         if joint_names and in_file.keys() >= set(joint_names):
             return [in_file[name] for name in joint_names]
-        numbered = {name: re.search(r"\d+", name) for name in in_file}
+        numbered: Any = {name: re.search(r"\d+", name) for name in in_file}
         if len(in_file) == self.n_joints and all(numbered.values()):
             return [in_file[name] for name in sorted(in_file, key=lambda n: int(numbered[n][0]))]
         order = ", ".join(f"{self.header[i]} ({name})" for name, i in in_file.items())

@@ -76,7 +76,7 @@ def write_corrected(layout, correction, options, in_order, file):
     found. Returns the number of rows, and the largest angle of each joint (1, n_joints) in their
     unit.
     """
-    source, n_rows, largest, last = layout.source, 0, 0.0, None
+    source, n_rows, largest, before, came = layout.source, 0, 0.0, None, 0.0
     writer = csv.writer(file, delimiter=source.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     known, columns = correction.facts["causes"], find_cause_columns(options)
@@ -85,7 +85,10 @@ def write_corrected(layout, correction, options, in_order, file):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         angles, causes = in_rad(block), read_causes(block, columns)
         if in_order:
-            ways, last = directions_of(angles, last), angles[-1]
+            # From the last row of the block before; a joint that stands still keeps its direction.
+            ways = directions_of(np.vstack([angles[:1] if before is None else before, angles]))[1:]
+            ways = np.where(ways == 0, came, ways)
+            before, came = angles[-1:], ways[-1]
             ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
             causes |= {name: way for name, way in ways.items() if name in known}
         new = _corrected(correction, correction.inputs(angles, causes), block, options)

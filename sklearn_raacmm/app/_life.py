@@ -112,7 +112,7 @@ def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
     check_places(filter(None, [options.record]), [options.table, *correction_files(options.model)])
     saved = load_correction(options.model)
-    has_causes = getattr(saved.model, "helps_", False)
+    has_causes = hasattr(saved.model, "linear_model_")
     by_spread = saved.facts["measure"] == "2S" and not options.points
     needed = [f"--{name}" for name in ("record", "lengths") if getattr(options, name)]
     if not has_causes and (needed or not by_spread):

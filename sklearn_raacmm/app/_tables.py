@@ -140,7 +140,7 @@ class Layout:
         self.angle_columns = columns.find_angles(angles, joint_names)
         self.points_file = points if isinstance(points, str | PathLike) else None
         self.labelled = labelled and points is None
-        named = () if self.points_file else points or ()
+        named: Any = () if self.points_file else points or ()
         self.point_columns = [columns.column(name, "--points") for name in named]
         self.position_column = None
         # A tracker's points need no labels: those that are there are taken.
@@ -169,13 +169,9 @@ class Layout:
         blocks = [block for block, _ in self.blocks(100_000)]
         names = ("angles", "positions", "points", "rows")
         parts = {name: [getattr(block, name) for block in blocks] for name in names}
+        joined: Any = {k: None if v[0] is None else np.concatenate(v) for k, v in parts.items()}
         others = {name: np.concatenate([b.others[name] for b in blocks]) for name in self.others}
-        table = Table(
-            angle_unit=self.angle_unit,
-            notes=self.notes,
-            others=others,
-            **{k: None if v[0] is None else np.concatenate(v) for k, v in parts.items()},
-        )
+        table = Table(angle_unit=self.angle_unit, notes=self.notes, others=others, **joined)
         if self.points_file:
             return _with_points(self, table, self.points_file)
         if self.labelled:

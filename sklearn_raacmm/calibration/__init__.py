@@ -5,7 +5,7 @@
 
 from sklearn_raacmm.calibration._calibrate import calibrate
 from sklearn_raacmm.calibration._checks import check_length
-from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH
+from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH, are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._problem import (
     ANGLE_RAD,
@@ -23,6 +23,7 @@ __all__ = [
     "SHARE_OF_REACH",
     "UNKNOWN_PLACE_MM",
     "CalibrationResult",
+    "are_wrong",
     "calibrate",
     "check_length",
     "lengths_of_places",

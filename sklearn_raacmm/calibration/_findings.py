@@ -74,13 +74,21 @@ def findings_of_fit(fit, result, bare, lengths, poses):
     yield from _poses_alike(fit)
 
 
+def are_wrong(lengths, errors, sigma):
+    """Which known lengths disagree with the rest of the data, (n_lengths,) of bool."""
+    sd = np.array([float(entry[3]) for entry in lengths])
+    return np.abs(errors) > _LENGTH_OUTLIER * np.maximum(sd, sigma)
+
+
 def wrong_lengths(lengths, errors, sigma):
-    """Known lengths that disagree with the rest of the data."""
+    """The finding that known lengths disagree with the rest of the data."""
     wrong = [
         f"{first} to {second} is {float(length) + error:.6g} mm, given as {float(length):g} +- "
         f"{float(sd):g} mm"
-        for (first, second, length, sd), error in zip(lengths, errors, strict=True)
-        if abs(error) > _LENGTH_OUTLIER * max(float(sd), sigma)
+        for (first, second, length, sd), error, is_wrong in zip(
+            lengths, errors, are_wrong(lengths, errors, sigma), strict=True
+        )
+        if is_wrong
     ]
     if wrong:
         text = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import constrained
+from sklearn_raacmm.error_model import LEAST_POSITIONS, constrained, judge
 from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
 from sklearn_raacmm.utils import centred
 
@@ -27,6 +27,8 @@ _LOW_ORDERS = 8
 # Orders that every joint may show after a change, whether or not it did before; see
 # `with_low_orders`.
 _NEW_ORDERS = 2
+# A fifth of the new poses is left out at a time. A choice, not measured.
+_N_FOLDS = 5
 # Poses in the range of the new ones that are tried for how much a change leaves open there: a
 # number for speed.
 _TRIED = 200
@@ -73,6 +75,48 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
         "noise_sd_mm": after.noise_sd,
     }
     return model, entry, after.row_weight
+
+
+def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
+    """How much of a changed model is used, by new poses left out of the change.
+
+    A posterior mean is shrunk by its prior already: what fades beyond the doubt at the new poses
+    is compared with what fades from no doubt on, and the share that is used follows, at each fifth
+    of the poses by a model that was changed without it.
+
+    Returns the fading, and its `Judgement`; None where fewer than four positions are known.
+    """
+    positions = poses.positions if positions is None else positions
+    labels = np.unique(positions[poses.weights > 0])
+    if len(labels) < LEAST_POSITIONS:
+        return fading, None
+    order = np.random.default_rng(0).permutation(len(labels))
+    fold = (order % min(_N_FOLDS, len(labels)))[np.searchsorted(labels, positions) % len(labels)]
+    correction, doubt = np.zeros_like(poses.residuals), np.zeros(len(positions))
+    for number in range(fold.max() + 1):
+        out = fold == number
+        rest = poses.at(~out)
+        model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
+        correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
+    found = [
+        judge(
+            poses.residuals,
+            correction,
+            doubt,
+            one,
+            poses.weights,
+            poses.codes,
+            positions,
+            fading.most,
+        )
+        for one in fadings_for(fading, doubt[poses.weights > 0])
+    ]
+    return min(found, key=lambda one: one[1].mean_after_mm)
+
+
+def fadings_for(fading, doubt):
+    """Fading beyond the largest doubt at some poses, and from no doubt on."""
+    return replace(fading, known_mm=float(doubt.max())), replace(fading, known_mm=0.0)
 
 
 def _informed(half, columns, place, weights):

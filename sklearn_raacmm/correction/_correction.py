@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from html import escape
 from os import PathLike
@@ -17,10 +18,12 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._causes import with_causes
+from sklearn_raacmm.correction._change import fadings_for
 from sklearn_raacmm.correction._deviations import distances, of_coordinate, predict_with_std
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._update import update_correction
+from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, check_option
 
@@ -280,10 +283,14 @@ class Correction:
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        found = calibrate(
-            self.arm, angles, positions, points=points, lengths=lengths,
-            correction=self._of_angles(self.model), free=list(free),
-        )  # fmt: skip
+
+        def through(model):
+            return calibrate(
+                self.arm, angles, positions, points=points, lengths=lengths,
+                correction=self._of_angles(model), free=list(free),
+            )  # fmt: skip
+
+        found, model = self._registered(through, angles, positions, points)
         turns = np.char.startswith(found.names, "base_r")
         open_mm = reach_mm(self.arm) * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
@@ -291,7 +298,7 @@ class Correction:
                 f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
                 "points that are spread in all directions, not along a line."
             )
-        base, model = self.base, self.model
+        base = self.base
         if found.base_rotation is not None:
             base = found.base_rotation, found.base_translation
         if hasattr(model, "with_arm"):
@@ -462,6 +469,31 @@ class Correction:
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
+    def _registered(self, through, angles, positions, points):
+        """Calibration through the model, and the model with what of it these poses are for.
+
+        They had no part in its fit: what fades beyond the doubt at them is compared with what fades
+        from no doubt on, each after a registration of its own, and the share follows.
+        """
+        model, linear = self.model, getattr(self.model, "linear_model_", None)
+        n = len(angles) if positions is None else len(np.unique(positions))
+        if linear is None or n < LEAST_POSITIONS:
+            return through(model), model
+        X, found = self.inputs(angles), []
+        correction, _, doubt = linear.predict_with_doubt(X)
+        for fading in fadings_for(model.fading_, doubt):
+            one = copy(model)
+            one.fading_ = fading
+            result = through(one)
+            y = result.residuals(angles, points, positions)
+            codes = None if points is not None else np.unique(positions, return_inverse=True)[1]
+            places = np.arange(len(y)) if codes is None else codes
+            weights = result.sample_weight
+            judged = judge(y, correction, doubt, fading, weights, codes, places, fading.most)
+            one.fading_, judgement = judged
+            found.append((judgement.mean_after_mm, result, one))
+        return min(found, key=lambda entry: entry[0])[1:]
+
     def _within_positions(self, X):
         """Corrected points, and standard deviations of their coordinates within a position."""
         correction, std = predict_with_std(self.model, X, self.noise)
@@ -475,9 +507,9 @@ class Correction:
             more["with_arm"] = lambda arm: self._of_angles(model.with_arm(arm))
         return SimpleNamespace(
             predict=lambda angles: model.predict(self.inputs(angles)),
-            arm_=getattr(model, "arm_", None), regressor_=getattr(model, "regressor_", None),
+            arm_=getattr(model, "arm_", None),
             **more,
-        )  # fmt: skip
+        )
 
     def __str__(self) -> str:
         lines = [f"{self.arm!r}, {self.facts['n_rows']} rows"]

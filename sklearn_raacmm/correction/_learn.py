@@ -82,8 +82,9 @@ def learn_correction(
         left out.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
-        prior of this one's, if the evidence for it is at least 4 nats against a model that is
-        fitted to these rows alone; ``learned.model.updates_`` keeps it as `gain_nats`. One that
+        prior of this one's, if the evidence is for it against a model that is
+        fitted to these rows alone (by 4 nats with fewer than four positions), and positions left
+        out say how much is used; ``learned.model.updates_`` keeps `gain_nats`. One that
         does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
         then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
@@ -157,7 +158,7 @@ def learn_correction(
             arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
         )
         calibration = _calibrated(data, angles, angle_unit)
-        data = with_kept_causes(data, calibration)
+        data = with_kept_causes(data.without_wrong(calibration), calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
@@ -167,7 +168,7 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
-    scores = with_verdict(scores, findings)
+    scores = with_verdict(scores, findings, fitted)
     base = None
     if calibration.base_rotation is not None:
         base = calibration.base_rotation, calibration.base_translation
@@ -291,6 +292,8 @@ def _facts(data, calibration, scores, noise):
         "std_factor": scores.std_factor,
         "scale_sd": calibration.scale_sd,
         "coverage": scores.coverage,
+        "share": scores.share,
+        "fold_shares": list(scores.fold_shares),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},

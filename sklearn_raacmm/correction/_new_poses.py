@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
+
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
@@ -34,6 +36,20 @@ class NewPoses:
         self.weights = check_weights(sample_weight, angles)
 
     @property
+    def positions(self):
+        """Position of each pose, (n,); where none are told apart, each pose has its own."""
+        return np.arange(len(self.angles)) if self.codes is None else self.codes
+
+    def at(self, rows):
+        """Some of the poses."""
+        some = copy(self)
+        some.angles, some.residuals = self.angles[rows], self.residuals[rows]
+        some.weights = self.weights[rows]
+        if self.codes is not None:
+            some.codes = np.unique(self.codes[rows], return_inverse=True)[1].ravel()
+        return some
+
+    @property
     def n_coordinates(self):
         """Coordinates of the poses that count, less three for each unknown offset."""
         used = self.weights > 0
@@ -52,16 +68,14 @@ class NewPoses:
         )
 
 
-def linear_model_of(model, done, in_use=True):
-    """The linear model of a fitted correction, which has to be in use or not."""
-    is_model = isinstance(model, ArmResidualRegressor)
-    if is_model:
-        check_is_fitted(model)
-    if not is_model or (in_use and not model.helps_):
+def linear_model_of(model, done):
+    """The linear model of a fitted correction, whatever share of it is used."""
+    if not isinstance(model, ArmResidualRegressor):
         raise TypeError(
-            f"{type(model).__name__} holds no linear model in use and cannot be {done}: it has no "
+            f"{type(model).__name__} holds no linear model and cannot be {done}: it has no "
             "posterior of causes. It can be registered, by calibrate(..., correction=model)."
         )
+    check_is_fitted(model)
     return model.linear_model_
 
 

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
 from inspect import ismethod
 from typing import Any
 
@@ -15,7 +16,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
-from sklearn_raacmm.calibration import calibrate, check_length
+from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
 from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -73,6 +74,16 @@ class Data:
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
         self.positions, self.tools = labels[codes][self.rows], _at(self.rows, tools)
         self.causes, self.values = causes, values[self.rows]
+
+    def without_wrong(self, calibration):
+        """The same without the known lengths that the calibration of all rows found to be wrong."""
+        if not self.lengths or self.points is not None:
+            return self
+        wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
+        lengths = [entry for entry, out in zip(self.lengths, wrong, strict=True) if not out]
+        right = copy(self)
+        right.lengths = lengths
+        return right
 
     @property
     def inputs(self):

@@ -60,8 +60,7 @@ class CorrectionScores:
     length_errors_before, length_errors_after : ndarray of shape (n_lengths,)
         Their errors, mm.
     coverage : float
-        Share of the left-out coordinates inside their 95 % intervals, whose one factor comes from
-        the other folds.
+        Share of the left-out coordinates inside the model's own 95 % intervals, before any factor.
     std_factor : float
         What the model's standard deviations have to be multiplied by.
     n_folds : int
@@ -79,6 +78,10 @@ class CorrectionScores:
         The same in one sentence, with the numbers.
     findings : tuple of Finding
         What there is to say about the data. With one of weight "repair" nothing is judged.
+    share : float
+        Share of its correction that the model of all rows uses: 0 for none.
+    fold_shares : tuple of float
+        The same of the models that were judged.
     """
 
     measure: str
@@ -97,6 +100,8 @@ class CorrectionScores:
     helps: bool
     verdict: str
     findings: tuple[Any, ...] = ()
+    share: float = 1.0
+    fold_shares: tuple[float, ...] = ()
 
     @property
     def judged(self) -> Any:
@@ -132,7 +137,12 @@ class CorrectionScores:
                 f"known lengths ({len(self.lengths)}), mean error: {before.mean():.4f} mm before, "
                 f"{after.mean():.4f} mm after (largest {before.max():.4f}, {after.max():.4f})"
             )
-        lines.append(f"inside their 95 % intervals: {self.coverage:.1%} of the coordinates")
+        lines.append(
+            f"inside the model's own 95 % intervals: {self.coverage:.1%} of the coordinates; its "
+            f"standard deviations are multiplied by {self.std_factor:.2f}, so that 95 % are"
+        )
+        if self.fold_shares:
+            lines.append(_shares(self.share, self.fold_shares))
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
         return lines + [f"{finding.weight}: {finding}" for finding in self.findings]
@@ -142,9 +152,27 @@ class CorrectionScores:
         return f"{html_table(self.verdict, *self._cells())}<p>{rest}</p>"
 
 
-def with_verdict(scores, findings):
-    """Scores with what was found; with one of weight "repair" nothing is judged."""
-    scores = replace(scores, findings=tuple(findings))
+def _shares(share, of_folds):
+    low, high = min(of_folds), max(of_folds)
+    return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
+
+
+def with_verdict(scores, findings, model):
+    """Scores with what was found; with one of weight "repair" nothing is judged.
+
+    What is handed over has to be what was judged: where the model of all rows is not in use, or
+    most of those that were judged were not, the verdict says so.
+    """
+    scores = replace(scores, findings=tuple(findings), share=_share_of(model))
+    used = float(np.median(scores.fold_shares)) > 0
+    if scores.judged and used != (scores.share > 0):
+        of_folds = scores.fold_shares
+        more = (
+            "But the model of all rows is another one than those that were judged: "
+            f"{_shares(scores.share, of_folds)}."
+        )
+        verdict = scores.verdict if not scores.helps else f"Do not use it. {scores.verdict}"
+        return replace(scores, helps=False, verdict=f"{verdict} {more}")
     if scores.judged:
         return scores
     first, *more = (f for f in scores.findings if f.weight == "repair")
@@ -161,17 +189,18 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
     before, after, std, unknown = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
-    length_errors = []
+    length_errors, fold_shares = [], []
     for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
         before[test], after[test], std[test], unknown[test] = result[:4]
         length_errors += result[4]
+        fold_shares.append(result[5])
         if progress is not None:
             progress(i + 1, len(folds))
     say_worth_of_directions(data, after, unknown)
     table, measure, rows_by_position = _table(data, before, after)
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
-    coverage, factor = coverage_of(after, std, [test for _, test in folds])
+    coverage, factor = coverage_of(after, std)
     unknown_lengths = length_findings(calibration)
     report_findings(unknown_lengths)
     n_blocks = len(np.unique(block_of))
@@ -193,7 +222,13 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         left_after=after,
         helps=helps,
         verdict=verdict,
+        fold_shares=tuple(fold_shares),
     )
+
+
+def _share_of(model):
+    """Share of its correction that a fitted model uses; 1 of models that know none."""
+    return float(model.fading_.most) if hasattr(model, "fading_") else 1.0
 
 
 def _folds(data, kept, cv):
@@ -251,7 +286,7 @@ def _one_fold(data, model, train, test):
     with ignored_findings():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
-        fitted = data.at_probes(fitted, calibration, test)
+        share, fitted = _share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
         unknown = _of_unknown_directions(data, fitted, test, correction)
     points = data.shown(calibration, test)
@@ -266,7 +301,7 @@ def _one_fold(data, model, train, test):
     left = data.residuals(calibration, test) if is_tracker else points
     codes = None if is_tracker else encode_groups(labels)[1]
     before, after, unknown = (centred(left - part, codes) for part in (0.0, correction, unknown))
-    return before, after, std, unknown, lengths
+    return before, after, std, unknown, lengths, share
 
 
 def _of_unknown_directions(data, model, rows, correction):
@@ -339,17 +374,12 @@ def _fieller(over, under, t):
     return float(max((b - root) / a, 0.0)), float((b + root) / a)
 
 
-def coverage_of(left, std, tests):
-    """Share of coordinates inside 95 % intervals, and the factor that makes it 95 % of all."""
+def coverage_of(left, std):
+    """Share of coordinates inside raw 95 % intervals, and the factor at which 95 % are inside."""
+    kept = np.isfinite(left)
     # No deviation without a standard deviation, such as exact data: those are inside.
-    ratio = np.abs(left) / np.maximum(std, 1e-300)
-    inside, total = 0, 0
-    for i, test in enumerate(tests):
-        others = np.concatenate([other for j, other in enumerate(tests) if j != i])
-        factor = np.quantile(ratio[others], 0.95) / _Z95
-        inside += np.sum(ratio[test] <= _Z95 * factor)
-        total += ratio[test].size
-    return float(inside / total), float(np.quantile(ratio[np.concatenate(tests)], 0.95) / _Z95)
+    ratio = np.abs(left[kept]) / np.maximum(std[kept], 1e-300)
+    return float(np.mean(ratio <= _Z95)), float(np.quantile(ratio, 0.95) / _Z95)
 
 
 def _verdict(table, summary, measure, n_blocks, unknown_lengths):

@@ -24,6 +24,7 @@ from sklearn_raacmm.correction._change import (
     changed_model,
     families_of,
     harmonics_of,
+    judged_fading,
     parts_of,
     prior_of,
     with_harmonics,
@@ -32,15 +33,21 @@ from sklearn_raacmm.correction._change import (
 from sklearn_raacmm.correction._new_poses import NewPoses, place_columns
 from sklearn_raacmm.error_model import order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import Finding, centred, one_blas_thread, report_findings
+from sklearn_raacmm.utils import (
+    Finding,
+    centred,
+    encode_groups,
+    one_blas_thread,
+    report_findings,
+)
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # benchmarks/bench_after_the_lab.py transfer judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
-# Nats of evidence for the earlier arms from which on they are believed: one draw of a Panda lost a
-# third at 0.5, the sixteen draws with at least 5 gained
-# (``benchmarks/bench_after_the_lab.py transfer --panda``).
+# Nats of evidence for the earlier arms from which on they are believed where too few positions can
+# be left out for a share: one draw of a Panda lost a third at 0.5, the sixteen draws with at least
+# 5 gained (``benchmarks/bench_after_the_lab.py transfer --panda``).
 LEAST_GAIN_NATS = 4.0
 # Factor of the fading of a believed start: Wiener's is 1, and half of it leaves as little on Pandas
 # as none (``benchmarks/bench_after_the_lab.py transfer --panda``), for the mean of the make is
@@ -71,17 +78,19 @@ def transferred_model(models, arm, X, y, groups=None):
     own = clone(models[0]).set_params(arm=arm, angle_unit="rad").fit(X, y, groups=groups)
     # Its calibration holds what the extra columns do in the mean of its own rows.
     prior = replace(prior, terms=prior.terms._replace(extra=own.linear_model_.terms.extra))
-    groups = groups if own.linear_model_.offsets else None
-    poses = NewPoses(own, X, y, groups, None)
+    of_offsets = groups if own.linear_model_.offsets else None
+    poses = NewPoses(own, X, y, of_offsets, None)
     linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE)
     poses.weights = poses.weights * pose_weight * own.pose_weight_
     gain = _evidence_of_change(prior, entry, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
-    if gain >= LEAST_GAIN_NATS:
+    fading = replace(own.fading_, factor=_FADING, most=1.0)
+    positions = poses.positions if groups is None else encode_groups(groups, len(y))[1]
+    fading, judgement = judged_fading(prior, poses, fading, positions, _LOG_NOISE)
+    if fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS):
         linear = replace(linear, offsets=poses.codes is not None)
         new.linear_model_ = replace(linear, fading_half=linear.gauge_free_half)
-        new.fading_ = replace(own.fading_, factor=_FADING)
-        new.helps_, new.judgement_ = True, None  # what was judged is the fit to the new poses alone
+        new.fading_, new.judgement_ = fading, judgement
         new.pose_weight_ = pose_weight
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
@@ -104,8 +113,8 @@ def _suitable_models(models, arm, n_columns):
 def _why_not(model, kept, arm, n_columns):
     """Why a model cannot be one of those that are kept, or an empty string."""
     linear = getattr(model, "linear_model_", None)
-    if linear is None or not model.helps_:
-        return f"{type(model).__name__} holds no linear model in use"
+    if linear is None:
+        return f"{type(model).__name__} holds no linear model"
     old, new = ((a.n_joints, a.convention) for a in (linear.arm, arm))
     if old != new:
         return (

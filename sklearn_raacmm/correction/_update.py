@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, judged_fading
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -73,7 +73,7 @@ def update_correction(
     Raises
     ------
     TypeError
-        If the model holds no linear model in use: such a one can be registered, not updated.
+        If the model is no linear model: such a one can be registered, not updated.
     ValueError
         If shapes do not fit, something is NaN or infinite, or groups are missing though the model
         has offsets.
@@ -132,7 +132,7 @@ def _updated(model, new, date):
         report_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
     report_findings(what_is_wrong(model, poses))
-    updated.linear_model_, entry, _ = changed_model(linear, poses, date=date)
+    updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
             f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
@@ -143,5 +143,8 @@ def _updated(model, new, date):
             "correction?"
         )
         report_findings([Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"])])
+    poses.weights = poses.weights * pose_weight
+    updated.fading_, judgement = judged_fading(linear, poses, model.fading_)
+    updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated

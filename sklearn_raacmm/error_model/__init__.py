@@ -14,15 +14,15 @@ from sklearn_raacmm.error_model._columns import (
     term_columns,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
-from sklearn_raacmm.error_model._fading import Fading
+from sklearn_raacmm.error_model._fading import LEAST_POSITIONS, Fading, Judgement, judge
 from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
-from sklearn_raacmm.error_model._left_out import Judgement
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import IDLE_SD, order_price, smooth_shares
 
 __all__ = [
     "IDLE_SD",
+    "LEAST_POSITIONS",
     "LOAD",
     "PUSH",
     "SHIFT",
@@ -37,6 +37,7 @@ __all__ = [
     "column_table",
     "constrained",
     "force_on_probe",
+    "judge",
     "limits_of",
     "order_price",
     "smooth_shares",

@@ -20,10 +20,10 @@ from sklearn_raacmm.error_model._checks import (
 )
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
 from sklearn_raacmm.error_model._extra import with_references
-from sklearn_raacmm.error_model._fading import find_fading
+from sklearn_raacmm.error_model._fading import find_fading, judge
 from sklearn_raacmm.error_model._fit import fit_with_constants
 from sklearn_raacmm.error_model._in_use import FittedArmModel
-from sklearn_raacmm.error_model._left_out import judge, leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.utils import (
     VersionedEstimator,
@@ -98,9 +98,9 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
     column_harmonics_ : ndarray of shape (n_chosen, 2)
         Joint from 1 and order of each.
     fading_ : Fading
-        How corrections fade: `factor` and `size_mm` (r).
+        The share of the correction that is used: `most` at positions left out; how it fades.
     helps_ : bool
-        Whether the model helped at positions left out; True without `groups`.
+        Whether any of the correction is used: whether it helped at positions left out.
     judgement_ : Judgement or None
         The numbers behind it. None where nothing was left out.
     findings_ : tuple of Finding
@@ -248,15 +248,17 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         fitted = fit_with_constants(rows, of_constants, terms, with_field)
         rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
-        model = with_honest_intervals(fitted.model, left_out, rows.weights, rows.codes, positions)
-        model = replace(model, n_positions=float(positions.max() + 1))
+        model = with_honest_intervals(fitted.model, left_out, rows, positions)
         robust = rows.weights * fitted.pose_weight
-        rest = robust, rows.codes
-        self.fading_ = find_fading(rows.y, *rest, self.fade, model.std_scale)
+        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
         self.judgement_ = None
         if groups is not None and left_out is not None:
-            self.judgement_ = judge(left_out, self.fading_, rows.y, *rest, positions)
-        self.helps_ = self.judgement_ is None or self.judgement_.helps
+            judged = *left_out[:2], fading, robust, rows.codes, positions
+            fading, self.judgement_ = judge(rows.y, *judged)
+            if 0 < fading.most < 1:
+                model = with_honest_intervals(model, left_out, rows, positions, fading.most)
+        self.fading_ = fading
+        model = replace(model, n_positions=float(positions.max() + 1))
         self.linear_model_ = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]

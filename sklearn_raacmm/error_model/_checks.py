@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import fdtr
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
@@ -18,7 +17,6 @@ from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
     Finding,
-    are_deviations,
     check_data,
     check_features,
     check_weights,
@@ -34,9 +32,8 @@ from sklearn_raacmm.utils import (
 _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 # Reaches of the arm beyond which a residual is in another unit, or no residual at all.
 _LARGEST_REACHES = 10.0
-# A share of means that are no deviations is worth a warning where independent rows have one as
-# small in fewer fits than one of a thousand.
-_BY_CHANCE = 1e-3
+# Share of the means, of that of independent rows, that is rounding: y are deviations from them.
+_NO_MEANS = 1e-9
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
@@ -134,26 +131,7 @@ def _have_offsets(offsets, y, weights, positions):
         return False
     if offsets != "auto":
         return offsets
-    deviations = are_deviations(y, positions, weights)
-    if not deviations:
-        report_findings(_deviations_of_other_rows(y, positions, weights))
-    return deviations
-
-
-def _deviations_of_other_rows(y, codes, weights):
-    """Means that are not zero, and smaller than those of independent rows."""
-    share, n_outputs = share_of_means(y, codes, weights), y.shape[1]
-    weights = weights / min(weights[weights > 0].mean(), 1.0)
-    n_groups = len(np.unique(codes[weights > 0]))
-    n_free = weights.sum() - n_groups
-    if n_free > 0 and fdtr(n_outputs * n_groups, n_outputs * n_free, share) < _BY_CHANCE:
-        yield Finding(
-            "deviations-of-other-rows",
-            f"The positions' mean residuals are {np.sqrt(share):.2g} times as large as those of "
-            "independent rows of this scatter: y may be deviations from the means of more rows "
-            "than these.",
-            "No offsets are fitted; set offsets to True or False.",
-        )
+    return share_of_means(y, positions, weights) < _NO_MEANS
 
 
 def poses_of(rows, extra):

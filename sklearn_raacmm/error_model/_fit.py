@@ -31,7 +31,6 @@ from sklearn_raacmm.utils import (
     Finding,
     centred,
     chunks,
-    group_means,
     group_sums,
     report_findings,
     stage,
@@ -49,13 +48,10 @@ _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
 
-# Rounds of the two variances, and the change of their ratio at which they have settled.
-_CONSTANT_ROUNDS, _SETTLED_CONSTANTS = 4, 0.1
-# Constants count from this many times the noise of a coordinate on: a model that is not complete
-# errs alike at the rows of one position, too.
-_LEAST_RATIO = 1.0
-# Share of the rows without weight that slips do not come to.
-_MANY = 0.1
+# Noise variances over those of constants of positions that are compared, in units of a position's
+# weight; steps of the other variances at each, and rounds with a fit at what was found
+# (``benchmarks/bench_constants.py``).
+_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-5.0, 2.0, 0.5), 5, 3
 
 
 class Rows(NamedTuple):
@@ -131,7 +127,7 @@ class Fitted(NamedTuple):
 
 
 def fit_with_constants(rows, positions, terms, with_field):
-    """Fit the model and, where the evidence asks for them, constants of the positions.
+    """Fit the model, and constants of the positions of the variance that the evidence asks for.
 
     A reference against a tracker or a certificate may be off by a constant in each position.
     Columns of the arm can tell such constants from the arm's own differences between positions,
@@ -139,26 +135,23 @@ def fit_with_constants(rows, positions, terms, with_field):
     and s of the noise a constant is drawn to 0 as by rows of the weight s / v.
 
     `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
-    those given less their constants.
+    those given less their constants, or with positions of which nothing is known.
     """
-    fitted, known, rounds = fit_linear_model(rows, terms, with_field), np.inf, 0
+    fitted = fit_linear_model(rows, terms, with_field)
     if positions is None or rows.codes is not None:
         return fitted
-    while True:
-        # Of a position that is off as a whole no row may have any weight left.
-        counts = np.mean(fitted.pose_weight == 0) < _MANY
-        weights = rows.weights * (fitted.pose_weight if counts else 1.0)
-        left = rows.y - fitted.model.predict(rows.X)[0]
-        last, known = known, _known(left, positions, weights)
-        if not known < 1 / _LEAST_RATIO**2:
-            return fitted if np.isinf(last) else fit_linear_model(rows, terms, with_field)
-        if abs(known - last) < _SETTLED_CONSTANTS * known:
+    known = np.inf
+    for _ in range(_CONSTANT_ROUNDS):
+        last, known = known, _known_of_constants(rows, positions, terms, with_field, fitted)
+        if known == last:
             break
-        fitted = fit_linear_model(rows._replace(codes=positions, known=known), terms, with_field)
-        rounds += 1
-        if rounds == _CONSTANT_ROUNDS:
-            break
+        given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
+        fitted = fit_linear_model(given, terms, with_field)
+    if np.isinf(known) or not known:
+        return fitted
+    weights = rows.weights * fitted.pose_weight
     total = np.bincount(positions, weights)
+    left = rows.y - fitted.model.predict(rows.X)[0]
     constants = group_sums(left, positions, weights) / (total + known)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
     report_findings(
@@ -175,19 +168,27 @@ def fit_with_constants(rows, positions, terms, with_field):
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))
 
 
-def _known(left, positions, weights):
-    """Noise variance over that of the constants, by the analysis of variance of what is left."""
-    total = np.bincount(positions, weights)
-    used = total > 0
-    n, n_groups = weights.sum(), used.sum()
-    if np.count_nonzero(weights) < 2 * n_groups:
-        return np.inf
-    means = group_means(left, positions, weights)
-    within = weights @ np.square(left - means[positions]).sum(axis=1) / max(n - n_groups, 1e-9)
-    between = (total[:, None] * np.square(means))[used].sum() / max(n_groups, 1)
-    # Expected: within + (n / n_groups) times the variance of a constant, about a mean of 0.
-    variance = (between - within) / (np.square(total).sum() / n)
-    return within / variance if variance > 0 and within > 0 else np.inf
+def _known_of_constants(rows, positions, terms, with_field, fitted):
+    """Noise variance over that of the constants, by the evidence of what a fit has chosen.
+
+    Infinite: there are none; 0: nothing is known of them. With W the weight of a position its
+    constant takes ``log(1 + W / known) / 2`` of the log evidence, for x, y and z each. Their
+    variance is one more number, which costs half the logarithm of how many there are (Schwarz).
+    """
+    state, structures = fitted.state, structures_of(rows.arm, terms, with_field)
+    few, structures, lines = _of_pairs(terms, structures, state.lines, state.pairs)
+    total = np.bincount(positions, rows.weights)
+    found = {}
+    for known in [np.inf, *(total.mean() * _KNOWN)]:
+        given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
+        problem = Problem(given.sums(few)[0], structures)
+        start = lines, state.with_field, state.variance, state.noise_variance
+        state_there = problem.with_variances(problem.state(*start), _CONSTANT_STEPS)
+        taken = 0.5 * rows.y.shape[1] * np.log1p(total / known).sum()
+        taken += 0.0 if np.isinf(known) else 0.5 * np.log(rows.y.shape[1] * len(total))
+        found[known] = state_there.log_evidence - taken
+    known = max(found, key=lambda one: found[one])
+    return 0.0 if known == min(found) else known
 
 
 @stage("linear error model")
@@ -232,8 +233,8 @@ def _fit(rows, terms, structures) -> tuple[Any, Any]:
         start = factor
         state = search(Problem(sums[0], structures, sums[1]), state)
         state, factor, sums = _settled(rows, terms, structures, sums, state, factor)
-        if not state.with_field:
-            beside = beside_field(Problem(sums[0], structures, sums[1]), state)
+        if structures.share is not None and not state.with_field:
+            beside = _beside_field(rows, terms, structures, sums, state, factor)
             if beside is not None:
                 state, factor, sums = _settled(rows, terms, structures, sums, beside, factor)
         if np.all(factor == start):
@@ -241,13 +242,28 @@ def _fit(rows, terms, structures) -> tuple[Any, Any]:
     return state, factor
 
 
+def _beside_field(rows, terms, structures, sums, state, factor):
+    """The choice beside the field, or None; sums of the field alone say whether it is searched."""
+    problem = Problem(sums[0], structures, sums[1])
+    pairs = problem.pairs_and_shares(state.lines, True)[0]
+    few, of_field, lines = _of_pairs(terms, structures, state.lines, pairs)
+    some = rows.weighted(factor).sums(few)
+    alone = state._replace(lines=lines, pairs=lines)
+    return beside_field(problem, state, Problem(some[0], of_field, some[1]), alone)
+
+
+def _of_pairs(terms, structures, lines, pairs):
+    """Terms, structures, and which are lines, where some pairs are the only candidates."""
+    share = None if structures.share is None else structures.share[pairs]
+    few = terms._replace(harmonics=terms.harmonics[pairs])
+    structures = structures._replace(price=structures.price[pairs], share=share)
+    return few, structures, np.flatnonzero(np.isin(pairs, lines))
+
+
 def _settled(rows, terms, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
-    few = terms._replace(harmonics=terms.harmonics[pairs])
-    share = None if structures.share is None else structures.share[pairs]
-    structures = structures._replace(price=structures.price[pairs], share=share)
-    lines = np.flatnonzero(np.isin(pairs, state.lines))
+    few, structures, lines = _of_pairs(terms, structures, state.lines, pairs)
     some = (sums_of_pairs(sums[0], pairs), None)
     for _ in range(_ROUNDS):
         old, new = factor, _pose_weights(rows, _expected(rows, few, state), factor)

@@ -15,8 +15,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
-from sklearn_raacmm.error_model._fading import Fading, warn_where_unknown
-from sklearn_raacmm.error_model._left_out import Judgement
+from sklearn_raacmm.error_model._fading import Fading, Judgement, warn_where_unknown
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model
 from sklearn_raacmm.error_model._solve import angles_for
@@ -32,7 +31,6 @@ class FittedArmModel(PointCorrectionMixin):
     linear_model_: LinearModel
     fading_: Fading
     judgement_: Judgement | None
-    helps_: bool
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
@@ -67,6 +65,10 @@ class FittedArmModel(PointCorrectionMixin):
     @property
     def offsets_(self) -> Any:
         return self.linear_model_.offsets
+
+    @property
+    def helps_(self) -> bool:
+        return self.fading_.most > 0
 
     @property
     def arm_(self) -> Arm:
@@ -135,12 +137,9 @@ class FittedArmModel(PointCorrectionMixin):
         X = check_poses(self, X)
         model, fading = self.linear_model_, self.fading_
         mean, std, doubt = model.predict_with_doubt(X, return_std, fading.factor > 0)
-        mean = mean * self.helps_
-        if doubt is not None:
-            share = fading.share(doubt)
-            if self.helps_:
-                warn_where_unknown(share)
-            mean = share[:, None] * mean
+        share = fading.share(np.zeros(len(X)) if doubt is None else doubt)
+        warn_where_unknown(share, fading.most)
+        mean = share[:, None] * mean
         if return_cov:
             return mean, model.joint_covariance(X, with_noise, with_unseen)
         # Without a correction the errors are at least those that the residuals had.

@@ -10,20 +10,19 @@ the variances that the whole has found.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.cluster import KMeans
 
 from sklearn_raacmm.error_model._columns import points_of_rows
+from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
 from sklearn_raacmm.error_model._fit import model_of
 from sklearn_raacmm.error_model._structures import HIGHEST_OF_FEW, structures_of
 from sklearn_raacmm.inference import Problem, combined, interval_scales, search_at
 from sklearn_raacmm.utils import centred, group_means, stage
 
-# Blocks left out in turn, and the fewest positions that are worth leaving some out: of three the
-# rest is hardly the model that is judged.
-N_BLOCKS, LEAST_POSITIONS = 10, 4
+# Blocks left out in turn.
+N_BLOCKS = 10
 # Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker 0.
 # Deviations from the means of positions show little of b: with this prior 94 % of all true errors
 # are inside, with 0 it is 92 % (``benchmarks/bench_guards.py --intervals``, 128 simulated tests).
@@ -34,18 +33,6 @@ _EFFECTIVE_ROWS = 3.0
 # the inverse of their number: 0.98 and 0.94 inside 95 %, without it 0.85 and 0.67
 # (``benchmarks/bench_few_poses.py``).
 _PER_FEW_POSITIONS = 2.0
-# A gain of less than this share of the deviation is none.
-_LEAST_GAIN = 1e-3
-
-
-class Judgement(NamedTuple):
-    """Whether a correction helps at positions that were left out; means over positions."""
-
-    mean_before_mm: float  # without correction
-    mean_after_mm: float  # with it
-    gain_se_mm: float  # standard error over positions of the difference
-    n_positions: int
-    helps: bool
 
 
 @stage("models without one block each")
@@ -56,9 +43,9 @@ def leave_out(fitted, terms, positions, weights):
     keep their `weights` in the means of their positions.
 
     Returns what models without the block of a row say of it: the correction (n, 3); the doubt (n,)
-    that it fades by; errors (n, 3) of the measured residuals, and their standard deviations (n, 3)
-    without noise, both of deviations from the position's mean where positions have offsets. All in
-    mm. Or None where all positions are at one place, or all weight is in one block.
+    that it fades by; its standard deviations (n, 3), where positions have offsets those of its
+    deviation from the position's mean. All in mm. Or None where all positions are at one place, or
+    all weight is in one block.
     """
     model, state, rows = fitted.model, fitted.state, fitted.rows
     points = points_of_rows(rows.arm, terms, rows.X)
@@ -82,27 +69,25 @@ def leave_out(fitted, terms, positions, weights):
     }
     whole = combined(list(parts.values()), [1.0] * len(parts))
     n = len(points)
-    found = np.empty((n, 3)), np.empty(n), np.empty((n, 3)), np.empty((n, 3))
+    found = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.
         sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
         best = search_at(Problem(sums, structures), start)
         rest = model_of(used.at((blocks != block) & kept), terms, best)
         of = np.flatnonzero(blocks == block)
-        for values, mine in zip(found, _errors(rest, rows.at(of), weights[of]), strict=True):
+        for values, mine in zip(found, _at_rows(rest, rows.at(of), weights[of]), strict=True):
             values[of] = mine
     return found
 
 
-def _errors(model, rows, weights):
+def _at_rows(model, rows, weights):
     """What `leave_out` returns, at some rows by a model that has not seen them."""
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     if rows.codes is None:
-        return mean, doubt, rows.y - mean, std
-    columns = centred(model.columns(rows.X), rows.codes, weights)
-    dots = columns @ model.half
-    spread = np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
-    return mean, doubt, centred(rows.y - mean, rows.codes, weights), spread
+        return mean, doubt, std
+    dots = centred(model.columns(rows.X), rows.codes, weights) @ model.half
+    return mean, doubt, np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
 
 
 def _blocks(points, positions, weights):
@@ -119,47 +104,25 @@ def _blocks(points, positions, weights):
     return blocks[place.ravel()[positions]]
 
 
-def with_honest_intervals(model, left_out, weights, codes, positions):
-    """Model whose intervals are as wide as its errors at positions left out ask for.
+def with_honest_intervals(model, left_out, rows, positions, share=1.0):
+    """Model whose intervals are as wide as errors at positions left out ask for.
 
-    Errors in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the posterior standard deviation,
-    say what a and b are (see `interval_scales`), with weak priors. A single-point test of fewer
-    than four positions has them by their number alone; a tracker's model is then left as it is.
+    Errors of a share of the correction in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the
+    posterior standard deviation, say what a and b are (see `interval_scales`), with weak priors. A
+    single-point test of fewer than four positions has them by their number alone; a tracker's model
+    is then left as it is.
     """
-    n_positions = len(np.unique(positions))
+    n_positions, weights, codes = len(np.unique(positions)), rows.weights, rows.codes
     if left_out is None or n_positions < LEAST_POSITIONS:
         wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
         return replace(model, noise_scale=wider, std_scale=wider)
-    _, _, errors, spread = left_out
+    correction, _, spread = left_out
+    errors = centred(rows.y - share * correction, codes, weights)
     noise = np.full(errors.shape, model.noise_sd)
     if codes is not None:  # the position's own mean has taken its share of the noise
-        share = 1 / np.maximum(np.bincount(codes, weights)[codes], 1.0)
-        noise *= np.sqrt(1 - share)[:, None]
+        taken = 1 / np.maximum(np.bincount(codes, weights)[codes], 1.0)
+        noise *= np.sqrt(1 - taken)[:, None]
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())
     usual = 0.0 if codes is None else _USUAL_LOG_B
     scales = interval_scales(errors, noise, spread, weights, worth, usual)
     return replace(model, noise_scale=scales[0], std_scale=scales[1])
-
-
-def judge(left_out, fading, y, weights, codes, positions):
-    """`Judgement` of a correction at positions that were left out of the fit.
-
-    It helps if the mean deviation over positions falls by more than the standard error of that
-    gain; with fewer than four positions, if it falls at each of them. Slipped poses have no
-    `weights` (n,).
-    """
-    kept = weights > 0
-    after = y - fading.share(left_out[1])[:, None] * left_out[0]
-    places = np.unique(positions[kept], return_inverse=True)[1].ravel()
-    before, after = (
-        group_means(
-            np.linalg.norm(centred(left, codes, weights), axis=1)[kept], places, weights[kept]
-        )
-        for left in (y, after)
-    )
-    gains, n = before - after, len(before)
-    error = gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
-    helps = gains.mean() > max(error, _LEAST_GAIN * before.mean())
-    if n < LEAST_POSITIONS:
-        helps = helps and gains.min() > 0
-    return Judgement(float(before.mean()), float(after.mean()), float(error), n, bool(helps))

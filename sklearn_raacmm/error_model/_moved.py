@@ -82,7 +82,7 @@ def moved_fading(fading, old, new):
     to take the correction back. Those of the last joint grow as its lever does, others less.
     """
     ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
-    return replace(fading, size_mm=ratio * fading.size_mm)
+    return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
 
 
 def lever_mm(arm: Arm, probe_mm: Any = None) -> Any:

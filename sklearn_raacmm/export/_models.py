@@ -282,11 +282,13 @@ def arm_model(chain, step):
     """Correction and variance (or None) of an `ArmResidualRegressor`, faded."""
     p, linear, fading = chain.p, step.linear_model_, step.fading_
     y, v, doubt = linear_model(chain, linear, fading.factor > 0)
-    y = y if step.helps_ else p.constant(np.zeros(3))
+    y = p("mul", y, fading.most) if fading.most > 0 else p.constant(np.zeros(3))
     if doubt is not None:
         share = p.constant(1.0)
         if fading.size_mm > 0:
             size = fading.size_mm**2
+            if fading.known_mm > 0:
+                doubt = p("max", p("sub", doubt, fading.known_mm**2), 0.0)
             share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
         chain.trust, y = share, p("mul", y, share)
     v = p("mul", v, linear.std_scale**2) if chain.std else None

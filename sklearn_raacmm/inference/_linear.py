@@ -88,6 +88,7 @@ class Structures(NamedTuple):
     field_price: float  # in nats
     given: np.ndarray  # (n_families + 2,) variances that are known, NaN for those to be found
     largest: float  # variance beyond which a coefficient makes no sense
+    wide: float  # variance of the families at which a second search begins
 
     @property
     def line(self) -> int:
@@ -248,10 +249,20 @@ class Problem:
         return variance
 
     def nothing(self) -> State:
-        """The state without lines and field, with the variances that it has the evidence for."""
-        variance = np.minimum(self.guess, self.structures.largest)
-        none = np.empty(0, dtype=int)
-        return self.with_variances(self.state(none, False, variance, self.start))
+        """The state without lines and field, with the variances that it has the evidence for.
+
+        Where another fit has explained most of y, the guess is far too small, and the fixed point
+        ends at zero; from large variances it finds what that fit could not explain.
+        """
+        line, largest, none = self.structures.line, self.structures.largest, np.empty(0, dtype=int)
+        families = np.arange(line + 2) < line
+        wide = np.where(families & ~self.known, self.structures.wide, self.guess)
+        starts = [np.minimum(variance, largest) for variance in (self.guess, wide)]
+        found = [
+            self.with_variances(self.state(none, False, variance, self.start))
+            for variance in starts
+        ]
+        return max(found, key=lambda state: state.log_evidence)
 
     def pairs_and_shares(
         self, lines: np.ndarray, with_field: bool

@@ -6,8 +6,8 @@ variances take turns: lines join at the variances at hand, the variances follow 
 lines that the others have made needless leave, while the evidence less the prices rises.
 
 Lines that were not taken are not known to be absent: that each is small is all that is known. The
-field lets many pairs join together, each with a small share of one variance. It is tried where a
-bound of its gain promises enough, and stays if the evidence less the prices rises by its price.
+field lets many pairs join together, each with a small share of one variance. It stays if the
+evidence less the prices rises by its price.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -32,10 +32,8 @@ _MAX_ROUNDS = 10
 _STEPS_WHILE_LEAVING = 1
 # Of the next best candidates, how many are named as likely to be asked for next.
 _LIKELY = 48
-# The field is tried where this share of its price is promised: ``bench_prices.py --field`` in
-# ``benchmarks`` moves both together. Sizes of its variance that are tried, relative to that of the
-# lines.
-_LEAST_PROMISE, _FIELD_SIZES = 0.6, 10.0 ** np.arange(-4.0, 0.5, 0.5)
+# Sizes of the field's variance at which its search may begin, relative to that of the lines.
+_FIELD_SIZES = 10.0 ** np.arange(-4.0, 1.0)
 
 
 def search(problem: Problem, state: State | None = None) -> State:
@@ -71,13 +69,22 @@ def search_at(problem: Problem, state: State) -> State:
     return _pruned(problem, problem.state(lines, *start))
 
 
-def beside_field(problem: Problem, state: State) -> State | None:
-    """The choice beside the field, where the data speak for it against a state of lines alone."""
+def beside_field(
+    problem: Problem, state: State, of_field: Problem | None = None, alone: State | None = None
+) -> State | None:
+    """The choice beside the field, where the data speak for it against a state of lines alone.
+
+    It is searched for where its rise of the evidence, beside all that is there, and the prices of
+    those lines that it may replace come to its own price.
+    `of_field` is the problem with no other candidates than the lines and the field's, which costs
+    less, and `alone` the state in it.
+    """
     structures = problem.structures
     if structures.share is None:
         return None
-    size, rise = _promise(problem, state)
-    if rise < _LEAST_PROMISE * structures.field_price:
+    size, rise = _first_size(of_field or problem, alone or state)
+    saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
+    if rise + saved < structures.field_price:
         return None
     variance = state.variance.copy()
     variance[-1] = size
@@ -161,27 +168,27 @@ def _pruned(problem, state):
         state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
 
 
-def _promise(problem, state):
-    """Variance of the field beside chosen lines, and rise of the evidence that it may bring.
+def _first_size(problem, state):
+    """Variance of the field beside a state's families, and the rise of the evidence by it.
 
-    As though its columns were independent of each other: what one shows is counted again for those
-    that resemble it, so that the rise is rather too large, and one product per column is enough.
+    With S what is left of the penalised Gram matrix of its columns, each times the root of its
+    share, and r of their products with y, that is ``v r' inv(I + v S) r / 2 - log det(I + v S) /
+    2`` at the variance v.
     """
-    structures = problem.structures
     try:
         left = _Leftover(problem, state)
     except LinAlgError:  # so little noise that only rounding is left
         return 1.0, -np.inf
-    shares = structures.share[left.free]
-    some = shares > 0
-    of_lines = state.variance[structures.line]
-    size = np.maximum(left.own[:2, some] - 1 / of_lines, 0.0)
-    seen = np.square(left.r.reshape(-1, 2)[some].T)
-    sizes = of_lines * shares[some] * _FIELD_SIZES[:, None, None]
-    rises = seen * sizes / (1 + size * sizes) - np.log1p(size * sizes)
-    rises = 0.5 * rises.sum(axis=(1, 2))
-    best = int(np.argmax(rises))
-    return of_lines * _FIELD_SIZES[best], float(rises[best])
+    S, r = left.gram(), left.r
+    root = np.repeat(np.sqrt(problem.structures.share[left.free]), 2)
+    S, r = S * root * root[:, None], r * root
+    best = 1.0, -np.inf
+    for v in state.variance[problem.structures.line] * _FIELD_SIZES:
+        factor = root_of(np.eye(len(S)) + v * S)
+        seen = solve_triangular(factor, r, trans="T", check_finite=False)
+        rise = 0.5 * v * (seen @ seen) - np.log(factor.diagonal()).sum()
+        best = max(best, (v, float(rise)), key=lambda one: one[1])
+    return best
 
 
 class _Leftover:
@@ -240,6 +247,12 @@ class _Leftover:
         squares = np.einsum("kc,kc->c", rows, rows)
         self.own -= [squares[::2], squares[1::2], np.einsum("kc,kc->c", first, second)]
         self.r -= solved @ rows
+
+    def gram(self):
+        """What is left of the Gram matrix of all candidates."""
+        known = self.factor[: self.size]
+        S = self.sums.rows(self.free, (), self.free) / self.noise - known.T @ known
+        return S if self.extra is None else S + self.extra.T @ self.extra
 
     def take(self, candidate, likely):
         """Choose a candidate; LinAlgError if only rounding is left of it."""

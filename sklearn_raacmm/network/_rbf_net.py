@@ -81,8 +81,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     loss : {"auto", "squared", "tukey"}, default="auto"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
-        "auto" takes this where it makes rows that are left out more probable than least squares,
-        of up to 100 000 rows.
+        "auto" takes this where it makes the rows more probable than least squares, far ones having
+        a variance of their own, and an eighth of the rows is the most. It needs widths or ridge to
+        be found, and at most 100 000 rows.
 
     random_state : int, RandomState instance or None, default=None
         Draws the rows of the search, and candidates.

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
-from scipy.optimize import brentq
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 from sklearn.model_selection import GroupKFold, KFold
@@ -91,24 +90,16 @@ def test_intervals_are_those_of_student_of_the_logarithm(learned):
     assert np.log(high / low) == pytest.approx(2 * factor * by_bootstrap / value, rel=0.1)
 
 
-def test_coverage_counts_what_lies_inside_with_the_factor_of_the_other_folds():
+def test_coverage_is_that_of_the_raw_deviations():
+    """Ten times as large deviations hold more, by the normal distribution."""
     rng = np.random.default_rng(0)
     std = rng.uniform(0.1, 2, (4000, 3))
     left = 2.5 * std * rng.standard_normal((4000, 3))
-    folds = np.split(np.arange(4000), 5)
-    share, factor = coverage_of(left, std, folds)
-    assert factor == pytest.approx(2.5, rel=0.04)  # two standard deviations of the quantile
-    assert share == pytest.approx(0.95, abs=0.01)
-    # In one fold all errors are three times as large. Its factor comes from the others: that of
-    # the others, from a mixture in which it is a quarter.
-    left[folds[0]] *= 3
-
-    def inside(z):
-        return 2 * stats.norm.cdf(z) - 1
-
-    wide = brentq(lambda z: 0.75 * inside(z) + 0.25 * inside(z / 3) - 0.95, 1, 10)
-    expected = (inside(stats.norm.ppf(0.975) / 3) + 4 * inside(wide)) / 5
-    assert coverage_of(left, std, folds)[0] == pytest.approx(expected, abs=0.01)
+    left[:10] = np.nan  # outliers are not counted
+    for times in (0.5, 1.0, 10.0):
+        share, factor = coverage_of(left, times * std)
+        assert share == pytest.approx(2 * stats.norm.cdf(1.96 * times / 2.5) - 1, abs=0.01)
+        assert factor == pytest.approx(2.5 / times, rel=0.04)  # two deviations of the quantile
 
 
 def test_corrected_points_are_nearer_to_the_truth(test_data, learned):

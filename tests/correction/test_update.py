@@ -229,7 +229,6 @@ def test_an_arm_without_errors_stays_as_it_is():
     test = make_single_point(6, 10, machine="none", random_state=3)
     model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics", "wobble"])
     model.fit(test.data, test.target, groups=test.groups)
-    model.helps_ = True  # it cannot help where nothing is wrong
     few = test.groups < 4
     new = test.data[few], test.target[few]
     updated = update_correction(model, *new, groups=test.groups[few])

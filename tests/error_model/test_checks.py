@@ -1,7 +1,5 @@
 """Checks of what the linear model is fitted on: offsets that are not used, ranges, no residuals."""
 
-import warnings
-
 import numpy as np
 import pytest
 
@@ -29,37 +27,6 @@ def test_positions_of_one_pose_each_have_no_offsets():
         found = model().fit(ANGLES, NOISE, groups=groups, sample_weight=weights)
         assert not found.offsets_
         assert found.noise_sd_ == pytest.approx(0.05, rel=0.1)
-
-
-@pytest.mark.parametrize(("n_positions", "n_left"), [(60, 4), (100, 3)])
-def test_deviations_from_means_of_more_rows_are_warned_of(n_positions, n_left):
-    """Of ten rows at each position few are left: that all ten have mean 0 hardly shows."""
-    rng = np.random.default_rng(0)
-    groups = np.arange(10 * n_positions) // 10
-    y = position_residuals(0.05 * rng.normal(size=(len(groups), 3)), groups)
-    rows = np.arange(len(groups)) % 10 < n_left
-    angles, y, groups = rng.uniform(-2, 2, (np.sum(rows), 6)), y[rows], groups[rows]
-    with pytest.warns(UserWarning, match=r"mean residuals are 0\.[78]\d* times as large"):
-        assert not model().fit(angles, y, groups=groups).offsets_
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for offsets in (True, False):  # said by the user
-            assert model(offsets=offsets).fit(angles, y, groups=groups).offsets_ is offsets
-
-
-def test_residuals_against_a_reference_are_not_warned_of():
-    """Independent rows are the hardest case: neighbours that err alike have larger means."""
-    found = 0
-    for seed in range(500):
-        rng = np.random.default_rng(seed)
-        n, n_rows = rng.integers(30, 80), rng.integers(2, 12)
-        groups = np.arange(n_rows * n) % n
-        y = rng.normal(size=(n_rows * n, 3))
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            assert not _have_offsets("auto", y, np.ones(len(y)), groups)
-        found += len(caught)
-    assert found <= 2  # of a chance of one in a thousand
 
 
 @pytest.mark.parametrize("scale", [0.2, 10.0])

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -500,9 +501,15 @@ def test_fading(build, data, fade):
     bad = np.tile(data.data[:1], (6, 1))
     bad[np.arange(6), np.arange(6)] = np.nan
     assert np.isnan(call("correct", bad, 3)).all()
-    model.helps_ = False
-    agree(build(model, std=True), model, data.data)
-    assert not np.any(model.predict(data.data))
+    model.fading_ = replace(model.fading_, most=0.5, known_mm=model.fading_.size_mm)
+    agree(build(model, std=True), model, X)
+    model.fading_ = replace(model.fading_, most=0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        agree(build(model, std=True), model, data.data)
+    with pytest.warns(UserWarning, match="The correction is 0"):
+        found = model.predict(data.data)
+    assert not np.any(found)
 
 
 @pytest.mark.parametrize("std", [False, True])
