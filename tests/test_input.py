@@ -1,14 +1,13 @@
 """Every public function, given arguments that are odd, and arguments that are wrong.
 
-`FUNCTIONS` is the table of public functions: the names of a function's arguments say which of the
-right values in `RIGHT` it takes. `SAME` lists forms that hold the same numbers and must not matter,
-`WRONG` forms that end in one sentence, `REFUSED` options that do, and `EDGES` data at the edge of
+`FUNCTIONS` is the table of public functions, with the names of the right values that each takes.
+`SAME` lists forms that hold the same numbers and must not matter, `WRONG` forms that end in one
+sentence, `refused` options that do, and `EDGES` data at the edge of
 what has an answer, with the answer. Warnings are errors in this suite, so that none can come from
 deep inside NumPy.
 """
 
 import contextlib
-import inspect
 import re
 import warnings
 from functools import partial
@@ -68,7 +67,6 @@ NEAR = MACHINE.forward(ANGLES)
 RIGHT = {
     "angles": ANGLES,
     "columns": PoseFeatures(ARM, append_azimuth=True).fit_transform(ANGLES),
-    "new": ANGLES,
     "points": POINTS,
     "residuals": RESIDUALS,
     "weights": np.arange(1.0, 41),
@@ -76,6 +74,7 @@ RIGHT = {
     "azimuth": ANGLES[:, 0],
     "widths": np.arange(1.0, 7.0),
     "mm": np.array([300.0, 500.0]),
+    "mm_too": np.array([300.0, 500.0]),
     "cone": np.array([400.0, 0.0, 300.0]),
     "near": NEAR,
     "a": ARM.a,
@@ -98,145 +97,155 @@ LINEAR = harmonics().fit(ANGLES, RESIDUALS)
 RESULT = calibrate(ARM, ANGLES, points=POINTS - RESIDUALS, free=["probe"])
 
 
-def of_estimator(make, columns):
-    """Rows of the table for `fit` and `predict` of an estimator."""
-    name = type(make()).__name__
-    known = RIGHT[columns]
-
-    def fit(residuals=RESIDUALS, weights=None, X=known):
-        return make().fit(X, residuals, sample_weight=weights).predict(known)
-
-    fitted = make().fit(known, RESIDUALS)
-    rows = {
-        f"{name}.fit": lambda residuals, weights: fit(residuals, weights),
-        f"{name}.fit, X": lambda angles: fit(X=angles),
-        f"{name}.predict": lambda angles: fitted.predict(angles),
-    }
-    if columns == "columns":
-        rows[f"{name}.fit, X"] = lambda columns: fit(X=columns)
-        rows[f"{name}.predict"] = lambda columns: fitted.predict(columns)
-    return rows
+def fit(make, columns, residuals, weights):
+    return make().fit(columns, residuals, sample_weight=weights).predict(columns)
 
 
-def pair_of(groups, i=0, j=5):
-    return [np.array(groups, dtype=object)[[i, j]]]
+def fit_rows(make, known, rows):
+    return make().fit(rows, RESIDUALS).predict(known)
 
 
-# Functions whose result is compared, as numbers, for every form of the same numbers.
-FUNCTIONS = {
-    "Arm.forward": lambda angles: ARM.forward(angles),
-    "Arm.frames": lambda angles: ARM.frames(angles),
-    "Arm.jacobian": lambda angles: ARM.jacobian(angles),
-    "Arm.azimuth": lambda angles: ARM.azimuth(angles),
-    "Arm, a": lambda a: ARM.replace(a=a).a,
-    "Arm, alpha": lambda alpha: ARM.replace(alpha=alpha).alpha,
-    "Arm, probe": lambda probe: ARM.replace(probe=probe).probe,
-    "Arm.from_degrees": lambda alpha_deg: Arm.from_degrees(ARM.a, alpha_deg, ARM.d).alpha,
-    "PoseFeatures.transform": lambda angles: PoseFeatures(ARM).fit(ANGLES).transform(angles),
-    "PoseFeatures.fit": lambda angles: PoseFeatures(ARM).fit_transform(angles),
-    **of_estimator(network, "angles"),
-    **of_estimator(harmonics, "angles"),
-    **of_estimator(lambda: CylindricalResidualTarget(network()), "columns"),
-    "ArmResidualRegressor.fit, groups": lambda groups: (
-        harmonics().fit(ANGLES, CENTRED, groups=groups).coef_
+def pairs(measure, points, groups):
+    return measure(points, groups, [np.array(groups, dtype=object)[[0, 5]]])
+
+
+def scored(angles, groups):
+    scorer = metrics.repeatability_scorer(angles, groups)
+    return scorer(FITTED, np.asarray(angles, float), RESIDUALS)
+
+
+def shown(kind, attribute, rows, **options):
+    """What a display has computed of rows of points or angles."""
+    return getattr(kind.from_predictions(rows, RESIDUALS, **options), attribute)
+
+
+def cylindrical():
+    return CylindricalResidualTarget(network())
+
+
+BARS = {"groups": GROUPS, "pairs": [[0, 1]]}
+BARS["lengths"] = metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]])
+COLUMNS = RIGHT["columns"]
+# Name, function, and the right values that it takes, in order; its result is compared, as numbers,
+# for every form of the same numbers.
+FUNCTIONS = [
+    ("Arm.forward", ARM.forward, "angles"),
+    ("Arm.frames", ARM.frames, "angles"),
+    ("Arm.jacobian", ARM.jacobian, "angles"),
+    ("Arm.azimuth", ARM.azimuth, "angles"),
+    ("Arm, a", lambda a: ARM.replace(a=a).a, "a"),
+    ("Arm, alpha", lambda alpha: ARM.replace(alpha=alpha).alpha, "alpha"),
+    ("Arm, probe", lambda probe: ARM.replace(probe=probe).probe, "probe"),
+    ("Arm.from_degrees", lambda v: Arm.from_degrees(ARM.a, v, ARM.d).alpha, "alpha_deg"),
+    ("PoseFeatures.transform", PoseFeatures(ARM).fit(ANGLES).transform, "angles"),
+    ("PoseFeatures.fit", PoseFeatures(ARM).fit_transform, "angles"),
+    ("RBFNetRegressor.fit", partial(fit, network, ANGLES), "residuals weights"),
+    ("RBFNetRegressor.fit, X", partial(fit_rows, network, ANGLES), "angles"),
+    ("RBFNetRegressor.predict", FITTED.predict, "angles"),
+    ("length_scale", lambda v: network(length_scale=v).fit(ANGLES, RESIDUALS).coef_, "widths"),
+    ("ArmResidualRegressor.fit", partial(fit, harmonics, ANGLES), "residuals weights"),
+    ("ArmResidualRegressor.fit, X", partial(fit_rows, harmonics, ANGLES), "angles"),
+    (
+        "ArmResidualRegressor.fit, positions",
+        lambda groups: harmonics().fit(ANGLES, CENTRED, groups=groups).coef_,
+        "groups",
     ),
-    "length_scale": lambda widths: network(length_scale=widths).fit(ANGLES, RESIDUALS).coef_,
-    "calibrate": lambda angles, points: (
-        calibrate(ARM, angles, points=points, free=["probe"]).values
+    ("ArmResidualRegressor.predict", LINEAR.predict, "angles"),
+    ("CylindricalResidualTarget.fit", partial(fit, cylindrical, COLUMNS), "residuals weights"),
+    ("CylindricalResidualTarget.fit, X", partial(fit_rows, cylindrical, COLUMNS), "columns"),
+    ("CylindricalResidualTarget.predict", cylindrical().fit(COLUMNS, RESIDUALS).predict, "columns"),
+    ("calibrate", lambda q, p: calibrate(ARM, q, points=p, free=["probe"]).values, "angles points"),
+    (
+        "calibrate, positions",
+        lambda groups: calibrate(ARM, ANGLES, groups, free=["probe"]).values,
+        "groups",
     ),
-    "calibrate, groups": lambda groups: calibrate(ARM, ANGLES, groups, free=["probe"]).values,
-    "position_residuals": lambda points, groups, weights: position_residuals(
-        points, groups, weights
+    ("position_residuals", position_residuals, "points groups weights"),
+    ("cartesian_to_cylindrical", cartesian_to_cylindrical, "residuals azimuth"),
+    ("cylindrical_to_cartesian", cylindrical_to_cartesian, "residuals azimuth"),
+    ("shoulder_wrist_distance", partial(shoulder_wrist_distance, ARM), "angles"),
+    ("elbow_angle", partial(elbow_angle, ARM), "angles"),
+    ("2S", metrics.single_point_repeatability, "points groups"),
+    ("interval", partial(metrics.repeatability_interval, n_resamples=9), "points groups"),
+    ("axes", lambda points: metrics.axis_repeatability(points, GROUPS), "points"),
+    ("report", lambda p, g: metrics.repeatability_report(p, g).axis_2s_x, "points groups"),
+    ("scatter", partial(metrics.within_position_scatter, POINTS, groups=GROUPS), "residuals"),
+    ("R2", lambda p: metrics.within_position_r2_score(p, RESIDUALS, groups=GROUPS), "points"),
+    ("gauge", partial(pairs, metrics.gauge_lengths), "points groups"),
+    ("block", partial(pairs, metrics.block_lengths), "points groups"),
+    ("length_error", metrics.length_error, "mm mm_too"),
+    ("size", partial(metrics.probing_size_error, diameter=10), "points"),
+    ("form", metrics.probing_form_error, "points"),
+    ("location", metrics.articulated_location_error, "points"),
+    ("location, of labels", partial(metrics.articulated_location_error, POINTS), "groups"),
+    ("scorer", scored, "angles groups"),
+    ("make_gauge", lambda mm: make_gauge(mm, 1, 2).lengths, "mm"),
+    ("SimulatedArm.forward", MACHINE.forward, "angles"),
+    ("SimulatedArm.read", lambda angles: MACHINE.read(angles, 0), "angles"),
+    ("SimulatedArm.solve", MACHINE.solve, "angles near"),
+    ("SimulatedArm.find_poses", lambda cone: MACHINE.find_poses(cone, 2, 0), "cone"),
+    (
+        "RepeatabilityDisplay",
+        lambda p, g: shown(display.RepeatabilityDisplay, "after", p, groups=g),
+        "points groups",
     ),
-    "cartesian_to_cylindrical": lambda residuals, azimuth: cartesian_to_cylindrical(
-        residuals, azimuth
+    ("ResidualDisplay", partial(shown, display.ResidualDisplay, "before", arm=ARM), "angles"),
+    ("ArmPosesDisplay", partial(shown, display.ArmPosesDisplay, "chains", arm=ARM), "angles"),
+    ("describe", lambda q: export.describe(FITTED, q)["training"]["rows"], "angles"),
+    (
+        "describe, positions",
+        lambda g: export.describe(FITTED, ANGLES, groups=g)["training"]["positions"],
+        "groups",
     ),
-    "cylindrical_to_cartesian": lambda residuals, azimuth: cylindrical_to_cartesian(
-        residuals, azimuth
-    ),
-    "shoulder_wrist_distance": lambda angles: shoulder_wrist_distance(ARM, angles),
-    "elbow_angle": lambda angles: elbow_angle(ARM, angles),
-    "2S": lambda points, groups: metrics.single_point_repeatability(points, groups),
-    "interval": lambda points, groups: metrics.repeatability_interval(
-        points, groups, n_resamples=9
-    ),
-    "axes": lambda points: metrics.axis_repeatability(points, GROUPS),
-    "report": lambda points, groups: metrics.repeatability_report(points, groups).axis_2s_x,
-    "scatter": lambda residuals: metrics.within_position_scatter(POINTS, residuals, groups=GROUPS),
-    "R2": lambda points: metrics.within_position_r2_score(points, RESIDUALS, groups=GROUPS),
-    "gauge": lambda points, groups: metrics.gauge_lengths(points, groups, pair_of(groups)),
-    "block": lambda points, groups: metrics.block_lengths(points, groups, pair_of(groups)),
-    "length_error, measured": lambda mm: metrics.length_error(mm, [300, 500]),
-    "length_error, calibrated": lambda mm: metrics.length_error([300, 500], mm),
-    "size": lambda points: metrics.probing_size_error(points, 10),
-    "form": lambda points: metrics.probing_form_error(points),
-    "location": lambda points: metrics.articulated_location_error(points),
-    "location, groups": lambda groups: metrics.articulated_location_error(POINTS, groups),
-    "scorer": lambda angles, groups: metrics.repeatability_scorer(angles, groups)(
-        FITTED, np.asarray(angles, float), RESIDUALS
-    ),
-    "make_gauge": lambda mm: make_gauge(mm, 1, 2).lengths,
-    "SimulatedArm.forward": lambda angles: MACHINE.forward(angles),
-    "SimulatedArm.read": lambda angles: MACHINE.read(angles, 0),
-    "SimulatedArm.solve": lambda angles, near: MACHINE.solve(angles, near),
-    "SimulatedArm.find_poses": lambda cone: MACHINE.find_poses(cone, 2, 0),
-    "RepeatabilityDisplay": lambda points, groups: (
-        display.RepeatabilityDisplay.from_predictions(points, RESIDUALS, groups=groups).after
-    ),
-    "ResidualDisplay": lambda angles: (
-        display.ResidualDisplay.from_predictions(angles, RESIDUALS, arm=ARM).before
-    ),
-    "ArmPosesDisplay": lambda angles: (
-        display.ArmPosesDisplay.from_predictions(angles, RESIDUALS, arm=ARM).chains
-    ),
-    "describe": lambda angles: export.describe(FITTED, angles)["training"]["rows"],
-    "describe, groups": lambda groups: export.describe(FITTED, ANGLES, groups=groups)["training"][
-        "positions"
-    ],
-}
+]
 # Functions that take longer where nothing is wrong: only faults are tried.
-REFUSING = {
-    "CalibrationResult.residuals": lambda angles, points: RESULT.residuals(angles, points),
-    "fading": lambda angles: LINEAR.fading(angles),
-    "distance_std": lambda new: LINEAR.distance_std(ANGLES, new),
-    "update": lambda angles, residuals, groups, weights: (
-        update_correction(LINEAR, angles, residuals, groups=groups, sample_weight=weights).coef_
+REFUSING = [
+    ("CalibrationResult.residuals", RESULT.residuals, "angles points"),
+    ("fading", LINEAR.fading, "angles"),
+    ("distance_std", partial(LINEAR.distance_std, ANGLES), "angles"),
+    (
+        "update",
+        lambda q, y, g, w: update_correction(LINEAR, q, y, groups=g, sample_weight=w).coef_,
+        "angles residuals groups weights",
     ),
-    "check": lambda angles, residuals, groups: check_correction(
-        LINEAR, angles, residuals, groups=groups
+    (
+        "check",
+        lambda q, y, g: check_correction(LINEAR, q, y, groups=g),
+        "angles residuals groups",
     ),
-    "search_table": lambda angles, groups: search_table(ARM, angles, groups) is None,
-    "search_table, points": lambda points: search_table(ARM, ANGLES, points=points),
-    "learn": lambda angles, groups, points: learn_correction(ARM, angles, groups, points),
-    "judge": lambda angles, groups, points: cross_validate_correction(ARM, angles, groups, points),
-    "LengthErrorDisplay": lambda points, residuals: display.LengthErrorDisplay.from_predictions(
-        points, residuals, groups=GROUPS, pairs=[[0, 1]], lengths=metrics.gauge_lengths(
-            POINTS, GROUPS, [[0, 1]]
-        )
+    ("search_table", lambda q, g: search_table(ARM, q, g) is None, "angles groups"),
+    ("search_table, points", lambda p: search_table(ARM, ANGLES, points=p), "points"),
+    ("learn", partial(learn_correction, ARM), "angles groups points"),
+    ("judge", partial(cross_validate_correction, ARM), "angles groups points"),
+    (
+        "LengthErrorDisplay",
+        lambda p, y: display.LengthErrorDisplay.from_predictions(p, y, **BARS),
+        "points residuals",
     ),
-    "scatter, groups": lambda groups: metrics.within_position_scatter(
-        POINTS, RESIDUALS, groups=groups
-    ),
-    "R2, groups": lambda groups: metrics.within_position_r2_score(POINTS, RESIDUALS, groups=groups),
-    "axes, groups": lambda groups: metrics.axis_repeatability(POINTS, groups),
-}  # fmt: skip
+    ("scatter, of labels", lambda g: metrics.within_position_scatter(POINTS, RESIDUALS, groups=g),
+     "groups"),
+    ("R2, of labels", lambda g: metrics.within_position_r2_score(POINTS, RESIDUALS, groups=g),
+     "groups"),
+    ("axes, of labels", partial(metrics.axis_repeatability, POINTS), "groups"),
+]  # fmt: skip
+CALLS = {name: (function, values.split()) for name, function, values in FUNCTIONS + REFUSING}
 
 
 def table(functions, labels):
-    """Pairs of a function's name and one of its arguments: labels, or arrays of numbers."""
+    """Pairs of a function's name and one of its values: labels, or arrays of numbers."""
     return [
         pytest.param(name, argument, id=f"{name}-{argument}")
-        for name, function in functions.items()
-        for argument in inspect.signature(function).parameters
+        for name, _, values in functions
+        for argument in values.split()
         if (argument == "groups") == labels
     ]
 
 
 def call(name, **changed):
     """Call a function of the table with its right values, of which some are changed."""
-    function = (FUNCTIONS | REFUSING)[name]
-    values = {argument: RIGHT[argument] for argument in inspect.signature(function).parameters}
-    return function(**values | changed)
+    function, names = CALLS[name]
+    values = RIGHT | changed
+    return function(*(values[argument] for argument in names))
 
 
 def with_second(value):
@@ -390,7 +399,7 @@ def test_narrow_types_are_worth_what_they_hold(name, argument):
         assert_allclose(found, expected, rtol=tolerance, atol=tolerance, err_msg=form)
 
 
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS | REFUSING, labels=False))
+@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS + REFUSING, labels=False))
 def test_wrong_arrays_get_a_sentence(name, argument):
     for kind, (spoil, sentence) in WRONG.items():
         changed = {argument: spoil(RIGHT[argument])}
@@ -408,7 +417,7 @@ def test_wrong_arrays_get_a_sentence(name, argument):
         assert re.search(sentence, str(caught.value)), f"{kind}: {caught.value}"
 
 
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS | REFUSING, labels=True))
+@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS + REFUSING, labels=True))
 def test_wrong_labels_get_a_sentence(name, argument):
     for kind, (spoil, sentence) in WRONG_LABELS.items():
         with pytest.raises(ValueError) as caught:
