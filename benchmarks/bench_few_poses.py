@@ -18,10 +18,12 @@ placements), and of simulated arms in wide and narrow ranges of their joints; pr
 deviation left over that of the calibrated arm. ``--narrow``: simulated arms in narrow ranges only:
 random poses within 0.25 rad of a centre, gravity and eccentric encoders, a tracker's noise of 0.01
 mm. Calibration has taken the easy directions out of what is left, which is where a search of the
-families' variances can stay at zero. ``--constants``: deviations from the mean, the median, the first
-or the last row of each position of simulated single-point tests, and constants of 0 to 0.008 mm a
-coordinate added to the errors of a tracker; printed is what the model leaves at eight other
-positions, mm: 2S, and of the tracker's arms the mean deviation from the truth.
+families' variances can stay at zero.
+
+``--constants``: deviations from the mean, the median, the first or the last row of each position of
+simulated single-point tests, and constants of 0 to 0.05 mm a coordinate added to the errors of a
+tracker; printed is what the model leaves at eight other positions, mm: 2S, and of the tracker's arms
+the mean deviation from the truth.
 """
 
 import argparse
