@@ -22,8 +22,8 @@ families' variances can stay at zero.
 
 ``--constants``: deviations from the mean, the median, the first or the last row of each position of
 simulated single-point tests, and constants of 0 to 0.05 mm a coordinate added to the errors of a
-tracker; printed is what the model leaves at eight other positions, mm: 2S, and of the tracker's arms
-the mean deviation from the truth.
+tracker; printed is what the model leaves at eight other positions, mm: 2S, and of the tracker's
+arms the mean deviation from the truth.
 """
 
 import argparse
