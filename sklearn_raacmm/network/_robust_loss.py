@@ -59,11 +59,13 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
     auto, first = estimator.loss == "auto", dict(vars(estimator))
     if auto and "log_marginal_likelihood_value_" not in first:
         return
-    if auto and (is_dask(X) or len(X) > IN_MEMORY_ROWS):
-        return
     if is_dask(X):
+        if auto:
+            return
         X, y = X.compute(), np.asarray(y)
     given = check_weights(sample_weight, X)
+    if auto and len(given) > IN_MEMORY_ROWS:
+        return
     targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
     codes = None if groups is None else encode_groups(groups)[1]
     factor = np.ones(len(given))

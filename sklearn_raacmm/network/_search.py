@@ -48,6 +48,8 @@ COARSE_STEPS, EXACT_STEPS = 60, 40
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
 # Width from which on a start is that of a smooth function.
 WIDE = 0.7
+# Nats for each observation by which the start of a search may trail.
+HOPELESS = 0.3
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
@@ -194,13 +196,16 @@ def score(task, kernel, theta, data):
 def _coarse(task, kernel, data):
     """Where the search for one kernel ends, from several starts on few rows."""
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
-    starts.sort(key=lambda theta: objective(task, theta, data, kernel)[0])
+    values = [objective(task, theta, data, kernel)[0] for theta in starts]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[:1] if task.n_widths else np.inf
-    rough = [theta for theta in starts if theta[:1] < middle]
-    wide = [theta for theta in starts if not theta[:1] < middle]
-    ends = [minimise(task, s[0], data, kernel, COARSE_STEPS)[0] for s in (rough, wide) if s]
+    limit = min(values) + HOPELESS * data.n_total * task.n_outputs
+    best = {}
+    for value, theta in sorted(zip(values, starts, strict=True), key=lambda pair: pair[0]):
+        if value <= limit:
+            best.setdefault(bool(theta[:1] < middle), theta)
+    ends = [minimise(task, start, data, kernel, COARSE_STEPS)[0] for start in best.values()]
     return min(ends, key=lambda theta: score(task, kernel, theta, data)) if ends[1:] else ends[0]
 
 
