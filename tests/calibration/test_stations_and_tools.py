@@ -121,6 +121,7 @@ def test_a_correction_must_be_one():
         calibrate(ARM, angles, points=points, correction=Flat())
 
 
+@pytest.mark.exhaustive
 def test_the_ur10_of_another_day(ur10, ur10_b):
     """A model of series A on series B: through the correction, and not beside it."""
     rows = np.random.default_rng(0).choice(len(ur10.angles), 1000, replace=False)

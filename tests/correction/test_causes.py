@@ -77,6 +77,7 @@ def test_unknown_causes_have_their_usual_value():
     assert_allclose(X[:, 6:], [[21.0, 3.0, 0.0], [21.0, 4.0, 0.0]])
 
 
+@pytest.mark.exhaustive
 def test_a_make_is_where_a_new_arm_starts():
     """Simulated arms that yield alike; the evidence is said."""
     earlier = []

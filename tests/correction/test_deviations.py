@@ -46,6 +46,7 @@ def learned():
     return found
 
 
+@pytest.mark.exhaustive
 def test_errors_at_other_places_are_as_large_as_is_said(learned):
     of_distances, of_coordinates = [], []
     for seed, correction in learned:

@@ -202,6 +202,7 @@ def test_rows_of_another_arm_are_told(model):
         update_correction(model, angles, y[:4])
 
 
+@pytest.mark.exhaustive
 def test_on_the_ur10_another_day(ur10, ur10_b):
     """Fitted to 1000 poses of one series, brought up to date with 60 of another."""
     some = np.random.default_rng(0).choice(len(ur10.angles), 1000, replace=False)

@@ -409,12 +409,14 @@ def test_a_real_arm_at_unseen_placements(panda):
     assert after < 0.85 * before
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")
 def test_a_real_arm_with_outliers_is_not_made_worse(panda):
     before, after = leave_placements_out(panda("panda_2"))
     assert after < before
 
 
+@pytest.mark.exhaustive
 def test_a_real_robot_at_unseen_goals(ur10):
     """Every sixth pose; goal positions are either for training or for testing."""
     rows = slice(None, None, 6)

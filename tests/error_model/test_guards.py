@@ -164,6 +164,7 @@ def two_days():
     return found
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
 @pytest.mark.parametrize("corner", CORNERS)
 def test_trained_in_one_corner_used_elsewhere_on_another_day(two_days, corner):

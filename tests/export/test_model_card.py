@@ -104,6 +104,7 @@ def test_models_that_are_fitted_with_groups(data):
     assert card["error"]["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_best_model_is_not_said_to_do_harm():
     """Where each position has an offset, its size is no error of the model."""
     test = make_single_point(n_positions=12, n_poses=30, random_state=0)

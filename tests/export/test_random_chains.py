@@ -108,7 +108,7 @@ def random_model(rng):
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
 @pytest.mark.parametrize(
-    "seed", [*range(18), *(pytest.param(i, marks=pytest.mark.exhaustive) for i in range(18, 200))]
+    "seed", [*range(6), *(pytest.param(i, marks=pytest.mark.exhaustive) for i in range(6, 60))]
 )
 def test_every_way_gives_what_predict_gives(tmp_path, seed):
     model, X, std = random_model(np.random.default_rng(seed))
@@ -125,7 +125,7 @@ def test_every_way_gives_what_predict_gives(tmp_path, seed):
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("seed", [4, 6])  # of an arm
+@pytest.mark.parametrize("seed", [4])  # of an arm
 def test_sanitizers(tmp_path, compiler, seed):
     model, X, std = random_model(np.random.default_rng(seed))
     source, _ = export_c(model, tmp_path / "arm.c", std=True)

@@ -183,6 +183,7 @@ def test_a_rough_and_a_smooth_start_and_the_better_end(monkeypatch):
     assert found.length_scale[0] in [end[0] for end in ends]
 
 
+@pytest.mark.exhaustive
 def test_a_kernel_that_trails_on_few_rows_may_lead_on_more():
     """Every kernel is scored on all rows at its own end on few, none is the one to beat."""
     rng = np.random.default_rng(1)
