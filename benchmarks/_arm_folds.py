@@ -13,16 +13,11 @@ import numpy as np
 from sklearn.cluster import KMeans
 from sklearn.model_selection import GroupKFold
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm import Arm, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
-
-
-def arm_model(arm, **options):
-    """The linear model of an arm with its guards."""
-    return ArmResidualRegressor(arm, **options)
 
 
 def readers():

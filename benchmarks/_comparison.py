@@ -1,15 +1,10 @@
 """What the comparisons share: the models that they compare, and tables for the terminal."""
 
-import argparse
-import sys
-import time
 import warnings
 
 import numpy as np
-from joblib import Parallel, delayed
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -51,42 +46,12 @@ def gaussian_process(arm, inputs):
     return chain(arm, GaussianProcessRegressor(kernel, normalize_y=True), inputs)
 
 
-def fit(model, angles, residuals, groups, positions=None):
-    """Fit a model, which is told the positions; a search splits its rows by group."""
-    if isinstance(model, GridSearchCV):
-        return model.fit(angles, residuals, groups=groups, regressor__groups=positions)
+def fit(model, angles, residuals, positions):
+    """Fit a model, which is given the positions."""
     with warnings.catch_warnings():
         # A Gaussian process says so when a width runs to its bound: a feature without influence.
         warnings.filterwarnings("ignore", message=".*close to the specified.*bound")
         return model.fit(angles, residuals, groups=positions)
-
-
-def in_parallel(function, calls, jobs, title=""):
-    """List of results of ``function(*call)`` for each call, and the seconds they took."""
-    start = time.perf_counter()
-    tasks = (delayed(function)(*call) for call in calls)
-    results = []
-    for result in Parallel(n_jobs=jobs, return_as="generator")(tasks):
-        results.append(result)
-        _progress(f"{title}: {len(results)} of {len(calls)}")
-    _progress("")
-    return results, time.perf_counter() - start
-
-
-def _progress(text):
-    """Overwrite the line on a terminal; leave files and logs alone."""
-    if sys.stderr.isatty():
-        print(f"\r{text:<70}\r", end="", file=sys.stderr, flush=True)
-
-
-def processes(text):
-    """Number of processes, as joblib counts them; for argparse."""
-    number = int(text)
-    if number == 0:
-        raise argparse.ArgumentTypeError(
-            "0 processes cannot work; say 1 or more, or -1 for one per core"
-        )
-    return number
 
 
 def fetched(fetch, *args, **options):

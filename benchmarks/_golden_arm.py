@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from _arm_folds import (
-    arm_model,
     panda_folds,
     read_panda,
     read_ur10,
@@ -16,13 +15,13 @@ from _arm_folds import (
     ur10_folds,
     ur10b_folds,
 )
-from bench_after_the_lab import mean_deviation, one_draw
+from bench_after_the_lab import Robot, mean_deviation, one_draw
 from bench_check import knock, poses_of_simulated_arm
 from bench_speed import simulated as simulated_cones
-from bench_transfer import Robot
 
 from sklearn_raacmm import (
     Arm,
+    ArmResidualRegressor,
     calibrate,
     check_correction,
     position_residuals,
@@ -39,7 +38,7 @@ def of_folds(name, folds, tracked=False):
     """What the model with default parameters leaves in the folds, and what it consists of."""
     lefts, inside, models = [], [], []
     for arm, angles, y, groups, train in folds:
-        model = arm_model(arm).fit(angles[train], y[train], groups=groups[train])
+        model = ArmResidualRegressor(arm).fit(angles[train], y[train], groups=groups[train])
         mean, std = model.predict(angles[~train], return_std=True, with_noise=True)
         left = y[~train] - mean
         left = left if tracked else position_residuals(left, groups[~train])
@@ -73,7 +72,7 @@ def simulated(data_home):
         distance = np.sqrt(x**2 + y**2 + z**2)
         for away in (np.abs(np.arctan2(y, x)), z, distance, -distance):
             train = np.isin(test.groups, np.argsort(away)[:8])
-            model = arm_model(test.arm)
+            model = ArmResidualRegressor(test.arm)
             model.fit(test.data[train], test.target[train], groups=test.groups[train])
             left = test.target[~train] - model.predict(test.data[~train])
             left = mean_deviation(position_residuals(left, test.groups[~train]))
@@ -106,7 +105,7 @@ def model_of_series_a(data_home):
     rows, others = np.split(np.random.default_rng(0).permutation(len(angles)), [2 * N_ROWS])
     nominal = Arm.from_name("ur10", probe=(0, 0, 93))
     first = calibrate(nominal, angles[rows], points=points[rows])
-    model = arm_model(first.arm).fit(angles[rows], first.residuals_mm)
+    model = ArmResidualRegressor(first.arm).fit(angles[rows], first.residuals_mm)
     return first, model, angles[others], points[others]
 
 
@@ -120,14 +119,14 @@ def update(data_home):
         for seed in range(3):
             known = np.zeros(len(angles), bool)
             known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
-            draws.append(one_draw(model, first.arm, angles, points, known)[0])
+            draws.append(one_draw(model, first.arm, angles, points, known))
         bare, _, registered, updated = np.median(draws, axis=0)
         name = f"A to B, {n} poses"
         found |= {f"{name}: no correction": bare, f"{name}: registered": registered}
         found |= {f"{name}: updated": updated}
     test = make_single_point(12, 20, random_state=0)
     old, new, rest = test.groups < 8, test.groups == 8, test.groups > 8
-    model = arm_model(test.arm)
+    model = ArmResidualRegressor(test.arm)
     model.fit(test.data[old], test.target[old], groups=test.groups[old])
     fresh = update_correction(model, test.data[new], test.target[new], groups=test.groups[new])
     left = test.target[rest] - fresh.predict(test.data[rest])
@@ -164,7 +163,9 @@ def check(data_home):
     """Checks with 40 poses, on a simulated arm and on other poses of the real UR10."""
     arm = Arm.from_name("aacmm6")
     poses = partial(poses_of_simulated_arm, arm)
-    found = knocks("simulated", arm, arm_model(arm).fit(*poses(10**6, 500)), poses, (2, 5))
+    found = knocks(
+        "simulated", arm, ArmResidualRegressor(arm).fit(*poses(10**6, 500)), poses, (2, 5)
+    )
     first, model, angles, points = model_of_series_a(data_home)
 
     def others(run):
@@ -193,7 +194,7 @@ def transfer(data_home):
     angles, sockets, _ = read_panda("panda_3", data_home)
     old = calibrate(nominal, angles, sockets)
     y = old.residuals(angles, groups=sockets)
-    model = arm_model(old.arm).fit(angles, y, groups=sockets)
+    model = ArmResidualRegressor(old.arm).fit(angles, y, groups=sockets)
     angles, sockets, placements = read_panda("panda_2", data_home)
     known = np.isin(placements, np.unique(placements)[:3])
     own = calibrate(nominal, angles[known], sockets[known])
@@ -263,7 +264,7 @@ def seconds(data_home):
         times = []
         for _ in range(repeats):
             start = time.process_time()
-            arm_model(arm).fit(*args, **kwargs)
+            ArmResidualRegressor(arm).fit(*args, **kwargs)
             times.append(time.process_time() - start)
         return min(times)
 

@@ -3,18 +3,12 @@
 Generated problems with the truth known, two Panda arms and a UR10 with whole groups left out. Of
 each is kept the held-out error in standard deviations of the truth, the share of new observations
 inside the 95 % interval, and the number of centres. Everything by default parameters.
-
-    OMP_NUM_THREADS=1 python benchmarks/_golden_network.py FOLDER_OF_THE_DATA > numbers.json
 """
 
-import hashlib
-import json
-import os
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
+from _arm_folds import read_panda, read_ur10
 from _problems import GENERATED, generated
 from scipy.stats import norm
 from sklearn.model_selection import GroupKFold
@@ -68,62 +62,26 @@ def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
     return np.sqrt(left / whole)
 
 
-def _panda(folder):
+def _panda(name, home):
     """Arm, angles, residuals, labels and folds of whole placements."""
-    import conftest
-
-    data = conftest.read_panda(folder)
-    placements = np.unique(data.placements)
-    known = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in placements]
-    found = calibrate(
-        Arm.from_name("panda", probe=(0, 0, 138)), data.angles, data.groups, lengths=known
-    )
+    angles, groups, placements = read_panda(name, home)
+    known = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+    found = calibrate(Arm.from_name("panda", probe=(0, 0, 138)), angles, groups, lengths=known)
     good = found.sample_weight > 0
-    angles, groups = data.angles[good], data.groups[good]
+    angles, groups = angles[good], groups[good]
     residuals = position_residuals(found.arm.forward(angles), groups)
-    folds = list(GroupKFold(4).split(angles, groups=data.placements[good]))
+    folds = list(GroupKFold(4).split(angles, groups=placements[good]))
     return found.arm, angles, residuals, groups, folds
 
 
-def _ur10(path):
+def _ur10(home):
     """Arm, angles, residuals and folds of whole goals, of every fourth goal."""
-    import conftest
-
-    data = conftest.read_ur10(path)
-    some = data.groups % 4 == 0
-    angles, points, groups = data.angles[some], data.points[some], data.groups[some]
+    angles, points, groups = read_ur10("A", home)
+    some = groups % 4 == 0
+    angles, points, groups = angles[some], points[some], groups[some]
     found = calibrate(Arm.from_name("ur10", probe=(0, 0, 109)), angles, points=points)
-    true = (points - found.base_translation) @ found.base_rotation
-    residuals = found.arm.forward(angles) - true
+    residuals = found.residuals(angles, points)
     return found.arm, angles, residuals, list(GroupKFold(3).split(angles, groups=groups))
-
-
-def centers_at_given_widths(shared):
-    """Centres of exact orthogonal least squares at given widths, by name; no search is involved.
-
-    Parameters
-    ----------
-    shared : dict
-        Parameters that make several outputs share their centres.
-    """
-    found = {}
-    rng = np.random.default_rng(5)
-    X = rng.uniform(-1, 1, (3000, 3))
-    y = np.sin(4 * X[:, 0]) * np.cos(2 * X[:, 1]) + X[:, 2] ** 2
-    y += 0.05 * rng.standard_normal(len(X))
-    Y = np.column_stack([y, np.cos(3 * X[:, 0]), 0.1 * rng.standard_normal(len(X))])
-    model = RBFNetRegressor(60, length_scale=0.7, alpha=1e-3).fit(X[:1000], y[:1000])
-    found["60 of 1000"] = model.center_indices_
-    model = RBFNetRegressor(60, length_scale=0.7, alpha=1e-3, **shared).fit(X[:1000], Y[:1000])
-    found["60 of 1000, three outputs share them"] = model.center_indices_
-    ridges = [1e-4, 1e-2, 1.0]
-    model = RBFNetRegressor(60, length_scale=0.7, alpha=ridges, **shared).fit(X[:1000], Y[:1000])
-    found["60 of 1000, three ridges"] = model.center_indices_
-    model = RBFNetRegressor(200, length_scale=0.5, alpha=0).fit(X, y)
-    found["200 of 3000"] = model.center_indices_
-    model = RBFNetRegressor(100, kernel="matern32", length_scale=0.2, alpha=0).fit(X, y)
-    found["100 of 3000, rough"] = model.center_indices_
-    return {name: [int(i) for i in indices] for name, indices in found.items()}
 
 
 def numbers(data_home):
@@ -138,8 +96,6 @@ def numbers(data_home):
     -------
     dict of str to float
     """
-    root, home = Path(__file__).resolve().parent.parent, Path(data_home)
-    sys.path.insert(0, str(root / "tests"))
     found = {}
     warnings.simplefilter("ignore")
     for name in GENERATED:
@@ -148,8 +104,8 @@ def numbers(data_home):
             found[f"network, {name}, {n} rows, error"] = float(error)
             found[f"network, {name}, {n} rows, inside 95 %"] = float(covered)
             found[f"network, {name}, {n} rows, centres"] = float(centers)
-    arms = {name: _panda(home / "panda_ball_socket" / name) for name in ("panda_2", "panda_3")}
-    ur10 = _ur10(home / "ur10_tracker" / "measurements_grid.csv")
+    arms = {name: _panda(name, data_home) for name in ("panda_2", "panda_3")}
+    ur10 = _ur10(data_home)
     for joints in (False, True):
         kind = "all joints" if joints else "pose"
         for name, (arm, angles, residuals, groups, folds) in arms.items():
@@ -162,18 +118,3 @@ def numbers(data_home):
             _of_arm(arm, joints, angles, residuals, folds)
         )
     return found
-
-
-def main():
-    """Print the numbers, and the centres at given widths with a sum to compare them by."""
-    parameters = RBFNetRegressor().get_params()
-    shared = {"shared": True} if "shared" in parameters else {}
-    centers = centers_at_given_widths(shared)
-    text = json.dumps(centers, sort_keys=True)
-    home = sys.argv[1] if len(sys.argv) > 1 else os.environ["SKLEARN_RAACMM_DATA"]
-    both = {"centers": centers, "sum": hashlib.sha256(text.encode()).hexdigest()}
-    print(json.dumps(both | {"numbers": numbers(home)}, indent=1))
-
-
-if __name__ == "__main__":
-    main()

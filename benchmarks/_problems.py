@@ -1,15 +1,11 @@
-"""Regression problems of the benchmarks: generated ones with known truth, and two real arms."""
+"""Regression problems of the benchmarks, generated with known truth."""
 
-import os
-import sys
 import zlib
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from sklearn.datasets import make_friedman1, make_friedman2, make_friedman3
 
-ROOT = Path(__file__).resolve().parent.parent
 N_TEST = 2000
 
 
@@ -106,63 +102,3 @@ def generated(name, n, seed=0):
     X, f, noise = GENERATED[name](n + N_TEST, rng)
     y = f + noise * rng.standard_normal(f.shape)
     return Problem(X[:n], y[:n], X[n:], f[n:], y[n:])
-
-
-def _readers():
-    """The tests' readers of the real data, and the folder of the data."""
-    sys.path.insert(0, str(ROOT / "tests"))
-    import conftest
-
-    default = ROOT.parent / "shared" / "data"
-    return conftest, Path(os.environ.get("SKLEARN_RAACMM_DATA", default))
-
-
-def _problem(arm, angles, residuals, learn, test, joints):
-    """Joint angles to features, Cartesian residuals into the frame of the probe's azimuth."""
-    from sklearn_raacmm import PoseFeatures
-    from sklearn_raacmm.residuals import cartesian_to_cylindrical
-
-    inputs = {"joints": "all", "encoding": "periodic"} if joints == "all" else {}
-    X = PoseFeatures(arm, **inputs).fit(angles).transform(angles)
-    Y = cartesian_to_cylindrical(residuals, arm.azimuth(angles))
-    return Problem(X[learn], Y[learn], X[test], Y[test], Y[test])
-
-
-def panda_folds(joints="pose"):
-    """Every placement of the ball sockets left out once, by calibration too."""
-    from sklearn_raacmm import Arm, calibrate, position_residuals
-
-    conftest, folder = _readers()
-    data = conftest.read_panda(folder / "panda_ball_socket" / "panda_3")
-    for placement in np.unique(data.placements):
-        train = data.placements != placement
-        others = np.unique(data.placements[train])
-        # The two sockets of a placement are 50 mm apart.
-        known = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in others]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        result = calibrate(nominal, data.angles[train], data.groups[train], lengths=known)
-        residuals = np.zeros((len(train), 3))
-        for rows in (train, ~train):
-            points = result.arm.forward(data.angles[rows])
-            residuals[rows] = position_residuals(points, data.groups[rows])
-        learn = np.flatnonzero(train)[result.sample_weight > 0]
-        yield _problem(result.arm, data.angles, residuals, learn, ~train, joints)
-
-
-def ur10(joints="pose", n=None, seed=0):
-    """A third of the goal positions left out; n training rows of whole goals, or all."""
-    from sklearn_raacmm import Arm, calibrate
-
-    conftest, folder = _readers()
-    data = conftest.read_ur10(folder / "ur10_tracker" / "measurements_grid.csv")
-    goals = np.random.default_rng(seed).permutation(data.groups.max() + 1)
-    n_test = len(goals) // 3
-    test = np.isin(data.groups, goals[:n_test])
-    rank = np.argsort(goals)[data.groups]
-    learn = np.flatnonzero(~test)
-    learn = np.sort(learn[np.argsort(rank[learn], kind="stable")][:n])
-    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-    result = calibrate(nominal, data.angles[learn], points=data.points[learn])
-    true = (data.points - result.base_translation) @ result.base_rotation
-    residuals = result.arm.forward(data.angles) - true
-    yield _problem(result.arm, data.angles, residuals, learn, test, joints)

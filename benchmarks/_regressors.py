@@ -1,4 +1,4 @@
-"""Every regressor that `compare_regressors.py` compares, and how large a fitted one is."""
+"""Every regressor that `make_results.py` compares, and how large a fitted one is."""
 
 import pickle
 import time
@@ -196,7 +196,7 @@ def run(name, fold, max_gp_rows=1000):
             search.fit(X, y, groups=splits, regressor__groups=positions)
         model = search.best_estimator_
     else:
-        fit(model, X, y, None, positions)
+        fit(model, X, y, positions)
     seconds = time.process_time() - start
     test = fold.angles[fold.test]
     start = time.process_time()

@@ -1,86 +1,175 @@
-"""A correction on another day, and with another probe: register, update, and what not to do.
+"""A correction on another day, with another probe, at a first test, and on a new arm of the make.
 
-A model is fitted to series A of a real UR10 and used on series B: the tracker was set up anew and
-its target sits elsewhere on the flange. From some poses of B base and tool are found, and more; the
-mean deviation at all other poses of B is printed, for five draws of these poses.
+    python benchmarks/bench_after_the_lab.py series              # two minutes
+    python benchmarks/bench_after_the_lab.py months              # two minutes
+    python benchmarks/bench_after_the_lab.py probes              # three minutes
+    python benchmarks/bench_after_the_lab.py plan                # two minutes
+    python benchmarks/bench_after_the_lab.py transfer --panda    # three minutes
 
-With ``--probes`` a simulated arm is calibrated and learnt with a probe of 100 mm at 14 cones. Then
-it gets longer probes, each registered through the correction in two cones, 15 poses in all. At 8
+``series``: a model is fitted to series A of a real UR10 and used on series B: the tracker was set
+up anew and its target sits elsewhere on the flange. From some poses of B base and tool are found,
+and more; the mean deviation at all other poses of B is printed, for five draws of these poses.
+
+``months``: a simulated robot with eccentric encoders, gears, gravity and errors that no column
+describes is measured by a tracker and learned. Months later every joint's offset has moved by 10
+arc seconds, the eccentricity of every joint by 4, the arm is 3 K warmer, and base and tool are new.
+The model brought up to date with a fifth of the poses is compared with a new fit of all of them, at
+500 other poses.
+
+``probes``: a simulated arm is calibrated and learnt with a probe of 100 mm at 14 cones. Then it
+gets longer probes, each registered through the correction in two cones, 15 poses in all. At 8
 other cones the mean 2S is printed: without a correction; with that of the old probe, registered;
-with the same causes through the Jacobian of the new probe (``model.with_arm``, which `calibrate`
-does by itself); moved in the same way, but learnt with probes of 100 and 250 mm together, 7 cones
-each; and with a new fit on 14 cones of the new probe.
+with the same causes through the Jacobian of the new probe (``model.with_arm``); moved in the same
+way, but learnt with probes of 100 and 250 mm together, 7 cones each; and with a new fit.
 
-Run it with ``python benchmarks/bench_after_the_lab.py [--probes]`` (two to three minutes).
-The data are downloaded, or read from the folder that SKLEARN_RAACMM_DATA names.
+``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses each: by chance, at
+cones that are spread, and by :func:`plan_poses`, with a probe that leans at most 60 degrees or
+comes from anywhere. The other cones have poses by chance, or those of another plan with a lean of
+60.
+
+``transfer``: simulated robots of one make share the orders and about the size of their gears'
+errors, the compliance of their joints and a part of what no column describes; eccentricities,
+phases and the table are the individual's own. Models of four of them are the start for a new one.
+The misleading make has other gears, hardly any eccentricity and compliances of the other sign.
+Measuring arms are simulated by `make_single_point`, and with ``--panda`` one real Panda is the
+start for the other one, some of its placements being known.
+
+The real data are looked for where `_arm_folds` says.
 """
 
 import argparse
-import os
-import time
 import warnings
 from copy import copy
-from pathlib import Path
-from urllib.request import urlretrieve
 
 import numpy as np
-from _arm_folds import arm_model
+from _arm_folds import read_panda, read_ur10
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     calibrate,
+    plan_poses,
     position_residuals,
     update_correction,
 )
+from sklearn_raacmm.correction._transfer import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-URL = (
-    "https://raw.githubusercontent.com/christianlandgraf/ipa-robot-accuracy/"
-    "507fba69bdaf6c43c2faf306e70a7e37c5e39b89/"
-)
-FILES = {
-    "A": ("Series_A/measurements_grid.csv", (14, 15, 16)),
-    "B": ("Series_B/measurements_joint_configurations.csv", (14, 16, 18)),
-}
+ARCSEC = np.pi / 180 / 3600
+NOISE_MM = 0.03
 PROBES_MM = (100, 150, 250, 400)
-WAYS = ("no correction", "the natural way", "through the correction", "updated")
-
-
-def read(series, folder):
-    """Joint angles in rad and points in mm of one series."""
-    name, columns = FILES[series]
-    path = folder / Path(name).name
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        urlretrieve(URL + name, path)
-    lines = path.read_text(encoding="utf-8-sig").replace(",", ".").splitlines()[1:]
-    table = np.array([[float(field) for field in line.split(";")] for line in lines])
-    return table[:, 7:13], table[:, columns]
 
 
 def mean_deviation(residuals):
     return float(np.linalg.norm(residuals, axis=1).mean())
 
 
+def show(title, columns, rows):
+    """Print a line for each row: its name, and a number for each column."""
+    print(f"{title:26}" + "".join(f"{name:>23}" for name in columns), flush=True)
+    for name, values in rows.items():
+        print(f"{name!s:26}" + "".join(f"{value:23.4g}" for value in values), flush=True)
+
+
+# -- another series of a tracker -----------------------------------------------------------------
+
+
 def one_draw(model, arm, angles, points, known):
-    """Mean deviation in mm at the poses that are not `known`, each way, and processor seconds."""
+    """Mean deviation in mm at the poses that are not `known`, each way."""
     rest = ~known
     data = {"points": points[known], "free": ["probe"]}
     alone = calibrate(arm, angles[known], **data)
-    start = time.process_time()
     through = calibrate(arm, angles[known], **data, correction=model)
-    seconds = [time.process_time() - start]
-    start = time.process_time()
     y = through.residuals(angles[known], points[known])
     updated = update_correction(model, angles[known], y)
-    seconds.append(time.process_time() - start)
     bare = alone.residuals(angles[rest], points[rest])
     registered = through.residuals(angles[rest], points[rest])
     old, new = (m.predict(angles[rest]) for m in (model, updated))
-    left = (bare, bare - old, registered - old, registered - new)
-    return [mean_deviation(r) for r in left], seconds
+    return [mean_deviation(r) for r in (bare, bare - old, registered - old, registered - new)]
+
+
+def series(options):
+    angles, points, _ = read_ur10("A")
+    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles, points=points)
+    model = ArmResidualRegressor(first.arm).fit(angles, first.residuals_mm)
+    angles, points, _ = read_ur10("B")
+    rows = {}
+    for n in (10, 20, 60, 200):
+        draws = []
+        for seed in range(options.seeds):
+            known = np.zeros(len(angles), bool)
+            known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
+            draws.append(one_draw(model, first.arm, angles, points, known))
+        rows[n] = np.median(draws, axis=0)
+    ways = ("no correction", "registered without it", "registered through it", "updated")
+    show("poses of B known; mm", ways, rows)
+
+
+# -- months later --------------------------------------------------------------------------------
+
+
+class WornRobot:
+    """A robot with errors of its own, before and after the months."""
+
+    def __init__(self, seed):
+        rng = np.random.default_rng(seed)
+        self.arm = Arm.from_name("ur10", probe=(0, 0, 93))
+        self.amplitude, self.phase = rng.normal(0, 30, (6, 3)), rng.uniform(0, 6, (6, 3))
+        self.cross = rng.normal(0, 3, (6, 6))
+        self.offsets = rng.choice([-10.0, 10.0], 6)
+        self.wear, self.wear_phase = rng.normal(0, 4, 6), rng.uniform(0, 6, 6)
+        self.tool = rng.normal(0, 20, 3)
+        self.turn = Rotation.from_rotvec(rng.normal(0, 0.5, 3)).as_matrix()
+
+    def measure(self, angles, rng, months):
+        """Points in the tracker's frame."""
+        turns = np.cos(angles) @ self.cross * np.sin(np.roll(angles, 1, axis=1))
+        for k in range(3):
+            turns += self.amplitude[:, k] / (k + 1) * np.cos((k + 1) * angles - self.phase[:, k])
+        turns[:, 0] += 10 * np.sin(17 * angles[:, 0])
+        turns[:, 2] += 8 * np.cos(100 * angles[:, 2])
+        arm = self.arm
+        if months:
+            turns += self.offsets + self.wear * np.cos(angles - self.wear_phase)
+            arm = arm.replace(probe=arm.probe + self.tool)
+        points = arm.forward(angles)
+        points = points - np.einsum("nij,nj->ni", arm.jacobian(angles), turns * ARCSEC)
+        points *= 1 + 11.7e-6 * 3 * months
+        if months:
+            points = points @ self.turn.T + [1500, -300, 200]
+        return points + rng.normal(0, NOISE_MM, points.shape)
+
+
+def one_robot(seed, n_new):
+    """Mean deviation, mm: no correction, registered, updated, new fits of a fifth and of all."""
+    robot, rng = WornRobot(seed), np.random.default_rng([1, seed])
+    old, new, far = (rng.uniform(-2, 2, (n, 6)) for n in (1500, n_new, 500))
+    first = calibrate(robot.arm, old, points=robot.measure(old, rng, 0))
+    model = ArmResidualRegressor(first.arm).fit(old, first.residuals_mm)
+    points, true = robot.measure(new, rng, 1), robot.measure(far, rng, 1)
+    few = new[: n_new // 5], points[: n_new // 5]
+    bare = calibrate(first.arm, few[0], points=few[1], free=["probe"])
+    through = calibrate(first.arm, few[0], points=few[1], free=["probe"], correction=model)
+    updated = update_correction(model, few[0], through.residuals(*few))
+    left = [bare.residuals(far, true)]
+    left += [through.residuals(far, true) - m.predict(far) for m in (model, updated)]
+    for angles, measured in (few, (new, points)):
+        fresh = calibrate(robot.arm, angles, points=measured)
+        own = ArmResidualRegressor(fresh.arm).fit(angles, fresh.residuals_mm)
+        left.append(fresh.residuals(far, true) - own.predict(far))
+    return [mean_deviation(rest) for rest in left]
+
+
+def months(options):
+    names = ("no correction", "registered", "updated", "new fit, a fifth", "new fit, all")
+    robots = range(options.seeds)
+    rows = {n: np.mean([one_robot(seed, n) for seed in robots], axis=0) for n in (100, 300, 500)}
+    show("poses of a new fit; mm", names, rows)
+
+
+# -- longer probes -------------------------------------------------------------------------------
 
 
 class OldProbe:
@@ -101,13 +190,11 @@ def with_probe(machine, length):
 
 
 def cone_test(machine, seed, n_positions, n_poses):
-    test = make_single_point(
-        machine=machine, n_positions=n_positions, n_poses=n_poses, random_state=seed
-    )
+    test = make_single_point(n_positions, n_poses, machine=machine, random_state=seed)
     return test.data, test.groups
 
 
-def left(arm, model, angles, groups):
+def left_um(arm, model, angles, groups):
     points = arm.forward(angles)
     if model is not None:
         points = points - model.predict(angles)
@@ -135,79 +222,223 @@ def fitted_to_two(machine, seed):
     return ArmResidualRegressor(found.arm).fit(angles, y, groups=groups, probes=probes)
 
 
-def one_arm(seed):
+def with_longer_probes(seed):
     """2S in um for each probe and way."""
     machine = SimulatedArm("typical", random_state=seed)
     arm, model = fitted(machine.nominal_arm, *cone_test(machine, seed, 14, 30))
     of_two = fitted_to_two(machine, seed)
     rows = []
     for length in PROBES_MM:
-        own = with_probe(machine, length)
+        own, more = with_probe(machine, length), np.array([0, 0, length - 100.0])
         angles, groups = cone_test(own, 100 + seed, 2, 8)
-        start = arm.replace(probe=arm.probe + np.array([0, 0, length - 100.0]))
-        alone, old, moved = (
-            calibrate(start, angles[:15], groups[:15], correction=way, free=["probe"]).arm
-            for way in (None, OldProbe(model), model)
-        )
-        longer = of_two.arm_.replace(probe=of_two.arm_.probe + np.array([0, 0, length - 100.0]))
-        both = calibrate(longer, angles[:15], groups[:15], correction=of_two, free=["probe"]).arm
+
+        def registered(start, way, more=more, angles=angles, groups=groups):
+            start = start.replace(probe=start.probe + more)
+            known = angles[:15], groups[:15]
+            return calibrate(start, *known, correction=way, free=["probe"]).arm
+
+        alone, old, moved = (registered(arm, way) for way in (None, OldProbe(model), model))
+        both = registered(of_two.arm_, of_two)
         test = cone_test(own, 200 + seed, 8, 25)
         new_arm, new = fitted(own.nominal_arm, *cone_test(own, 300 + seed, 14, 30))
-        rows.append([
-            left(alone, None, *test), left(old, model, *test),
-            left(moved, model.with_arm(moved), *test), left(both, of_two.with_arm(both), *test),
-            left(new_arm, new, *test),
-        ])  # fmt: skip
+        ways = [(alone, None), (old, model), (moved, model.with_arm(moved))]
+        ways += [(both, of_two.with_arm(both)), (new_arm, new)]
+        rows.append([left_um(*way, *test) for way in ways])
     return rows
 
 
-def probes(n_arms):
-    """Print 2S in um for each probe and way."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        table = np.mean([one_arm(seed) for seed in range(n_arms)], axis=0)
-    ways = (
-        "uncorrected",
-        "old probe, registered",
-        "moved",
-        "learnt with two, moved",
-        "new fit of 14 cones",
-    )
-    print("probe / mm" + "".join(f"{way:>24}" for way in ways) + "    2S, um")
-    for length, values in zip(PROBES_MM, table, strict=True):
-        print(f"{length:10}" + "".join(f"{value:24.1f}" for value in values))
+def probes(options):
+    table = np.mean([with_longer_probes(seed) for seed in range(options.seeds)], axis=0)
+    ways = ("uncorrected", "not moved", "moved", "learnt with two, moved", "new fit")
+    show("probe, mm; 2S in um", ways, dict(zip(PROBES_MM, table, strict=True)))
+
+
+# -- a plan of the first test --------------------------------------------------------------------
+
+
+def read(machine, plan, seed, angles=None):
+    """Angles and labels of a plan as the machine reads them, the probe seated anew each time."""
+    angles = plan.angles if angles is None else angles
+    rng, cones = np.random.RandomState(seed), plan.positions[plan.groups - 1]
+    cones = cones + machine.errors.seating_um / 1000 * rng.normal(size=cones.shape)
+    return machine.read(machine.solve(angles, cones), rng), plan.groups
+
+
+def plan(options):
+    found = {}
+    for seed in range(options.seeds):
+        machine = SimulatedArm("typical", random_state=seed)
+        leaning, free = (
+            plan_poses(machine.nominal_arm, 8, 12, lean_deg=lean, random_state=seed)
+            for lean in (60.0, None)
+        )
+        other = plan_poses(machine.nominal_arm, 8, 25, lean_deg=60, random_state=99)
+        spread = np.concatenate([machine.find_poses(p, 12, seed) for p in leaning.positions])
+        judged = cone_test(machine, 1000 + seed, 8, 25), read(machine, other, 1)
+        tests = {
+            "by chance": cone_test(machine, seed, 8, 12),
+            "spread cones": read(machine, leaning, 2, spread),
+            "planned, lean 60": read(machine, leaning, 2),
+            "planned": read(machine, free, 2),
+        }
+        for name, test in tests.items():
+            learned = fitted(machine.nominal_arm, *test)
+            found.setdefault(name, []).append([left_um(*learned, *rows) for rows in judged])
+    rows = {name: np.mean(values, axis=0) for name, values in found.items()}
+    show("first test; 2S in um", ("poses by chance", "of another plan"), rows)
+
+
+# -- a new arm of a make -------------------------------------------------------------------------
+
+
+class Robot:
+    """An individual of a make; its nominal table is the UR10's."""
+
+    def __init__(self, make, seed, misleading=False):
+        common, own = (np.random.default_rng(part) for part in ([7, make], [8, make, seed]))
+        self.nominal = Arm.from_name("ur10", probe=(0, 0, 93))
+        change = {f: getattr(self.nominal, f) + own.normal(0, 0.2, 6) for f in ("a", "d")}
+        for field, sd in (("alpha", 3e-4), ("theta_offset", 5e-4)):
+            change[field] = getattr(self.nominal, field) + own.normal(0, sd, 6)
+        self.arm = self.nominal.replace(**change)
+        ratios = (50, 80, 100, 101, 120, 128, 160)
+        self.gears = np.repeat(common.choice(ratios, 2, replace=False), 3)
+        self.teeth = common.uniform(6, 15, 6) * own.uniform(0.7, 1.3, 6)
+        self.teeth_phase = own.uniform(0, 6.28, 6)
+        self.eccentric = own.normal(0, 25, (6, 2)) * [1, 0.4]
+        self.phase = own.uniform(0, 6.28, (6, 2))
+        self.compliance = common.uniform(20, 80, 6) * own.uniform(0.9, 1.1, 6)
+        self.cross = common.normal(0, 3, (6, 6)) + own.normal(0, 2, (6, 6))
+        self.turn = Rotation.from_rotvec(own.normal(0, 0.5, 3)).as_matrix()
+        if misleading:
+            self.eccentric, self.teeth = 0.1 * self.eccentric, 2 * self.teeth
+            self.compliance = -3 * self.compliance
+
+    def measure(self, angles, rng, noise_mm=NOISE_MM):
+        """Points in the tracker's frame."""
+        turns = np.cos(angles) @ self.cross * np.sin(np.roll(angles, 1, axis=1))
+        for k in range(2):
+            turns += self.eccentric[:, k] * np.cos((k + 1) * angles - self.phase[:, k])
+        turns += self.teeth * np.cos(self.gears * angles - self.teeth_phase)
+        jacobian = self.arm.jacobian(angles)
+        turns += self.compliance * jacobian[:, 2] / 1200  # torque of a weight at the probe
+        points = self.arm.forward(angles) - np.einsum("nij,nj->ni", jacobian, turns * ARCSEC)
+        return points @ self.turn.T + [1500, -300, 200] + rng.normal(0, noise_mm, points.shape)
+
+    def learn(self, n, rng):
+        """Model of this arm from some poses."""
+        angles = rng.uniform(-2, 2, (n, 6))
+        found = calibrate(self.nominal, angles, points=self.measure(angles, rng))
+        return ArmResidualRegressor(found.arm).fit(angles, found.residuals_mm)
+
+
+def compare_starts(row, starts, arm, angles, y, left, groups=None):
+    """Add to a row what a new fit leaves, and what each start leaves and whether it is believed."""
+    own = ArmResidualRegressor(arm).fit(angles, y, groups=groups)
+    row["new fit"] = left(own)
+    for name, models in starts.items():
+        moved = transferred_model(models, arm, angles, y, groups=groups)
+        row[name] = left(moved)
+        row[f"{name}, believed"] = moved.updates_[0]["gain_nats"] >= LEAST_GAIN_NATS
+    return row
+
+
+def show_starts(title, table):
+    columns = next(iter(table.values()))[0]
+    rows = {n: [np.mean([row[c] for row in rows]) for c in columns] for n, rows in table.items()}
+    show(title, columns, rows)
+
+
+def transfer_robots(seeds):
+    rng, counts = np.random.default_rng(0), (10, 20, 40, 100, 400)
+    earlier = [Robot(0, 100 + i).learn(600, rng) for i in range(4)]
+    misleading = [Robot(3, 200 + i, misleading=True).learn(600, rng) for i in range(4)]
+    starts = {"of 4": earlier, "of 1": earlier[:1], "misleading": misleading}
+    table = {n: [] for n in counts}
+    for seed in range(seeds):
+        robot, rng = Robot(0, seed), np.random.default_rng([5, seed])
+        far, new = rng.uniform(-2, 2, (500, 6)), rng.uniform(-2, 2, (max(counts), 6))
+        far_points, points = robot.measure(far, rng, 0.0), robot.measure(new, rng)
+        for n in counts:
+            found = calibrate(robot.nominal, new[:n], points=points[:n])
+            true = found.residuals(far, far_points)
+
+            def left(model, true=true, far=far):
+                return mean_deviation(true - model.predict(far))
+
+            row, y = {"calibrated": mean_deviation(true)}, found.residuals_mm
+            table[n].append(compare_starts(row, starts, found.arm, new[:n], y, left))
+    show_starts("robots: poses; mm", table)
+
+
+def transfer_measuring_arms(seeds):
+    """Single-point tests; the deviation is that within 6 other positions."""
+    earlier = []
+    for seed in range(100, 104):
+        test = make_single_point(24, 20, random_state=seed)
+        model = ArmResidualRegressor(test.arm).fit(test.data, test.target, groups=test.groups)
+        earlier.append(model)
+    table = {n: [] for n in (1, 2, 4, 8)}
+    for seed in range(seeds):
+        test = make_single_point(16, 20, random_state=seed)
+        far = test.groups >= 10
+
+        def left(model, test=test, far=far):
+            rest = test.target[far] - model.predict(test.data[far])
+            return mean_deviation(position_residuals(rest, test.groups[far]))
+
+        for n, rows in table.items():
+            near, row = test.groups < n, {"calibrated": mean_deviation(test.target[far])}
+            data = test.arm, test.data[near], test.target[near]
+            starts = {"of 4": earlier, "of 1": earlier[:1]}
+            rows.append(compare_starts(row, starts, *data, left, test.groups[near]))
+    show_starts("arms: positions; mm", table)
+
+
+def transfer_pandas(draws):
+    """A model of one Panda as the start for the other: within placements that are not known."""
+    nominal = Arm.from_name("panda", probe=(0, 0, 138))
+    for old, new in (("panda_2", "panda_3"), ("panda_3", "panda_2")):
+        angles, groups, _ = read_panda(old)
+        starts = {"of 1": [fitted(nominal, angles, groups)[1]]}
+        angles, groups, _ = read_panda(new)
+        labels, table = np.unique(groups), {n: [] for n in (1, 2, 4)}
+        for draw in range(draws):
+            order = np.random.default_rng(draw).permutation(len(labels))
+            for n, rows in table.items():
+                known = np.isin(groups, labels[order[:n]])
+                near, there = (angles[known], groups[known]), (angles[~known], groups[~known])
+                found = calibrate(nominal, *near)
+                y, true = (found.residuals(q, groups=labels) for q, labels in (near, there))
+
+                def left(model, true=true, there=there):
+                    rest = true - model.predict(there[0])
+                    return mean_deviation(position_residuals(rest, there[1]))
+
+                row = {"calibrated": mean_deviation(true)}
+                rows.append(compare_starts(row, starts, found.arm, near[0], y, left, near[1]))
+        show_starts(f"{new} from {old}; mm", table)
+
+
+def transfer(options):
+    transfer_robots(options.seeds)
+    transfer_measuring_arms(options.seeds)
+    if options.panda:
+        transfer_pandas(2)
+
+
+PARTS = {"series": series, "months": months, "probes": probes, "plan": plan, "transfer": transfer}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rows", type=int, default=None, help="poses of A (default all)")
-    parser.add_argument("--draws", type=int, default=5)
-    parser.add_argument("--probes", action="store_true", help="longer probes, simulated")
-    parser.add_argument("--arms", type=int, default=4, help="with other probes")
+    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("--seeds", type=int, help="arms or draws (default: as on the pages)")
+    parser.add_argument("--panda", action="store_true", help="transfer of two real robots, too")
     options = parser.parse_args()
-    if options.probes:
-        return probes(options.arms)
-    root = os.environ.get("SKLEARN_RAACMM_DATA", Path.home() / "scikit_learn_data")
-    folder = Path(root) / "ur10_tracker"
-    angles, points = read("A", folder)
-    rows = np.random.default_rng(0).permutation(len(angles))[: options.rows]
-    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
-    model = arm_model(first.arm).fit(angles[rows], first.residuals_mm)
-    angles, points = read("B", folder)
-    print(f"Model of {len(rows)} poses of A, used on B. Mean deviation, mm: median (largest)")
-    print("poses  " + "".join(f"{way:>26}" for way in WAYS) + "    seconds: register, update")
-    for n in (10, 20, 60, 200):
-        draws = []
-        for seed in range(options.draws):
-            known = np.zeros(len(angles), bool)
-            known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                draws.append(one_draw(model, first.arm, angles, points, known))
-        left, seconds = (np.array([draw[i] for draw in draws]) for i in range(2))
-        cells = [f"{np.median(c):.3f} ({c.max():.3f})" for c in left.T]
-        print(f"{n:5}  " + "".join(f"{cell:>26}" for cell in cells), end="")
-        print("    " + ", ".join(f"{s:.2f}" for s in np.median(seconds, axis=0)))
+    options.seeds = options.seeds or {"months": 2, "probes": 4, "plan": 8}.get(options.part, 5)
+    warnings.simplefilter("ignore")
+    PARTS[options.part](options)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,11 @@
-"""What a check of a correction is worth: false alarms, found changes, and stated deviations.
+"""What checks find: of a correction, of its stated deviations, and of a table of measurements.
 
     python benchmarks/bench_check.py changes --real       # two minutes
     python benchmarks/bench_check.py kinds --real         # ten minutes
     python benchmarks/bench_check.py deviations           # two minutes
+    python benchmarks/bench_check.py dwells               # one minute
+    python benchmarks/bench_check.py set-ups              # one minute
+    python benchmarks/bench_check.py steps --real         # three minutes
 
 ``changes``: a simulated measuring arm with eccentric encoders, whose model has learned 500 poses,
 is checked with 40 poses of another day against a tracker (noise 15 um): without a change, after a
@@ -18,26 +21,37 @@ leave of the arm's true errors changes the fitted diameter and the length: root 
 error over the stated standard deviation, which should be 1, by what such a test shows of all poses
 together, by all that the model knows (``with_unseen=True``), and as though points were independent.
 
-With ``--real`` the same is asked of other poses of a real UR10 and two Pandas: no model of them is
-complete. The data are downloaded, or read from the folder that SKLEARN_RAACMM_DATA names.
+``dwells``: 90 poses of which a logger wrote 100 rows each, beside one row a pose; mean distances in
+um at positions that no fit has seen. ``set-ups``: a tracker or a target that moved half way.
+``steps``: simulated arms with warming, backlash, payloads and slipped probes. Steps are looked for
+in what `ArmResidualRegressor` leaves; then the socket of one position is moved halfway through its
+poses, and the model fitted to that. Tests without a step are looked at in the order of the test,
+by clusters of poses and shuffled.
+
+With ``--real`` the same is asked of a real UR10 and two Pandas, which are looked for where
+`_arm_folds` says.
 """
 
 import argparse
 import warnings
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from _arm_folds import DATA, arm_model
-from bench_after_the_lab import read
+from _arm_folds import read_panda, read_ur10
+from sklearn.cluster import KMeans
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, check_correction
-from sklearn_raacmm.datasets import (
-    ArmErrors,
-    SimulatedArm,
-    fetch_panda_ball_socket,
-    make_single_point,
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    calibrate,
+    check_correction,
+    position_residuals,
 )
+from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
+from sklearn_raacmm.measurements import find_steps
+from sklearn_raacmm.utils import centred
 
 ARCSEC = np.pi / 180 / 3600
 RATE = 0.01
@@ -51,6 +65,26 @@ KINDS = {
 }
 
 
+class Counts:
+    """Checks of one kind of arm: alarms, and causes named rightly, by what was changed."""
+
+    def __init__(self, kind):
+        self.kind, self.of = kind, {}
+
+    def check(self, change, cause, model, angles, y, **options):
+        """Check once, where the right cause is known."""
+        found = check_correction(model, angles, y, false_alarm_rate=RATE, **options)
+        right = not found.holds and found.suspect == cause
+        self.of.setdefault(change, []).append((not found.holds, right))
+
+    def show(self):
+        """Print a line for each change."""
+        for change, checks in self.of.items():
+            (alarms, right), n = np.sum(checks, axis=0), len(checks)
+            named = f"named rightly {right} of {alarms}"
+            print(f"{self.kind:12}{change:52}{alarms:4} of {n:4} {alarms / n:6.1%}  {named}")
+
+
 def knock(arm, arcsec):
     def change(angles, rng, run):
         return arm.jacobian(angles)[
@@ -58,39 +92,6 @@ def knock(arm, arcsec):
         ] * arcsec * ARCSEC, f"offset of joint {run % 5 + 1}"
 
     return change
-
-
-def changes_of_a_day(arm, noise_mm):
-    """Name, function of the change, and what is fitted to the same poses."""
-    both = ("base", "probe")
-    yield "none", lambda q, rng, run: (0.0, "nothing"), ()
-    yield "none, base and probe refitted", lambda q, rng, run: (0.0, "nothing"), both
-    for arcsec in (5, 10, 20):
-        yield f"knock of {arcsec} arc seconds", knock(arm, arcsec), ()
-    yield "knock of 20 arc seconds, base and probe refitted", knock(arm, 20), both
-    loose = 4 / 3 * noise_mm
-    yield f"loose probe, {1000 * loose:.0f} um more noise", lambda q, rng, run: (
-        rng.normal(0, loose, (len(q), 3)), "noise"), ()  # fmt: skip
-    yield "5 K warmer, steel", lambda q, rng, run: (-arm.forward(q) * 11.7e-6 * 5, "scale"), ()
-
-
-def table(arm, model, poses, noise_mm, runs):
-    """Print the rates; `poses(run)` gives angles and residuals of another day."""
-    print(f"{'change':50}{'alarms':>9}{'named rightly':>16}")
-    for name, change, refitted in changes_of_a_day(arm, noise_mm):
-        n_runs = 4 * runs if name.startswith("none") else runs
-        alarms = right = 0
-        for run in range(n_runs):
-            rng = np.random.default_rng([1, run])
-            angles, y = poses(run)
-            # Of a knock of joint 1 or 5 nothing may be left beside a fitted base and probe.
-            moved, cause = change(angles, rng, 1 + run % 3 if refitted else run)
-            check = check_correction(
-                model, angles, y + moved, refitted=refitted, false_alarm_rate=RATE
-            )
-            alarms += not check.holds
-            right += not check.holds and check.suspect == cause
-        print(f"{name:50}{alarms / n_runs:8.1%}{f'{right} of {alarms}':>17}", flush=True)
 
 
 def poses_of_simulated_arm(arm, seed, n=40):
@@ -108,17 +109,17 @@ def poses_of_simulated_arm(arm, seed, n=40):
 def simulated_tracker():
     """The simulated arm of tracker series, its model, and its poses of a day."""
     arm = Arm.from_name("aacmm6")
-    model = arm_model(arm, orders=12).fit(*poses_of_simulated_arm(arm, 10**6, 500))
+    model = ArmResidualRegressor(arm, orders=12).fit(*poses_of_simulated_arm(arm, 10**6, 500))
     return arm, model, partial(poses_of_simulated_arm, arm)
 
 
 def ur10(n_learned):
     """The UR10, its model of some poses, and 40 others of its series in their order."""
-    angles, points = read("A", DATA / "ur10_tracker")
+    angles, points, _ = read_ur10("A")
     order = np.random.default_rng(0).permutation(len(angles))
     rows, others = order[:n_learned], order[n_learned:]
     first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
-    model = arm_model(first.arm).fit(angles[rows], first.residuals_mm)
+    model = ArmResidualRegressor(first.arm).fit(angles[rows], first.residuals_mm)
 
     def poses(run):
         some = np.sort(np.random.default_rng([3, run]).choice(others, 40, replace=False))
@@ -128,128 +129,95 @@ def ur10(n_learned):
 
 
 def changes(options):
-    """Part ``changes``."""
-    print("Simulated measuring arm, 40 poses")
-    arm, model, poses = simulated_tracker()
-    table(arm, model, poses, 0.015, options.runs)
+    arms = {"simulated": (*simulated_tracker(), 0.015)}
     if options.real:
         arm, model, poses = ur10(3000)
         noise_mm = model.linear_model_.noise_scale * model.noise_sd_
-        print(f"UR10, 40 other poses of its series, noise {1000 * noise_mm:.0f} um")
-        table(arm, model, poses, noise_mm, options.runs)
+        arms["UR10"] = arm, model, poses, noise_mm
+    for kind, (arm, model, poses, noise_mm) in arms.items():
+        counts, loose = Counts(kind), 4 / 3 * noise_mm
+        nothing = lambda q, rng, run: (0.0, "nothing")  # noqa: E731
+        of_arm = {
+            "none": nothing,
+            "none, base and probe refitted": nothing,
+            **{f"knock of {size} arc seconds": knock(arm, size) for size in (5, 10, 20)},
+            "knock of 20 arc seconds, base and probe refitted": knock(arm, 20),
+            "loose probe": lambda q, rng, run, sd=loose: (rng.normal(0, sd, (len(q), 3)), "noise"),
+            "5 K warmer": lambda q, rng, run, arm=arm: (-arm.forward(q) * 11.7e-6 * 5, "scale"),
+        }
+        for name, change in of_arm.items():
+            refitted = ("base", "probe") if "refitted" in name else ()
+            for run in range((4 if "none" in name else 1) * options.runs):
+                angles, y = poses(run)
+                # Of a knock of joint 1 or 5 nothing may be left beside a fitted base and probe.
+                rng = np.random.default_rng([1, run])
+                moved, cause = change(angles, rng, 1 + run % 3 if refitted else run)
+                counts.check(name, cause, model, angles, y + moved, refitted=refitted)
+        counts.show()
 
 
-class Count:
-    """Alarms and right names of one kind."""
-
-    def __init__(self):
-        self.n = self.alarms = self.right = self.small = 0
-
-    def add(self, check, cause):
-        """Count one check, whose right cause is known."""
-        self.n += 1
-        self.alarms += not check.holds
-        self.right += not check.holds and check.suspect == cause
-        self.small += not (check.holds or check.matters)
-
-    def __str__(self):
-        named = f"{self.right} of {self.alarms}" if self.right else ""
-        return f"{self.alarms:4} of {self.n:4} {self.alarms / self.n:6.1%}{named:>14}{self.small:7}"
-
-
-def say(kind, change, count):
-    print(f"{kind:14}{change:28}{count}", flush=True)
-
-
-def single_points(kind, errors, arms, days):
-    """Rates of one kind of arm."""
-    counts = {name: Count() for name in ("none", "knock of 10 arc seconds")}
-    for seed in range(arms):
+def kind_of_arm(kind, errors, options):
+    """Single-point tests of one kind of arm."""
+    counts = Counts(kind)
+    for seed in range(options.arms):
         machine = SimulatedArm(errors, random_state=seed)
         known = make_single_point(12, 30, machine=machine, random_state=seed)
         model = ArmResidualRegressor(known.arm).fit(known.data, known.target, groups=known.groups)
-        for day in range(days):
+        for day in range(options.days):
             new = make_single_point(6, 10, machine=machine, random_state=1000 * (day + 1) + seed)
-            joint = 1 + (seed + day) % 3
-            knock = known.arm.jacobian(new.data)[:, :, joint] * 10 * ARCSEC
-            for name, moved, cause in (
-                ("none", 0.0, "nothing"),
-                ("knock of 10 arc seconds", knock, f"offset of joint {joint + 1}"),
-            ):
-                check = check_correction(
-                    model, new.data, new.target + moved, groups=new.groups, false_alarm_rate=RATE
-                )
-                counts[name].add(check, cause)
-    for name, count in counts.items():
-        say(kind, name, count)
+            moved, cause = knock(known.arm, 10)(new.data, None, 1 + (seed + day) % 3)
+            for name, by, what in (("none", 0.0, "nothing"), ("knock of 10 arc s", moved, cause)):
+                counts.check(name, what, model, new.data, new.target + by, groups=new.groups)
+    counts.show()
 
 
-def changes_of_a_series(arm, angles, rng, run):
-    """Changes of tracker series, and the causes that are to be named."""
-    shift = rng.normal(size=3)
-    shift *= 0.04 / np.linalg.norm(shift)
-    joint = 1 + run % 3
-    yield "none", 0.0, "nothing"
-    yield "base settled by 40 um", shift, "base"
-    yield "base drifts by 40 um", np.linspace(-0.5, 0.5, len(angles))[:, None] * shift * 2, "drift"
-    knock = arm.jacobian(angles)[:, :, joint] * 10 * ARCSEC
-    yield "knock of 10 arc seconds", knock, f"offset of joint {joint + 1}"
-
-
-def series(kind, arm, model, poses, runs):
-    counts = {}
+def kind_of_series(kind, arm, model, poses, runs):
+    """Tracker series of one arm."""
+    counts = Counts(kind)
     for run in range(runs):
         angles, y = poses(run)
-        for name, moved, cause in changes_of_a_series(
-            arm, angles, np.random.default_rng([7, run]), run
+        shift = np.random.default_rng([7, run]).normal(size=3)
+        shift *= 0.04 / np.linalg.norm(shift)
+        drift = np.linspace(-0.5, 0.5, len(angles))[:, None] * shift * 2
+        for name, moved, cause in (
+            ("none", 0.0, "nothing"),
+            ("base settled by 40 um", shift, "base"),
+            ("base drifts by 40 um", drift, "drift"),
+            ("knock of 10 arc s", *knock(arm, 10)(angles, None, 1 + run % 3)),
         ):
-            check = check_correction(model, angles, y + moved, false_alarm_rate=RATE)
-            counts.setdefault(name, Count()).add(check, cause)
-    for name, count in counts.items():
-        say(kind, name, count)
+            counts.check(name, cause, model, angles, y + moved)
+    counts.show()
 
 
-def pandas(runs):
+def kind_of_panda(name, runs):
     """Half of the places learnt, the others checked; without "high" of panda_2, which moved."""
-    for name in ("panda_2", "panda_3"):
-        data, count = fetch_panda_ball_socket(name, data_home=DATA), Count()
-        knocked = Count()
-        labels = np.unique(data.groups)
-        labels = labels[~((name == "panda_2") & np.char.startswith(labels.astype(str), "high"))]
-        for run in range(runs):
-            rng = np.random.default_rng([5, run])
-            mixed = rng.permutation(labels)
-            known, rest = (np.isin(data.groups, h) for h in np.array_split(mixed, 2))
-            found = calibrate(data.arm, data.data[known], data.groups[known])
-            model = arm_model(found.arm)
-            model.fit(data.data[known], found.residuals_mm, groups=data.groups[known])
-            if not model.helps_:
-                continue
-            y = found.residuals(data.data[rest], groups=data.groups[rest])
-            joint = 1 + run % 3
-            knock = found.arm.jacobian(data.data[rest])[:, :, joint] * 40 * ARCSEC
-            for moved, where, cause in (
-                (0.0, count, "nothing"), (knock, knocked, f"offset of joint {joint + 1}"),
-            ):  # fmt: skip
-                where.add(
-                    check_correction(
-                        model, data.data[rest], y + moved, groups=data.groups[rest],
-                        false_alarm_rate=RATE,
-                    ), cause,
-                )  # fmt: skip
-        say(name, "none", count)
-        say(name, "knock of 40 arc seconds", knocked)
+    counts, (angles, groups, _) = Counts(name), read_panda(name)
+    labels = np.unique(groups)
+    labels = labels[~((name == "panda_2") & np.char.startswith(labels.astype(str), "high"))]
+    for run in range(runs):
+        mixed = np.random.default_rng([5, run]).permutation(labels)
+        known, rest = (np.isin(groups, half) for half in np.array_split(mixed, 2))
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        found = calibrate(nominal, angles[known], groups[known])
+        model = ArmResidualRegressor(found.arm)
+        model.fit(angles[known], found.residuals_mm, groups=groups[known])
+        if not model.helps_:
+            continue
+        y = found.residuals(angles[rest], groups=groups[rest])
+        moved, cause = knock(found.arm, 40)(angles[rest], None, 1 + run % 3)
+        for what, by, why in (("none", 0.0, "nothing"), ("knock of 40 arc s", moved, cause)):
+            counts.check(what, why, model, angles[rest], y + by, groups=groups[rest])
+    counts.show()
 
 
 def kinds(options):
-    """Part ``kinds``."""
-    print(f"{'':14}{'change':28}{'alarms':>20}{'named rightly':>14}{'small':>7}")
-    series("tracker", *simulated_tracker(), options.runs)
+    kind_of_series("tracker", *simulated_tracker(), options.runs)
     for kind, errors in KINDS.items():
-        single_points(kind, errors, options.arms, options.days)
+        kind_of_arm(kind, errors, options)
     if options.real:
-        series("UR10", *ur10(5956), options.runs)
-        pandas(max(options.runs // 10, 5))
+        kind_of_series("UR10", *ur10(5956), options.runs)
+        for name in ("panda_2", "panda_3"):
+            kind_of_panda(name, max(options.runs // 10, 5))
 
 
 def sphere(machine, rng):
@@ -267,20 +235,18 @@ def sphere(machine, rng):
     raise ValueError("no place for a sphere was found")
 
 
-def of_diameter(normals):
-    """Derivatives (3 n,) of the diameter that least squares fit, by the points."""
+def by_points(points, normals=None):
+    """Derivatives (3 n,) by the points: of a fitted sphere's diameter, or of a length."""
+    if normals is None:
+        line = points[1] - points[0]
+        line = line / np.linalg.norm(line)
+        return np.r_[-line, line]
     design = np.column_stack([normals, np.ones(len(normals))])
     weights = 2 * np.linalg.pinv(design)[3]
     return (weights[:, None] * normals).ravel()
 
 
-def of_length(points):
-    line = points[1] - points[0]
-    line = line / np.linalg.norm(line)
-    return np.r_[-line, line]
-
-
-def one_arm(errors, seed, n_spheres):
+def measured_features(errors, seed, n_spheres):
     """Errors over standard deviations of diameters and lengths: shown, all, independent."""
     machine = SimulatedArm(errors, random_state=seed)
     known = make_single_point(12, 30, machine=machine, random_state=seed)
@@ -291,9 +257,9 @@ def one_arm(errors, seed, n_spheres):
         poses, normals = sphere(machine, rng)
         far = sphere(machine, rng)[0][:1]
         row = []
-        for angles, is_sphere in ((poses, True), (np.vstack([poses[:1], far]), False)):
-            g = of_diameter(normals) if is_sphere else of_length(known.arm.forward(angles))
-            true = known.arm.forward(angles) - machine.forward(angles)
+        for angles, outward in ((poses, normals), (np.vstack([poses[:1], far]), None)):
+            points = known.arm.forward(angles)
+            true, g = points - machine.forward(angles), by_points(points, outward)
             for unseen in (False, True):
                 mean, cov = model.predict(angles, return_cov=True, with_unseen=unseen)
                 error = g @ (true - mean).ravel()
@@ -304,29 +270,145 @@ def one_arm(errors, seed, n_spheres):
 
 
 def deviations(options):
-    """Part ``deviations``."""
     ways = [f"{what}, {way}" for what in ("diameter", "length")
             for way in ("shown", "all", "independent")]  # fmt: skip
     print(f"{'':14}" + "".join(f"{way:>23}" for way in ways))
     for kind, errors in KINDS.items():
-        z = np.concatenate([
-            one_arm(errors, seed, options.spheres) for seed in range(options.arms)
-        ])  # fmt: skip
+        seeds = range(options.arms)
+        z = np.concatenate([measured_features(errors, seed, options.spheres) for seed in seeds])
         rms = np.sqrt(np.mean(np.square(z), axis=0))
         print(f"{kind:14}" + "".join(f"{value:23.2f}" for value in rms), flush=True)
 
 
+# -- tables of measurements ----------------------------------------------------------------------
+
+
+def um(vectors):
+    """Mean length in micrometres."""
+    return f"{1e3 * np.linalg.norm(vectors, axis=1).mean():.1f}"
+
+
+def dwells(options):
+    for seed in range(2):
+        test = make_single_point(19, 10, random_state=seed)
+        train, new = test.groups < 9, test.groups >= 9
+        truth = test.points - test.simulation.true_points
+        rng = np.random.default_rng(seed)
+        for kind in ("cones", "tracker"):
+            found = [um(centred(truth[new], test.groups[new] - 9))]
+            for n in (1, 100):
+                rows = np.repeat(np.flatnonzero(train), n)
+                angles = test.data[rows] + (n > 1) * rng.normal(0, 5e-6, (len(rows), 6))
+                points, groups = test.arm.forward(angles), test.groups[rows]
+                y = points - test.simulation.true_points[rows]
+                y = position_residuals(points, groups) if kind == "cones" else y
+                model = ArmResidualRegressor(test.arm).fit(angles, y, groups=groups)
+                left = truth[new] - model.predict(test.data[new])
+                found.append(um(centred(left, test.groups[new] - 9)))
+            print(f"{kind}, seed {seed}: none {found[0]}, one row {found[1]}, stream {found[2]}")
+
+
+def set_ups(options):
+    named = Counter()
+    for machine in ("typical", "gravity"):
+        for seed in range(2):
+            test = make_single_point(12, 20, machine=machine, random_state=seed)
+            rng = np.random.default_rng(seed)
+            for order in ("by cone", "shuffled"):
+                rows = rng.permutation(240) if order == "shuffled" else np.arange(240)
+                angles, points = test.data[rows], test.simulation.true_points[rows] + [1e3, 500, 0]
+                points += rng.normal(0, 0.01, points.shape)
+                turns = test.arm.frames(angles)[:, -1, :3, :3]
+                for size in (0.0, 0.1, 0.5, 5.0, 50.0):
+                    step = size * np.array([0.6, -0.6, 0.5])
+                    for what, moved in (("station", step), ("tool", turns @ step)):
+                        half = np.where(np.arange(240)[:, None] < 120, points, points + moved)
+                        found = calibrate(test.nominal_arm, angles, points=half).findings
+                        rightly = {(f.code, f.rows) for f in found if f.weight == "repair"}
+                        named[what, order, size] += (f"moved-{what}", (120,)) in rightly
+    for case, n in named.items():
+        print(*case, f"mm: named, with its row, in {n} of 4")
+
+
+def simulated_test(seed):
+    """Angles, residuals, positions and the arm of one simulated test."""
+    rng = np.random.default_rng(seed)
+    errors = replace(
+        ArmErrors.from_name(("typical", "gravity", "eccentricity")[seed % 3]),
+        play_arcsec=float(rng.choice([0, 0, 5])),
+        softening_arcsec=float(rng.choice([0, 0, 20])),
+        drift_k=float(rng.choice([0, 0, 3])),
+        payload_n=float(rng.choice([0, 0, 20])),
+        slip_share=float(rng.choice([0, 0.02, 0.08])),
+    )
+    n_positions, n_poses = int(rng.integers(4, 14)), int(rng.choice((8, 12, 20, 30, 60)))
+    test = make_single_point(n_positions, n_poses, machine=errors, random_state=seed)
+    return test.arm, test.data, test.target, test.groups
+
+
+def look(arm, angles, y, groups):
+    """What the model leaves, positions by number, and the variance of its noise."""
+    model = ArmResidualRegressor(arm).fit(angles, y, groups=groups)
+    left = y - model.linear_model_.predict(angles)[0]
+    return left, np.unique(groups, return_inverse=True)[1].ravel(), model.noise_sd_**2
+
+
+def steps(options):
+    alarms, found = 0, {}
+    for seed in range(5000, 5000 + options.tests):
+        arm, angles, y, groups = simulated_test(seed)
+        rng = np.random.default_rng([1, seed])
+        left, codes, variance = look(arm, angles, y, groups)
+        features = np.hstack([np.cos(angles), np.sin(angles)])
+        clusters = KMeans(3, n_init=1, random_state=0).fit_predict(features)
+        by_pose = np.lexsort((rng.random(len(y)), clusters, codes))
+        orders = np.arange(len(y)), by_pose, rng.permutation(len(y))
+        alarms += any(find_steps(left[o], angles[o], codes[o], variance) for o in orders)
+        rows = np.flatnonzero(codes == rng.integers(codes.max() + 1))
+        middle, direction = rows[len(rows) // 2], rng.normal(size=3)
+        size = (0.03, 0.1, 0.3)[seed // 3 % 3]
+        y[rows[len(rows) // 2 :]] += size * direction / np.linalg.norm(direction)
+        # The model is fitted to what was measured, the moved half included.
+        left, codes, variance = look(arm, angles, y, groups)
+        moved = find_steps(left, angles, codes, variance)
+        right = [abs(step.after - middle) <= 2 for step in moved]
+        found.setdefault((size, len(rows)), []).append(any(right))
+    print(f"{alarms} of {options.tests} tests without a step are named")
+    for (size, n), hits in sorted(found.items()):
+        print(f"step of {size} mm, {n} poses: found in {sum(hits)} of {len(hits)}")
+    for name in ("panda_3", "panda_2") if options.real else ():
+        angles, groups, placements = read_panda(name)
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, angles, groups, lengths=lengths).arm
+        y = position_residuals(arm.forward(angles), groups)
+        left, codes, variance = look(arm, angles, y, groups)
+        for step in find_steps(left, angles, codes, variance):
+            print(f"{name}, {np.unique(groups)[step.code]}: {step}")
+
+
+PARTS = {
+    "changes": changes,
+    "kinds": kinds,
+    "deviations": deviations,
+    "dwells": dwells,
+    "set-ups": set_ups,
+    "steps": steps,
+}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["changes", "kinds", "deviations"])
+    parser.add_argument("part", choices=PARTS)
     parser.add_argument("--arms", type=int, default=6, help="of each kind, simulated")
     parser.add_argument("--days", type=int, default=6, help="checks of each arm")
     parser.add_argument("--runs", type=int, default=60, help="of each change or series")
     parser.add_argument("--spheres", type=int, default=10, help="of each arm")
+    parser.add_argument("--tests", type=int, default=100, help="simulated, for steps")
     parser.add_argument("--real", action="store_true", help="the real robots, too")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    {"changes": changes, "kinds": kinds, "deviations": deviations}[options.part](options)
+    PARTS[options.part](options)
 
 
 if __name__ == "__main__":

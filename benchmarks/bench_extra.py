@@ -17,6 +17,7 @@ Calibration and models learn from poses of the other goals.
 import argparse
 
 import numpy as np
+from _arm_folds import DATA
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import ArmErrors, fetch_ur10_tracker, make_single_point
@@ -29,7 +30,6 @@ CASES = {
     "temperature": ({"drift_k": 8.0}, ["temperature"]),
     "payload": ({"payload_n": 20.0}, ["payload"]),
 }
-N_SPLITS = 3  # of the UR10's goals
 
 
 def values_of(test, extra, rng=None):
@@ -80,42 +80,27 @@ def run(case, seed, cause, tracker):
     return with_them / without
 
 
-def mean_length(left):
-    return np.linalg.norm(left, axis=1).mean()
-
-
-def real_directions(data, splits):
-    """What directions of joints are worth on the UR10, at goals left out."""
-    print("| extra columns | lags found, arc seconds | mean deviation, mm |\n|---|---|---|")
-    calibrated = [
-        calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
-        for train, _ in splits
-    ]
-    for title, n in (("none", 0), ("direction of joints 1 to 3", 3), ("of all six joints", 6)):
-        names = [f"direction {joint}" for joint in range(1, n + 1)]
-        X = np.hstack([data.data, data.directions[:, :n]])
-        left, lags = [], []
-        for result, (train, test) in zip(calibrated, splits, strict=True):
-            y = result.residuals(data.data, data.tracker_points)
-            model = ArmResidualRegressor(result.arm, extra=names)
-            model.fit(X[train], y[train], groups=data.groups[train])
-            terms = model.terms_[model.terms_["family"] == "direction"]
-            lags.append(" ".join(f"{value:.1f}" for value in terms["value"]))
-            left.append(f"{mean_length(y[test] - model.predict(X[test])):.4f}")
-        print(f"| {title} | {'; '.join(lags) if n else ''} | {', '.join(left)} |", flush=True)
-
-
-def split(data, n_rows, seed):
-    """Training rows, and rows of a fifth of the goals, which are left out."""
-    rng, n_goals = np.random.default_rng(seed), data.groups.max() + 1
-    out = np.isin(data.groups, rng.permutation(n_goals)[: n_goals // 5])
-    return np.sort(rng.permutation(np.flatnonzero(~out))[:n_rows]), out
-
-
 def print_real(n_rows):
-    data = fetch_ur10_tracker()
-    splits = [split(data, n_rows, seed) for seed in range(N_SPLITS)]
-    real_directions(data, splits)
+    """What directions of joints are worth on the UR10, at a fifth of its goals, left out."""
+    data, n_draws = fetch_ur10_tracker(data_home=DATA), 3
+    draws = []
+    for seed in range(n_draws):
+        rng, n_goals = np.random.default_rng(seed), data.groups.max() + 1
+        out = np.isin(data.groups, rng.permutation(n_goals)[: n_goals // 5])
+        train = np.sort(rng.permutation(np.flatnonzero(~out))[:n_rows])
+        found = calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
+        draws.append((found, train, out))
+    for n in (0, 3, 6):
+        X, left = np.hstack([data.data, data.directions[:, :n]]), []
+        for found, train, out in draws:
+            y = found.residuals(data.data, data.tracker_points)
+            names = [f"direction {joint}" for joint in range(1, n + 1)]
+            model = ArmResidualRegressor(found.arm, extra=names)
+            model.fit(X[train], y[train], groups=data.groups[train])
+            lags = model.terms_[model.terms_["family"] == "direction"]["value"]
+            distance = np.linalg.norm(y[out] - model.predict(X[out]), axis=1)
+            left.append(f"{distance.mean():.4f} (lags {np.round(lags, 1)})")
+        print(f"directions of {n} joints: mean deviation {', '.join(left)}", flush=True)
 
 
 def main():

@@ -1,4 +1,4 @@
-"""Time of a default fit beside a peer, and beside what its arithmetic alone would take.
+"""Time of a default fit beside a peer.
 
     python benchmarks/bench_fit.py --problem fourier3 --rows 300
     python benchmarks/bench_fit.py --problem robot_arm8 --rows 1000
@@ -14,15 +14,13 @@ rows its widths and ridge come from 1000 of them. "waves" are random waves in 6 
 a single-point test, `ArmResidualRegressor` is compared with the same model of low orders only.
 
 Both are fitted in one process with one BLAS and OpenMP thread, by turns. Printed are medians of the
-CPU time, of its ratio in the same round, the stages of the network's fit, and for waves what the
-matrix products of the selection take alone at the rate of a product, measured in the same process.
+CPU time and of its ratio in the same round.
 """
 
 import argparse
-import logging
 import os
-import statistics
 import time
+from functools import partial
 
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -34,7 +32,6 @@ from scipy.optimize import minimize
 
 from sklearn_raacmm import ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.network import _fit
 
 N_TEST = 1000
 # Rows up to which the peer takes all for its widths, and how many beyond: an evaluation of 10 000
@@ -48,7 +45,7 @@ class ExactProcess:
     def fit(self, X, y):
         """Maximise the likelihood from one start."""
         self.mean, self.shift, self.spread = y.mean(), X.mean(axis=0), X.std(axis=0)
-        self.Z, self.y, self.n_evaluations = (X - self.shift) / self.spread, y - y.mean(), 0
+        self.Z, self.y = (X - self.shift) / self.spread, y - y.mean()
         d = X.shape[1]
         start = np.append(np.full(d, 0.5 * np.log(d)), np.log(0.1))
         bounds = [(-4, 7)] * d + [(np.log(1e-8), np.log(1e3))]
@@ -76,7 +73,7 @@ class ExactProcess:
 
     def loss(self, z):
         """Negative log likelihood, up to a constant, and its gradient."""
-        n, self.n_evaluations = len(self.y), self.n_evaluations + 1
+        n = len(self.y)
         alpha = np.exp(z[-1])
         S, K, factor = self.factor(z)
         log_det = 2 * np.log(factor.diagonal()).sum()
@@ -102,29 +99,6 @@ class ExactProcess:
         return self.mean + np.exp(-0.5 * s) @ self.solved
 
 
-class Stages(logging.Handler):
-    """CPU time at the end of each stage that a fit logs, and the rank of the candidates."""
-
-    def __init__(self):
-        super().__init__()
-        self.ends, self.rank, self.candidates_of = {}, 0, _fit.candidates_of
-        logger = logging.getLogger("sklearn_raacmm")
-        logger.setLevel(logging.INFO)
-        logger.propagate = False
-        logger.addHandler(self)
-        _fit.candidates_of = self.note_rank
-
-    def emit(self, record):
-        """Note when a stage has ended."""
-        self.ends[record.args[0]] = time.process_time()
-
-    def note_rank(self, *args, **kwargs):
-        """Call the function that is watched, and note the rank."""
-        found = self.candidates_of(*args, **kwargs)
-        self.rank = found.coordinates.shape[1]
-        return found
-
-
 def problem_of(name, n):
     if name == "rough8":
         rng = np.random.default_rng(0)
@@ -139,87 +113,40 @@ def problem_of(name, n):
     return Problem(X[:n], y[:n], X[n:], y[n:], y[n:])
 
 
-def products_per_second(size=1500):
-    A = np.random.default_rng(0).standard_normal((size, size))
-    B = A.copy()
-    times = []
-    for _ in range(5):
-        start = time.process_time()
-        A @ B
-        times.append(time.process_time() - start)
-    return 2 * size**3 / min(times)
-
-
-def print_arithmetic(n, k, rank):
-    """What the steps of the selection take if each is a product at full speed."""
-    rate = products_per_second()
-    if k == n:
-        print(f"a factor of all rows at {rate / 1e9:.0f}e9 operations a second: ", end="")
-        print(f"{n**3 / 3 / rate:.2f} s")
-        return
-    parts = {
-        "factor": n * rank**2,
-        "whitening": 2 * n * rank**2,
-        "Gram matrix": n**2 * rank,
-        "steps": 2 * n * k**2,
-        "last fit": 2 * n * k**2,
-    }
-    text = ", ".join(f"{name} {count / rate:.2f}" for name, count in parts.items())
-    print(f"arithmetic of the centres at {rate / 1e9:.0f}e9 operations a second, n = {n}, ")
-    print(f"k = {k}, rank = {rank}: {text}; together {sum(parts.values()) / rate:.2f} s")
+def by_turns(repeats, *fits):
+    """Median of the CPU time of each function, and of the ratios of the first to the second."""
+    times = np.empty((repeats, len(fits)))
+    for row in times:
+        for i, fit in enumerate(fits):
+            start = time.process_time()
+            fit()
+            row[i] = time.process_time() - start
+    return *np.median(times, axis=0), np.median(times[:, 0] / times[:, -1])
 
 
 def network(args):
-    problem, stages = problem_of(args.problem, args.rows), Stages()
-    ours, peers, split = [], [], []
-    warm = generated("damped1", 30)
-    RBFNetRegressor().fit(warm.X, warm.y)  # imports and thread pools
-    ExactProcess().fit(warm.X, warm.y)
-    for _ in range(args.repeats):
-        start = time.process_time()
-        model = RBFNetRegressor(random_state=0).fit(problem.X, problem.y)
-        end = time.process_time()
-        ours.append(end - start)
-        between = stages.ends["widths of the network"], stages.ends["centres of the network"]
-        split.append(np.diff([start, *between, end]))
-        if args.peer:
-            start = time.process_time()
-            process = ExactProcess().fit(problem.X, problem.y)
-            peers.append(time.process_time() - start)
-    spread = np.std(problem.truth)
-    widths, centres, rest = np.median(split, axis=0)
-    print(f"{args.problem}, {args.rows} rows, {problem.X.shape[1]} features, 1 thread")
-    error = np.sqrt(np.mean((model.predict(problem.X_test) - problem.truth) ** 2)) / spread
-    print(
-        f"RBFNetRegressor {statistics.median(ours):.3f} s (widths {widths:.3f}, centres "
-        f"{centres:.3f}, rest {rest:.3f}), {len(model.centers_)} centres, error {error:.4f}"
-    )
+    problem, models = problem_of(args.problem, args.rows), [RBFNetRegressor(random_state=0)]
     if args.peer:
-        error = np.sqrt(np.mean((process.predict(problem.X_test) - problem.truth) ** 2)) / spread
-        ratio = statistics.median(a / b for a, b in zip(ours, peers, strict=True))
-        print(
-            f"exact process   {statistics.median(peers):.3f} s, {process.n_evaluations} "
-            f"evaluations, error {error:.4f}; ours over it {ratio:.2f}"
-        )
-    if args.problem in ("waves", "rough8"):
-        print_arithmetic(args.rows, len(model.centers_), stages.rank)
+        models.append(ExactProcess())
+    warm = generated("damped1", 30)
+    for model in models:
+        model.fit(warm.X, warm.y)  # imports and thread pools
+    fits = [partial(model.fit, problem.X, problem.y) for model in models]
+    *seconds, ratio = by_turns(args.repeats, *fits)
+    print(f"{args.problem}, {args.rows} rows, {problem.X.shape[1]} features, 1 thread")
+    for model, taken in zip(models, seconds, strict=True):
+        left = model.predict(problem.X_test) - problem.truth
+        error = np.sqrt(np.mean(left**2)) / np.std(problem.truth)
+        print(f"{type(model).__name__} {taken:.3f} s, error {error:.4f}")
+    print(f"{len(models[0].centers_)} centres; ratio {ratio:.2f}")
 
 
 def arm(args):
     data = make_single_point(n_positions=args.rows // 30, n_poses=30, random_state=0)
-    X, y, groups = data.data, data.target, data.groups
-    models = [ArmResidualRegressor(data.arm, orders=12), ArmResidualRegressor(data.arm)]
-    times = [[], []]
-    for model in models:
-        model.fit(X, y, groups=groups)
-    for _ in range(args.repeats):
-        for model, taken in zip(models, times, strict=True):
-            start = time.process_time()
-            model.fit(X, y, groups=groups)
-            taken.append(time.process_time() - start)
-    low, whole = map(statistics.median, times)
-    ratio = statistics.median(b / a for a, b in zip(*times, strict=True))
-    print(f"{len(X)} poses at {args.rows // 30} positions, 1 thread")
+    models = ArmResidualRegressor(data.arm), ArmResidualRegressor(data.arm, orders=12)
+    fits = [partial(model.fit, data.data, data.target, groups=data.groups) for model in models]
+    whole, low, ratio = by_turns(args.repeats + 1, *fits)
+    print(f"{len(data.data)} poses at {args.rows // 30} positions, 1 thread")
     print(f"ArmResidualRegressor {whole:.2f} s, with orders up to 12 {low:.2f} s: {ratio:.2f}")
 
 

@@ -19,7 +19,6 @@ positions and taken off.
 """
 
 import argparse
-import time
 import warnings
 
 import numpy as np
@@ -138,14 +137,13 @@ def main():
         print_intervals()
         return
     warnings.simplefilter("ignore")  # predict warns where most of a correction has faded
-    found, start = [], time.process_time()
+    found = []
     for number in range(N_ARMS - options.arms, N_ARMS):
         what, test, y, kept = split(number)
         ratio = left_of(ArmResidualRegressor(test.arm), test, y, kept, what[1] == "tracker")
         found.append((*what, ratio))
         print(number, *what, f"{ratio:.3f}", flush=True)
-    print(f"\n{time.process_time() - start:.0f} CPU s\n")
-    print("| arms | number | median, worst |\n|---|---|---|")
+    print("\n| arms | number | median, worst |\n|---|---|---|")
     for kind in ("tracker", "single-point"):
         for spread in (True, False):
             some = [r for r in found if r[1] == kind and (r[2] == "spread") == spread]

@@ -9,13 +9,11 @@ are some of
 - ur10-goal, ur10-space: real, five folds of goal positions, at random or of neighbours; `--rows`
   draws so many of the 11 911 poses;
 - ur10b-space: another series of that robot, 1495 clustered poses, five folds of regions;
-- corners: simulated, trained in one corner of the volume and used elsewhere;
 - grid: panda_3, every placement left out once: its distances to the others, and of its pair;
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
-The real data are looked for in ``../shared/data`` beside the project, or in the folder that
-SKLEARN_RAACMM_DATA names. `--defaults` runs `ArmResidualRegressor` alone,
-without the table of ideas; `--inputs` compares what a network alone is given instead.
+The real data are looked for where `_arm_folds` says. `--defaults` runs `ArmResidualRegressor`
+alone, without the table of ideas; `--inputs` compares what a network alone is given instead.
 
 Every real fold calibrates the arm on its own training rows. The settings of every method are its
 defaults, or found inside the training rows. The tables are printed as the documentation has them,
@@ -30,6 +28,7 @@ import argparse
 import sys
 import warnings
 from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 from _arm_folds import panda_folds, read_panda, read_ur10, simulated_folds, ur10_folds, ur10b_folds
@@ -49,33 +48,17 @@ from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths
 
 
-def network(arm, **inputs):
-    return CylindricalResidualTarget(
-        make_pipeline(
-            PoseFeatures(arm, **inputs), StandardScaler(), RBFNetRegressor(random_state=0)
-        ),
-        azimuth=arm.azimuth,
-    )
-
-
-def all_but_the_first(arm):
-    """Network on the cosines and sines of all joints but the first."""
-    drop = FunctionTransformer(_without_first)
-    features = make_pipeline(PoseFeatures(arm, joints="all", encoding="periodic"), drop)
-    return CylindricalResidualTarget(
-        make_pipeline(features, StandardScaler(), RBFNetRegressor(random_state=0)),
-        azimuth=arm.azimuth,
-    )
-
-
-def _without_first(X):
-    return X[:, 2:]
+def network(arm, first=0, **inputs):
+    """The network on the pose's features from a number on."""
+    kept = FunctionTransformer(itemgetter((slice(None), slice(first, None))))
+    steps = PoseFeatures(arm, **inputs), kept, StandardScaler(), RBFNetRegressor(random_state=0)
+    return CylindricalResidualTarget(make_pipeline(*steps), azimuth=arm.azimuth)
 
 
 NONE, MODEL = "no correction", "`ArmResidualRegressor`"
 
 
-def ideas(arm, tracked, real):
+def ideas(arm, tracked):
     """Name, estimator, and whether it takes groups, of what the linear model is made of."""
     yield "harmonics alone", ArmResidualRegressor(arm, causes=[]), True
     yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"]), True
@@ -84,17 +67,14 @@ def ideas(arm, tracked, real):
         yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False), True
 
 
-def inputs(arm, tracked, real):
+def inputs(arm, tracked):
     """The same network with other inputs."""
     words = {"angle": "angles", "periodic": "cosines and sines"}
     for joints, name in (("pose", "pose"), ("all", "all joints")):
         for encoding, what in words.items():
             yield f"{name}, {what}", network(arm, joints=joints, encoding=encoding), False
-    yield "all but the first, cosines and sines", all_but_the_first(arm), False
-
-
-def no_others(arm, tracked, real):
-    return ()
+    model = network(arm, first=2, joints="all", encoding="periodic")
+    yield "all but the first, cosines and sines", model, False
 
 
 def statistics(left, groups, reference):
@@ -142,7 +122,7 @@ def folds_of(name, n_rows):
 
 def run(name, n_rows, others, with_defaults):
     """What is left by each method in all folds, their groups, and shares inside 1.96 deviations."""
-    tracked, real = name.startswith("ur10"), not name.startswith("sim")
+    tracked = name.startswith("ur10")
     lefts, labels, inside = {}, [], []
     for arm, theta, y, groups, train in folds_of(name, n_rows):
         labels.append(groups[~train])
@@ -152,7 +132,7 @@ def run(name, n_rows, others, with_defaults):
             return left if tracked else position_residuals(left, groups[~train])
 
         found = {NONE: y[~train] if tracked else left_by(0.0)}
-        for title, model, takes_groups in others(arm, tracked, real):
+        for title, model, takes_groups in others(arm, tracked):
             extra = {"groups": groups[train]} if takes_groups else {}
             model.fit(theta[train], y[train], **extra)
             found[title] = left_by(model.predict(theta[~train]))
@@ -164,7 +144,6 @@ def run(name, n_rows, others, with_defaults):
             inside.append(np.abs(found[MODEL]) < 1.96 * std)
         for title, left in found.items():
             lefts.setdefault(title, []).append(left)
-        print(f"  {name}: fold done", file=sys.stderr, flush=True)
     lefts = {title: np.concatenate(parts) for title, parts in lefts.items()}
     return lefts, np.concatenate(labels), 100 * np.mean(np.concatenate(inside)) if inside else None
 
@@ -195,39 +174,6 @@ def print_table(rows):
     for name, cells in rows.items():
         print(f"| {name} | " + " | ".join(cells.get(head, "") for head in heads) + " |")
     sys.stdout.flush()
-
-
-def corners():
-    """Simulated arms, trained on a third of the positions: what is left elsewhere."""
-    ratios = {}
-    for mix in ("gravity", "typical", "eccentricity"):
-        for seed in range(3):
-            test = make_single_point(30, 25, machine=mix, random_state=seed)
-            place = test.simulation.positions - test.simulation.machine.shoulder
-            x, y, z = place.T
-            where = {
-                "one side": np.abs(np.arctan2(y, x)),
-                "near": (place**2).sum(axis=1),
-                "far": -(place**2).sum(axis=1),
-                "low": z,
-                "high": -z,
-            }
-            for corner, order in where.items():
-                train = np.isin(test.groups, np.argsort(order)[:10])
-                for reference in ("position's mean", "tracker"):
-                    tracked = reference == "tracker"
-                    target = test.points - test.simulation.true_points if tracked else test.target
-                    model = ArmResidualRegressor(test.arm)
-                    model.fit(test.data[train], target[train], groups=test.groups[train])
-                    left = target[~train] - model.predict(test.data[~train])
-                    if not tracked:
-                        left = position_residuals(left, test.groups[~train])
-                    before, after = (
-                        np.linalg.norm(part, axis=1).mean() for part in (target[~train], left)
-                    )
-                    ratios.setdefault((reference, corner), []).append(after / before)
-    print("\ncorners: mean deviation elsewhere over that without correction, 9 simulated arms")
-    _print_ratios(ratios)
 
 
 def octants():
@@ -328,15 +274,13 @@ def main():
     parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
     parser.add_argument("--defaults", action="store_true", help="only the default")
     mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
-    others = {"corners": corners, "grid": grid, "octants": octants}
+    others = {"grid": grid, "octants": octants}
     sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", "ur10b-space", *others]
     parser.add_argument("sets", nargs="*", default=sets, metavar="sets", help=", ".join(sets))
     args = parser.parse_args()
-    if wrong := set(args.sets) - set(sets):
-        parser.error(f"no such set: {', '.join(sorted(wrong))}; there are {', '.join(sets)}.")
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
     warnings.filterwarnings("ignore", message="Without the cause kinematics")
-    compared = inputs if args.inputs else no_others if args.defaults else ideas
+    compared = inputs if args.inputs else (lambda *_: ()) if args.defaults else ideas
     tables = {}, {}
     for name in args.sets:
         if name in others:

@@ -1,137 +1,67 @@
-"""Time of forward kinematics and of `calibrate`, beside what others would write.
+"""Times that doc/log.md shows: `calibrate`, and one row of a model.
 
-    python benchmarks/bench_speed.py forward [--rows 300000] [--one-row]
     python benchmarks/bench_speed.py calibrate
-
-``forward``: `Arm.forward` of a million poses beside the sines and cosines alone, which no way of
-computing can do without, and beside one (n, 4, 4) matrix product a joint, the usual NumPy way; then
-one pose a call, in medians of CPU time, by turns with Pinocchio, if it is installed (``pip install
-pin``; its positions have to be ours).
+    python benchmarks/bench_speed.py python
+    python benchmarks/bench_speed.py row              # prints the table
+    python benchmarks/bench_speed.py row --write      # and puts it into doc/log.md
 
 ``calibrate``: beside what a laboratory writes in an afternoon, `scipy.optimize.least_squares` over
 the same parameters, with differences for derivatives and the same loss, but no search of priors, no
-standard deviations and no outliers. All on one thread.
+standard deviations and no outliers.
+
+``python``: `predict` of one row beside that of scikit-learn's `Ridge`. Nearly all is validation:
+what counts is how often it is done.
+
+``row``: a fitted model in C, in ONNX and in Python, and the files' sizes. C is timed in a loop in
+C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread.
 """
 
 import argparse
+import ctypes
 import os
+import platform
+import shutil
 import statistics
+import subprocess
+import tempfile
 import time
-import tracemalloc
+import warnings
 
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+from datetime import date
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm import Arm, calibrate
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
+    calibrate,
+)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import export_c, load_c, to_onnx
 
 NOISE_MM = 0.02
-
-
-def sines_and_cosines(arm, angles):
-    """Compute what every way needs, in pieces that stay in the cache."""
-    for rows in np.array_split(angles, max(1, len(angles) // 4096)):
-        theta = np.ascontiguousarray(rows.T)
-        np.sin(theta)
-        np.cos(theta)
-
-
-def matrix_products(arm, angles):
-    """Multiply (n, 4, 4) matrices, modified convention."""
-    frame = np.broadcast_to(np.eye(4), (len(angles), 4, 4))
-    for i in range(arm.n_joints):
-        step = np.zeros((len(angles), 4, 4))
-        c, s = np.cos(angles[:, i]), np.sin(angles[:, i])
-        ca, sa = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
-        step[:, 0, 0], step[:, 0, 1], step[:, 0, 3] = c, -s, arm.a[i]
-        step[:, 1, 0], step[:, 1, 1], step[:, 1, 2], step[:, 1, 3] = s * ca, c * ca, -sa, -sa
-        step[:, 2, 0], step[:, 2, 1], step[:, 2, 2], step[:, 2, 3] = s * sa, c * sa, ca, ca
-        step[:, 1:3, 3] *= arm.d[i]
-        step[:, 3, 3] = 1
-        frame = frame @ step
-    return (frame @ np.append(arm.probe, 1))[:, :3]
-
-
-def measure(function, arm, angles, repeats=3):
-    """Return the best time per row in s and the peak of memory in MB."""
-    function(arm, angles[:100])
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function(arm, angles)
-        times.append(time.perf_counter() - start)
-    tracemalloc.start()
-    function(arm, angles)
-    peak = tracemalloc.get_traced_memory()[1] / 1e6
-    tracemalloc.stop()
-    return min(times) / len(angles), peak
-
-
-def pinocchio_forward(arm):
-    """Return a function from the angles of one pose to Pinocchio's place of the probe."""
-    import pinocchio as pin
-
-    model, parent = pin.Model(), 0
-    for i in range(arm.n_joints):
-        # Modified convention: x before the joint, z after it.
-        c, s = np.cos(arm.alpha[i]), np.sin(arm.alpha[i])
-        rotation = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-        place = pin.SE3(rotation, np.array([arm.a[i], -s * arm.d[i], c * arm.d[i]]))
-        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint{i}")
-    probe = pin.Frame("probe", parent, pin.SE3(np.eye(3), arm.probe), pin.FrameType.OP_FRAME)
-    frame, data, offset = model.addFrame(probe), model.createData(), arm.theta_offset
-
-    def forward(q):
-        pin.forwardKinematics(model, data, q + offset)
-        return pin.updateFramePlacement(model, data, frame).translation
-
-    return forward
-
-
-def one_row(arm, rounds=60, calls=50):
-    """Time calls with one pose, by turns."""
-    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (1, arm.n_joints))
-    functions = {"Arm.forward": lambda: arm.forward(q)}
-    try:
-        peer = pinocchio_forward(arm)
-        assert np.allclose(peer(q[0]), arm.forward(q)[0], atol=1e-9)
-        functions["Pinocchio"] = lambda: peer(q[0])
-    except ImportError:
-        print("pinocchio is not installed: left out")
-    functions["one NumPy sine of 7 angles"] = lambda: np.sin(q)
-    times = {name: [] for name in functions}
-    for _ in range(rounds):
-        for name, function in functions.items():
-            start = time.process_time()
-            for _ in range(calls):
-                function()
-            times[name].append((time.process_time() - start) / calls)
-    print("one pose a call")
-    ours = np.array(times["Arm.forward"])
-    for name, taken in times.items():
-        ratio = np.median(ours / taken)
-        print(f"{name:<28}{1e6 * np.median(taken):>8.1f} us, Arm.forward over it {ratio:.1f}")
-
-
-def many_rows(arm, n_rows):
-    """Time calls with many poses: in ns a row, over `Arm.forward`, and the peak of memory."""
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (n_rows, arm.n_joints))
-    ways = {
-        "Arm.forward": Arm.forward,
-        "sines and cosines alone": sines_and_cosines,
-        "(n, 4, 4) products": matrix_products,
-        "Arm.frames": Arm.frames,
-        "Arm.jacobian": Arm.jacobian,
-    }
-    print(f"{arm!r}, {n_rows} rows\n{'':<28}{'ns / row':>10}{'ratio':>9}{'peak MB':>9}")
-    assert np.abs(matrix_products(arm, angles[:100]) - arm.forward(angles[:100])).max() < 1e-9
-    reference = None
-    for name, function in ways.items():
-        seconds, peak = measure(function, arm, angles)
-        reference = reference or seconds
-        print(f"{name:<28}{1e9 * seconds:>10.0f}{seconds / reference:>9.2f}{peak:>9.0f}")
+PAGE = Path(__file__).parents[1] / "doc" / "log.md"
+START, END = "<!-- bench_speed row -->", "<!-- end of bench_speed row -->"
+LOOP = """
+#include "arm.h"
+void correct_rows(const double *q, double *out, long n)
+{ for (long i = 0; i < n; ++i) arm_correct(q + 6 * i, out + 3 * i); }
+void std_rows(const double *q, double *out, long n)
+{ double s[3]; for (long i = 0; i < n; ++i) arm_correct_std(q + 6 * i, out + 3 * i, s); }
+"""
+FLAGS = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
 
 
 def simulated(arm, n, n_groups, seed=0):
@@ -190,7 +120,7 @@ def by_hand(arm, angles, points, groups):
     return least_squares(residuals, z, loss="soft_l1", x_scale="jac").cost
 
 
-def calibrations(repeats):
+def calibrations(repeats=3):
     """Time `calibrate` and the fit by hand by turns."""
     arm = Arm.from_name("aacmm6")
     for n, n_groups in ((3000, None), (10_000, 40)):
@@ -210,19 +140,180 @@ def calibrations(repeats):
         print(f"{len(angles)} {kind} poses: {times} of CPU time, 1 thread; ratio {ratio:.1f}")
 
 
-def main():
+def best(function, repeats=5):
+    """Return the least CPU time of a call in s."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        function()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def models(data):
+    """Fitted models by name: networks that all outputs share, and models of the arm."""
+    arm = data.arm
+
+    def chain(n_centers):
+        return make_pipeline(
+            PoseFeatures(arm, joints="all", append_azimuth=True),
+            CylindricalResidualTarget(
+                make_pipeline(
+                    StandardScaler(), RBFNetRegressor(n_centers, shared=True, random_state=0)
+                )
+            ),
+        )
+
+    found = {
+        "network, 60 centres": chain(60),
+        "network, 266 centres": chain(266),
+        "linear model of the arm": ArmResidualRegressor(arm, orders=3),
+        "the same without fading": ArmResidualRegressor(arm, orders=3, fade=0),
+    }
+    for model in found.values():
+        groups = {"groups": data.groups} if isinstance(model, ArmResidualRegressor) else {}
+        model.fit(data.data, data.target, **groups)
+    return found
+
+
+def one_by_one(call, X, n_rows=200):
+    """Return the CPU time of a call of one row in s."""
+    return best(lambda: [call(row) for row in X[:n_rows]], 3) / n_rows
+
+
+def in_c(model, folder, X, expected):
+    """Rows of the table for one model in C: name, microseconds, gap."""
+    source, _ = export_c(model, folder / "arm.c", std=True)
+    (folder / "loop.c").write_text(LOOP)
+    out = np.empty((len(X), 3))
+    place = ctypes.c_void_p
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        for name, flags in FLAGS.items():
+            library = folder / f"{compiler}{len(flags)}.so"
+            command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", library]
+            subprocess.run([*command, source, folder / "loop.c", "-lm"], check=True)
+            loaded = ctypes.CDLL(str(library))
+            for what in ("correct", "std"):
+                rows = X if what == "correct" else X[: len(X) // 10]
+                arguments = (place(rows.ctypes.data), place(out.ctypes.data))
+                function = getattr(loaded, f"{what}_rows")
+                seconds = best(partial(function, *arguments, ctypes.c_long(len(rows))))
+                gap = np.abs(out - expected).max()
+                label = f"C, {compiler} {name}" + (", with std" if what == "std" else "")
+                yield label, 1e6 * seconds / len(rows), gap
+
+
+def in_python(model, X, expected):
+    """The same for ways that are called from Python, one row per call."""
+    compiled = load_c(model)
+    gap = np.abs(compiled.predict(X) - expected).max()
+    yield "`load_c`, one row per call", 1e6 * one_by_one(compiled.predict, X), gap
+    yield "`load_c`, one batch", 1e6 * best(lambda: compiled.predict(X)) / len(X), gap
+    try:
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        converted = to_onnx(model).SerializeToString()
+        session = onnxruntime.InferenceSession(
+            converted, options, providers=["CPUExecutionProvider"]
+        )
+    except ImportError:
+        pass
+    else:
+        gap = np.abs(session.run(None, {"X": X})[0] - expected).max()
+        seconds = one_by_one(lambda row: session.run(None, {"X": row[None]}), X)
+        yield "ONNX, one row per call", 1e6 * seconds, gap
+    yield (
+        "`predict`, one row per call",
+        1e6 * one_by_one(lambda row: model.predict(row[None]), X),
+        0,
+    )
+    yield "`predict`, one batch", 1e6 * best(lambda: model.predict(X), 3) / len(X), 0
+
+
+def _digits(microseconds):
+    """Two digits, without an exponent."""
+    return f"{microseconds:.{0 if microseconds >= 10 else 1}f}"
+
+
+def table(n_rows):
+    """Lines of Markdown."""
+    data = make_single_point(n_positions=12, n_poses=40, random_state=0)
+    # Poses that the models know: C takes longer where corrections fade.
+    X = data.data[np.random.default_rng(0).integers(len(data.data), size=n_rows)]
+    found, sizes, gaps, names = {}, {}, [], []
+    for name, model in models(data).items():
+        names.append(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            expected = model.predict(X)
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            for way in (in_c(model, folder, X, expected), in_python(model, X, expected)):
+                for label, microseconds, gap in way:
+                    found.setdefault(label, {})[name] = _digits(microseconds)
+                    gaps.append(gap)
+            for label, std in (("C source, kB", False), ("C source with std, kB", True)):
+                source, _ = export_c(model, folder / "arm.c", std=std)
+                sizes.setdefault(label, {})[name] = f"{source.stat().st_size / 1e3:.0f}"
+    head = [f"| µs per row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
+    body = [
+        f"| {label} | {' | '.join(cells.get(name, '-') for name in names)} |"
+        for label, cells in {**found, **sizes}.items()
+    ]
+    note = (
+        f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}; "
+        f"all answers within {max(gaps):.0e} mm of `predict`."
+    )
+    return [*head, *body, "", note]
+
+
+def python(rounds=60, calls=20):
+    """Time `predict` of one row against that of a bare Ridge, by turns."""
+    data = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    X, y, arm = data.data, data.target, data.arm
+    network = RBFNetRegressor(60, random_state=0)
+    inner = make_pipeline(StandardScaler(), network)
+    models = {
+        "Ridge": Ridge(),
+        "RBFNetRegressor": network,
+        "chain, pipeline": make_pipeline(
+            PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
+        ),
+        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
+    }
+    times = {name: [] for name in models}
+    for model in models.values():
+        model.fit(X, y)
+    row = X[:1].copy()
+    for _ in range(rounds):
+        for name, model in models.items():
+            start = time.process_time()
+            for _ in range(calls):
+                model.predict(row)
+            times[name].append((time.process_time() - start) / calls)
+    medians = {name: np.median(values) for name, values in times.items()}
+    print(f"{'one row, 60 centres':<36}{'CPU us':>8}{'ratio':>8}")
+    for name, seconds in medians.items():
+        print(f"{name:<36}{1e6 * seconds:>8.0f}{seconds / medians['Ridge']:>8.2f}")
+
+
+def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["forward", "calibrate"])
-    parser.add_argument("--rows", type=int, default=1_000_000)
-    parser.add_argument("--one-row", action="store_true", help="one pose a call only")
-    parser.add_argument("--repeats", type=int, default=3, help="of a calibration")
-    args = parser.parse_args()
-    if args.part == "calibrate":
-        return calibrations(args.repeats)
-    arm = Arm.from_name("panda", probe=(0, 0, 138))
-    if not args.one_row:
-        many_rows(arm, args.rows)
-    return one_row(arm)
+    parser.add_argument("part", choices=["calibrate", "python", "row"])
+    parser.add_argument("--rows", type=int, default=20_000, help="of a model")
+    parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
+    args = parser.parse_args(argv)
+    if args.part != "row":
+        return (calibrations if args.part == "calibrate" else python)()
+    lines = table(args.rows)
+    print("\n".join(lines))
+    if args.write:
+        text = PAGE.read_text(encoding="utf-8")
+        before, rest = text.split(START)
+        after = rest.split(END)[1]
+        PAGE.write_text(f"{before}{START}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", "utf-8")
 
 
 if __name__ == "__main__":

@@ -9,14 +9,18 @@ real "pandas" and the "ur10", "update" and registration, "check", "transfer", "c
 "network". CPU seconds depend on the machine: they are shown beside the numbers and not compared.
 Everything runs on one thread. Without the network it takes two minutes.
 
+``--walk`` counts, by Python's profiler hook, in how many of the package's files a function ran
+during a default fit of the arm's model and while a correction was learned, how often a call went
+from one of them to another, and how many of the package's frames were open at once.
+
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that
 SKLEARN_RAACMM_DATA names.
 """
 
 import argparse
-import importlib.util
 import json
 import os
+import sys
 import time
 import warnings
 
@@ -27,14 +31,17 @@ from pathlib import Path
 import numpy as np
 from _arm_folds import DATA
 from _golden_arm import SECTIONS, seconds
+from _golden_network import numbers
 
+import sklearn_raacmm
+from sklearn_raacmm import ArmResidualRegressor, learn_correction
+from sklearn_raacmm.datasets import make_single_point
+
+FOLDER = os.path.dirname(sklearn_raacmm.__file__)
 FILE = Path(__file__).with_name("golden.json")
 MOVED = 0.005  # a move keeps the numbers to rounding; a fold of two mechanisms may cost this much
 
-if importlib.util.find_spec("_golden_network"):
-    from _golden_network import numbers
-
-    SECTIONS = {**SECTIONS, "network": numbers}
+SECTIONS = {**SECTIONS, "network": numbers}
 
 
 def measured(names, data_home):
@@ -49,6 +56,45 @@ def measured(names, data_home):
         print(f"{name}: {len(found[name])} numbers, {spent[f'section {name}']} CPU s", flush=True)
     spent |= {name: round(value, 2) for name, value in seconds(data_home).items()}
     return found, spent
+
+
+def walk(call):
+    """Files, moves between files and most frames at once while a function runs."""
+    files, seen = set(), {"moves": 0, "deepest": 0}
+    stack = [None]
+
+    def hook(frame, event, _):
+        name = frame.f_code.co_filename
+        if event not in ("call", "return") or not name.startswith(FOLDER):
+            return
+        if event == "return":
+            if len(stack) > 1:
+                stack.pop()
+            return
+        files.add(name)
+        seen["moves"] += stack[-1] is not None and stack[-1] != name
+        stack.append(name)
+        seen["deepest"] = max(seen["deepest"], len(stack) - 1)
+
+    sys.setprofile(hook)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    return len(files), seen["moves"], seen["deepest"]
+
+
+def print_walk():
+    """Of a fit to 300 simulated poses and of learning from them: files, moves and frames."""
+    test = make_single_point(n_positions=10, n_poses=30, random_state=0)
+    model = ArmResidualRegressor(test.arm)
+    calls = {
+        "fit of the arm's model": lambda: model.fit(test.data, test.target, groups=test.groups),
+        "learn_correction": lambda: learn_correction(test.nominal_arm, test.data, test.groups),
+    }
+    for name, call in calls.items():
+        call()  # tables that are kept are made
+        print("{}: own files {}, moves between files {}, frames {}".format(name, *walk(call)))
 
 
 def line(name, before, now, is_compared):
@@ -83,8 +129,11 @@ def main():
     parser.add_argument("--compare", action="store_true", help="with the file (the default)")
     parser.add_argument("--write", action="store_true", help="put the numbers into the file")
     parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS))
+    parser.add_argument("--walk", action="store_true", help="files that a fit goes through")
     parser.add_argument("--data-home", default=DATA, help="folder of the real data")
     options = parser.parse_args()
+    if options.walk:
+        return print_walk()
     warnings.simplefilter("ignore")  # of few poses, and of what has faded
     before = {"numbers": {}, "cpu_seconds": {}}
     if FILE.exists():

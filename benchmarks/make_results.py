@@ -1,6 +1,4 @@
-"""
-Make the file of results again
-==============================
+"""Regressors side by side: make the file of results again, or print a part of it.
 
 ``doc/results.json`` holds every measured number of the README and of the pages "Evidence",
 "Which estimator?" and "The paper's experiment and ours". This command measures them again, writes
@@ -8,8 +6,15 @@ the file and the README's tables, and says which numbers have moved.
 
 Without options it makes what the README shows, in about ten CPU minutes. ``--all`` makes all of it
 over night, ``--all --missing`` only what the file lacks, ``--only panda --models ridge trees`` a
-part. Numbers that are not made again stay as they are; each entry says when it was made. Whoever
-stops the job with Ctrl-C keeps what was finished. Real data are downloaded the first time.
+part, which ``--print`` only prints. Numbers that are not made again stay as they are; each entry
+says when it was made. Whoever stops the job with Ctrl-C keeps what was finished. Real data are
+downloaded the first time.
+
+In the tables lengths are in mm. mean, max: deviation from the position's mean point (UR10: from the
+tracker's point); 2S: single-point repeatability; less: reduction of its mean (UR10: of the
+deviation); of possible: share of what a perfect model reduces, which knows all but the noise; 300
+mm, 500 mm: error of known lengths; R2: plain, and with one free constant per position (within);
+fit s: CPU seconds with the choice of settings; bytes: pickled; numbers: kept in order to predict.
 """
 
 import argparse
@@ -19,9 +24,9 @@ import sys
 import warnings
 from pathlib import Path
 
-import compare_regressors
+import _data_sets
 import numpy as np
-from _comparison import ALL, PAPER, fetched, processes
+from _comparison import ALL, PAPER, fetched
 from _regressors import ANGLES, MODELS
 
 from sklearn_raacmm import (
@@ -72,20 +77,20 @@ def data_sets(everything, data_home):
     def simulated(mix, seed):
         return (
             f"simulated, {mix}, seed {seed}",
-            compare_regressors.simulated,
+            _data_sets.simulated,
             (mix, seed, *SIMULATED),
         )
 
-    first = [simulated(mix, 0) for mix in compare_regressors.MIXES]
+    first = [simulated(mix, 0) for mix in _data_sets.MIXES]
     for arm in ("panda_3", "panda_2"):
-        first.append((f"real, {arm}", compare_regressors.panda, (arm, data_home)))
-    rows = compare_regressors.UR10_ROWS
-    first.append(("real, ur10", compare_regressors.ur10, (rows, data_home)))
+        first.append((f"real, {arm}", _data_sets.panda, (arm, data_home)))
+    rows = _data_sets.UR10_ROWS
+    first.append(("real, ur10", _data_sets.ur10, (rows, data_home)))
     sets = [(*data, HEADLINE) for data in first]
     if everything:
         sets += [(*data, [name for name in SHOWN if name not in HEADLINE]) for data in first[:3]]
         for seed in range(1, SEEDS):
-            sets += [(*simulated(mix, seed), INDIVIDUALS) for mix in compare_regressors.MIXES]
+            sets += [(*simulated(mix, seed), INDIVIDUALS) for mix in _data_sets.MIXES]
         sets += [(*data, [(PAPER, "RBF network, Cartesian")]) for data in first[3:]]
         # As many poses at each position as the paper has.
         title, make, (*how, _, n_folds) = simulated("typical", 0)
@@ -130,7 +135,7 @@ def few_poses(data_home, n_draws=5):
             ),
         }
         for name, (learn, test) in splits.items():
-            fold = compare_regressors.calibrated(data, learn)
+            fold = _data_sets.calibrated(data, learn)
             model = ArmResidualRegressor(fold.arm)
             model.fit(data.data[learn], fold.residuals[learn])
             left = fold.residuals[test] - model.predict(data.data[test])
@@ -191,13 +196,14 @@ def parsed(argv):
     parser.add_argument("--only", nargs="*", help="data sets whose name holds one of these")
     parser.add_argument("--models", nargs="*", help="models whose name holds one of these")
     parser.add_argument("--missing", action="store_true", help="only what the file does not have")
+    parser.add_argument("--print", action="store_true", help="write nothing")
     parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
     parser.add_argument(
         "--urdf",
         help="calibrated_urdf/panda_3/panda_calibrated.urdf of the data's authors, commit ce8a5c0",
     )
     parser.add_argument(
-        "--jobs", type=processes, default=1, help="processes (default: 1; costs are of CPU time)"
+        "--jobs", type=int, default=1, help="processes (default: 1; costs are of CPU time)"
     )
     return parser.parse_args(argv)
 
@@ -218,7 +224,7 @@ def measure(args, results, save):
             continue
         problem = make(*how)
         print(f"\n{title}\n")
-        records, _ = compare_regressors.compare(problem, names, args.jobs)
+        records = _data_sets.compare(problem, names, args.jobs)
         judged = problem.folds[: len(problem.folds) - problem.gauge]
         entry = comparisons.setdefault(title, {"models": {}})
         entry |= {"rows": sum(len(fold.test) for fold in judged), "folds": len(judged)}
@@ -242,7 +248,8 @@ def main(argv=None):
     new = json.loads(json.dumps(old))
 
     def save():
-        FILE.write_text(json.dumps(new, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        if not args.print:
+            FILE.write_text(json.dumps(new, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
     try:
         measure(args, new, save)
@@ -250,7 +257,8 @@ def main(argv=None):
         lines = list(moved(old, new))
         print(f"\n{len(lines)} numbers have moved by more than {MOVED:.0%} or are new:")
         print(*lines, sep="\n")
-        write_readme()
+        if not args.print:
+            write_readme()
 
 
 if __name__ == "__main__":

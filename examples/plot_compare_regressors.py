@@ -9,7 +9,7 @@ polynomials, a database of residuals (nearest neighbours) and a perceptron.
 
 The data are simulated: 10 positions with 40 poses each. The script takes about a minute. It
 runs on your own data if you fill ``angles``, ``points`` and ``groups`` from your table.
-``benchmarks/compare_regressors.py`` does this at length. It searches every setting, and it measures
+``benchmarks/make_results.py`` does this at length. It searches every setting, and it measures
 costs, lengths and real arms.
 """
 

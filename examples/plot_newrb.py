@@ -48,16 +48,18 @@ T = truth(P) + 0.1 * rng.standard_normal(P.shape)
 
 def radial(P, centers, spread):
     """Neurons of newrb, one column each."""
-    return np.exp(-np.log(2) * (P.T - centers) ** 2 / spread**2)
+    gaps = np.square(P[:, :, None] - centers[:, None, :]).sum(axis=0)
+    return np.exp(-np.log(2) * gaps / spread**2)
 
 
 def newrb(P, T, goal, spread, MN):
-    """Centres, and the function that they make."""
-    W, target, chosen = radial(P, P, spread), T.ravel(), []
+    """Indices of centres, and the function that they make."""
+    W, target, chosen = radial(P, P, spread), T.T, []
     while len(chosen) < MN:
         lengths = np.sum(W**2, axis=0)
         lengths[chosen] = np.inf
-        chosen.append(int(np.argmax((target @ W) ** 2 / lengths)))
+        ratios = (T @ W) ** 2 / lengths / np.sum(T**2, axis=1, keepdims=True)  # of every output
+        chosen.append(int(np.argmax(np.sum(ratios**2, axis=0))))
         w = W[:, chosen[-1]] / np.linalg.norm(W[:, chosen[-1]])
         W -= np.outer(w, w @ W)  # what is left of all others
         columns = np.column_stack([radial(P, P[:, chosen], spread), np.ones(P.size)])
@@ -68,12 +70,12 @@ def newrb(P, T, goal, spread, MN):
     def network(x):
         return radial(np.atleast_2d(x), P[:, chosen], spread) @ weights[:-1] + weights[-1]
 
-    return P[:, chosen].T, network
+    return chosen, network
 
 
 goal, spread, MN = 0.02, 0.4, 30
 centers, network = newrb(P, T, goal, spread, MN)
-print(f"{len(centers)} neurons, mean squared error {np.mean((T - network(P)) ** 2):.3f}")
+print(f"{len(centers)} neurons, mean squared error {np.mean((T - network(P).T) ** 2):.3f}")
 
 # %%
 # ``RBFNetRegressor`` with the same width and goal centres the targets first, so that its choice is
@@ -97,7 +99,7 @@ x = np.linspace(-1, 1, 500)
 figure, axes = plt.subplots(1, 3, figsize=(10, 3.4), sharey=True, layout="constrained")
 for ax, width in zip(axes, (0.05, 0.4), strict=False):
     centers, network = newrb(P, T, 0.005, width, MN)
-    error = np.sqrt(np.mean((network(x) - truth(x)) ** 2))
+    error = np.sqrt(np.mean((network(x)[:, 0] - truth(x)) ** 2))
     ax.plot(x, network(x), color="#D55E00")
     ax.set_title(f"newrb, spread {width:g}, goal 0.005:\n{len(centers)} neurons, error {error:.3f}")
 mean, std = default.predict(x[:, None], return_std=True, with_noise=False)

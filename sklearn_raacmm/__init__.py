@@ -70,8 +70,8 @@ __all__ = [
     "update_correction",
 ]
 
-# From the ground up, so that a name costs no more than the wings below it.
-_WINGS = (
+# From the lowest layer up, so that a name costs no more than the subpackages below it.
+_SUBPACKAGES = (
     "utils", "inference", "arm", "network", "residuals", "metrics", "calibration", "measurements",
     "error_model", "correction", "datasets", "display", "export", "app",
 )  # fmt: skip
@@ -79,15 +79,15 @@ _WINGS = (
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for, when it is: ``raacmm --help`` needs no scikit-learn."""
-    if name in _WINGS:
+    if name in _SUBPACKAGES:
         return importlib.import_module(f"{__name__}.{name}")
     if name in __all__:
-        for wing in _WINGS:
-            if hasattr(found := importlib.import_module(f"{__name__}.{wing}"), name):
+        for subpackage in _SUBPACKAGES:
+            if hasattr(found := importlib.import_module(f"{__name__}.{subpackage}"), name):
                 globals()[name] = getattr(found, name)
                 return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_WINGS})
+    return sorted({*globals(), *__all__, *_SUBPACKAGES})

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 SLOW = {*(ROOT / "tests" / "slow.txt").read_text(encoding="utf-8").split()}
 
 # The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one
-# another most of the time.
-threadpool_limits(1, user_api="blas")
+# another most of the time. `.ci/run kernels` asks for more.
+threadpool_limits(int(os.environ.get("OPENBLAS_NUM_THREADS", 1)), user_api="blas")
 
 
 def pytest_addoption(parser):

@@ -1,6 +1,5 @@
 """The long comparisons run, small, and their numbers are those of loops written out by hand."""
 
-import csv
 import functools
 import importlib
 import sys
@@ -17,28 +16,23 @@ from sklearn_raacmm import Arm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-matplotlib = pytest.importorskip("matplotlib")
-plt = pytest.importorskip("matplotlib.pyplot")
-pytest.importorskip("pandas")
 SCRIPTS = Path(__file__).resolve().parent.parent / "benchmarks"
-OURS = ("compare_", "_comparison", "_regressors")
+OURS = ("_data_sets", "_comparison", "_regressors")
 
 
 @pytest.fixture
 def example(monkeypatch, tmp_path):
-    """Return ``example(name)``: the module of an example, as though run from its folder."""
+    """Return ``example(name)``: a module of the benchmarks."""
     monkeypatch.syspath_prepend(SCRIPTS)
     monkeypatch.chdir(tmp_path)
-    matplotlib.use("Agg")
     yield importlib.import_module
-    plt.close("all")
     for name in [name for name in sys.modules if name.startswith(OURS)]:
         del sys.modules[name]
 
 
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_without_data_says_where_to_get_them(example, tmp_path, name, monkeypatch):
-    module = example("compare_regressors")
+    module = example("_data_sets")
     fetch = "fetch_panda_ball_socket" if name == "panda" else "fetch_ur10_tracker"
     offline = functools.partial(getattr(module, fetch), download_if_missing=False)
     monkeypatch.setattr(module, fetch, offline)
@@ -66,11 +60,6 @@ def goals_of(ur10, some):
         groups=np.unique(ur10.groups[some], return_inverse=True)[1],
         nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
     )
-
-
-def read(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def nested_fourier(cone, module, n_folds):
@@ -106,28 +95,28 @@ def nested_fourier(cone, module, n_folds):
     return single_point_repeatability(cone.target - correction, cone.groups, aggregate=None)
 
 
+@pytest.mark.exhaustive
 def test_quick_comparison(example, capsys):
-    example("compare_regressors").main(["--quick", "--jobs", "1", "--output", "table.csv"])
-    captured = capsys.readouterr()
-    module = example("_regressors")
-    assert f"model {len(module.MODELS)} of {len(module.MODELS)}" in captured.err
+    module, data_sets = example("_regressors"), example("_data_sets")
+    problem = data_sets.simulated("typical", 0, 4, 32, 2)
+    records = data_sets.compare(problem, list(module.MODELS), jobs=1)
+    printed = capsys.readouterr().out
 
-    rows = {(row["inputs"], row["regressor"]): row for row in read("table.csv")}
+    rows = {(record["inputs"], record["regressor"]): record for record in records}
     assert len(rows) == len(module.MODELS) + 2
-    assert all(f"{inputs:<24}  {name}" in captured.out for inputs, name in rows)
+    assert all(f"{inputs:<24}  {name}" in printed for inputs, name in rows)
     cone = make_single_point(4, 32)
     before = single_point_repeatability(cone.points, cone.groups, aggregate=None)
     after = nested_fourier(cone, module, 2)
     uncorrected, fourier = rows["-", "uncorrected"], rows["theta2 to theta4", "Fourier ridge"]
-    assert float(uncorrected["two_s_mean_mm"]) == pytest.approx(before.mean())
-    assert float(fourier["two_s_mean_mm"]) == pytest.approx(after.mean())
-    assert float(fourier["two_s_max_mm"]) == pytest.approx(after.max())
-    assert float(fourier["less"]) == pytest.approx(1 - after.mean() / before.mean())
+    assert uncorrected["two_s_mean_mm"] == pytest.approx(before.mean())
+    assert fourier["two_s_mean_mm"] == pytest.approx(after.mean())
+    assert fourier["two_s_max_mm"] == pytest.approx(after.max())
+    assert fourier["less"] == pytest.approx(1 - after.mean() / before.mean())
     perfect = rows["-", "perfect model"]
-    floor = float(perfect["two_s_mean_mm"])
-    gain = before.mean() - after.mean()
-    assert float(fourier["of_possible"]) == pytest.approx(gain / (before.mean() - floor))
-    assert float(perfect["of_possible"]) == 1
+    gain, possible = (before.mean() - left for left in (after.mean(), perfect["two_s_mean_mm"]))
+    assert fourier["of_possible"] == pytest.approx(gain / possible)
+    assert perfect["of_possible"] == 1
 
     # A gauge's length by hand.
     gauge = make_gauge()
@@ -135,15 +124,9 @@ def test_quick_comparison(example, capsys):
         np.linalg.norm(np.subtract(*(gauge.points[gauge.groups == end].mean(axis=0) for end in p)))
         for p in gauge.pairs[:10]
     ] - gauge.lengths[:10]
-    assert float(uncorrected["length_300_mean_mm"]) == pytest.approx(np.abs(errors).mean())
-
-    places = [row for row in read("table_places.csv") if row["regressor"] == "Fourier ridge"]
-    spread = [float(row["after_mm"]) for row in places if row["measure"] == "2S"]
-    assert spread[:4] == pytest.approx(after)
-    signed = [float(r["before_mm"]) for r in places if r["measure"] == "300 mm"]
-    assert signed[:10] == pytest.approx(errors, abs=1e-9)
+    assert uncorrected["length_300_mean_mm"] == pytest.approx(np.abs(errors).mean())
     # Neighbours keep every training row: six numbers each (64, 64, and 128 for the gauges).
-    stored = float(rows["pose angles", "nearest neighbours"]["numbers"])
+    stored = rows["pose angles", "nearest neighbours"]["numbers"]
     assert stored == pytest.approx(6 * (64 + 64 + 128) / 3)
 
 
@@ -164,21 +147,20 @@ def test_fourier_terms_span_products_of_waves(example):
 @pytest.mark.filterwarnings("ignore:At other poses")  # few goals are alike
 def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
     """Small pieces of the real series: what is uncorrected is what calibration left."""
-    module = example("compare_regressors")
+    module = example("_data_sets")
     data = panda("panda_3")
     some = np.isin(data.placements, ["backleft", "frontcenter", "frontright"])
     some &= np.arange(len(some)) % 2 == 0
     few = placements_of(data, some)
     monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: few)
     problem = module.panda("panda_3", None)
-    results, places = module.assess(problem, [0 * points for points in problem.measured])
+    results = module.assess(problem, [0 * points for points in problem.measured])
     spread = [
         single_point_repeatability(points[fold.positions[fold.test] == socket])
         for fold, points in zip(problem.folds, problem.measured, strict=True)
         for socket in np.unique(fold.positions[fold.test])
     ]
     assert results["two_s_mean_mm"] == pytest.approx(np.mean(spread))
-    assert len(places) == len(spread) + 3
     for fold in problem.folds:
         held_out = np.unique(fold.splits[fold.test])
         assert len(held_out) == 1
@@ -188,7 +170,7 @@ def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
     few = goals_of(ur10, some)
     monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: few)
     problem = module.ur10(len(few.groups), None)
-    results, _ = module.assess(problem, [0 * points for points in problem.measured])
+    results = module.assess(problem, [0 * points for points in problem.measured])
     left = np.concatenate([fold.residuals[fold.test] for fold in problem.folds])
     assert results["mean_mm"] == pytest.approx(np.mean(np.linalg.norm(left, axis=1)))
     prediction, costs = example("_regressors").run(

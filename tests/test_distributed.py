@@ -79,7 +79,9 @@ def test_search_over_positions_with_weights_on_workers(backend, client):
     weights = np.random.default_rng(0).uniform(0.5, 2, len(test.data))
     with sklearn.config_context(enable_metadata_routing=True):
         scaler = StandardScaler().set_fit_request(sample_weight=False)
-        network = RBFNetRegressor(alpha=1e-2).set_fit_request(sample_weight=True, groups=False)
+        network = RBFNetRegressor(length_scale=1.0, alpha=1e-2).set_fit_request(
+            sample_weight=True, groups=False
+        )
         target = CylindricalResidualTarget(make_pipeline(scaler, network))
         target.set_score_request(sample_weight=True)
         model = make_pipeline(PoseFeatures(test.arm, append_azimuth=True), target)

@@ -34,6 +34,7 @@ def test_examples_run(page, tmp_path, monkeypatch):
     assert failed == 0
 
 
+@pytest.mark.exhaustive
 def test_get_started_runs_for_a_reader_with_a_file_of_his_own(tmp_path, monkeypatch):
     """The part that may be skipped is skipped, and a file of this form is there."""
     monkeypatch.chdir(tmp_path)

@@ -21,6 +21,10 @@ SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
 SHOWN = {
     "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
     "plot_arm_poses": (1, ""),
+    "plot_grid_search": (
+        "[RBFNetRegressor(random_state=0)]",
+        "[RBFNetRegressor(20, length_scale=2.0, alpha=0.1)]",
+    ),
     "plot_how_many_poses": (1, "poses"),
     "plot_learn_correction": (1, "It repeats better at new positions"),
     "plot_newrb": (1, "neurons, mean squared error"),
@@ -31,8 +35,14 @@ SHOWN = {
     "plot_simulated_arm": (1, "noise floor"),
 }
 
+# `.ci/run doc` runs all of them, in full.
+QUICK = ("plot_arm_poses", "plot_newrb", "plot_ols_path", "plot_rbf_network")
 # What makes a script quicker: fewer arms, fewer positions, no search of widths.
 QUICKER = {
+    "plot_grid_search": (
+        "[RBFNetRegressor(random_state=0)]",
+        "[RBFNetRegressor(20, length_scale=2.0, alpha=0.1)]",
+    ),
     "plot_how_many_poses": ("SEEDS = [0, 1]", "SEEDS = [0]"),
     "plot_paper_figures": ("n_positions=10", "n_positions=5"),
     "plot_real_arm": ("RBFNetRegressor())", "RBFNetRegressor(20, length_scale=2.0, alpha=0.1))"),
@@ -72,7 +82,10 @@ def run_alone(monkeypatch, tmp_path):
     plt.close("all")
 
 
-@pytest.mark.parametrize("name", sorted(SHOWN))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in QUICK else pytest.mark.exhaustive) for n in sorted(SHOWN)],
+)
 def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
     n_pictures, said = SHOWN[name]
     _, pictures = run_alone(name)
@@ -93,6 +106,7 @@ def test_the_search_finds_the_best_of_its_own_table(run_alone, capsys):
     assert not set(page["positions"]) & set(page["groups"])
 
 
+@pytest.mark.exhaustive
 def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
     """The number of the uncorrected arm is what the data's own page says."""
     monkeypatch.setenv("SCIKIT_LEARN_DATA", str(data_folder("panda_ball_socket").parent))
@@ -103,6 +117,7 @@ def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
     assert means["ArmResidualRegressor"] < 0.9 * means["calibrated, uncorrected"]
 
 
+@pytest.mark.exhaustive
 def test_own_csv_is_corrected(monkeypatch, capsys):
     """What the page prints of its file is what the arrays, never written, give."""
     monkeypatch.setattr(plt, "show", lambda: None)

@@ -109,6 +109,7 @@ def test_means_of_the_benchmarks_are_those_of_their_tables():
 # -- measured again -------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 def test_noise_is_called_noise():
     r2, inside = [], []
     for seed in range(20):
@@ -125,6 +126,7 @@ def test_noise_is_called_noise():
     assert_said(page, "intervals held @ % of new rows", [100 * np.mean(inside)], 0.006)
 
 
+@pytest.mark.exhaustive
 def test_outliers_cost_what_is_said():
     rng = np.random.default_rng(0)
     X, new = rng.uniform(-1, 1, (500, 3)), rng.uniform(-1, 1, (2000, 3))
@@ -196,6 +198,7 @@ def benchmark(monkeypatch):
             del sys.modules[name]
 
 
+@pytest.mark.exhaustive
 def test_noise_of_the_benchmark(benchmark):
     error, inside = benchmark("bench_noise").of_kind("noise, 5 features", range(10))
     said = numbers("log.md", "| noise, 5, 20, 50 features | @, @, @ | @, @, @ |")
@@ -203,8 +206,9 @@ def test_noise_of_the_benchmark(benchmark):
     assert said[3] == pytest.approx(100 * inside, abs=0.3)
 
 
+@pytest.mark.exhaustive
 def test_good_centres_are_worth_what_is_said(benchmark):
-    script = benchmark("bench_small_models")
+    script = benchmark("bench_selection")
     problem = benchmark("_problems").generated("fourier3", 3000, 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -213,6 +217,7 @@ def test_good_centres_are_worth_what_is_said(benchmark):
     np.testing.assert_allclose(said, np.ravel(errors[0])[:4], rtol=0.05)
 
 
+@pytest.mark.exhaustive
 def test_twelve_positions_are_worth_what_is_said():
     shares = []
     for seed in (0, 1):

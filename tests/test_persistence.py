@@ -53,11 +53,9 @@ def fitted(data):
     harmonics = ArmResidualRegressor(data.arm, orders=3)
     models = networks(data.arm)
     models["harmonics"] = harmonics
-    network = make_pipeline(PoseFeatures(data.arm), RBFNetRegressor(5, length_scale=1.0))
-    models["both"] = clone(harmonics).set_params(regressor=network)
-    known = {"groups": data.groups}
+    known = {"harmonics": {"groups": data.groups}}
     return {
-        name: model.fit(data.data, data.target, **(known if name in ("harmonics", "both") else {}))
+        name: model.fit(data.data, data.target, **known.get(name, {}))
         for name, model in models.items()
     }
 

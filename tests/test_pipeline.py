@@ -153,6 +153,7 @@ def test_correction_is_subtracted(cone_test):
     assert spread(corrected) < 0.5 * spread(residuals)
 
 
+@pytest.mark.exhaustive
 def test_a_real_arm_leaving_one_placement_out(panda):
     """Panda, ball in a socket: the scatter calibration leaves goes down at unseen placements.
 
@@ -194,7 +195,7 @@ CANDIDATES = [
 @pytest.mark.parametrize("kind", [GridSearchCV, HalvingGridSearchCV])
 @pytest.mark.parametrize("form", ["outermost", "last"])
 def test_a_search_hands_positions_to_every_candidate(form, kind, routing):
-    data = make_single_point(12, 10, machine="gravity", random_state=0)
+    data = make_single_point(6, 9, machine="gravity", random_state=0)
     X, y, groups, arm = data.data, data.target, data.groups, data.arm
     regressors = CANDIDATES
     if form == "outermost":
@@ -209,7 +210,7 @@ def test_a_search_hands_positions_to_every_candidate(form, kind, routing):
     with config_context(enable_metadata_routing=routing):
         scorer = repeatability_scorer() if routing else repeatability_scorer(X, groups)
         # Halving draws rows: so many that each position has several.
-        options = {"min_resources": 90, "random_state": 0} if kind is HalvingGridSearchCV else {}
+        options = {"min_resources": 48, "random_state": 0} if kind is HalvingGridSearchCV else {}
         search = kind(model, {key: regressors}, cv=GroupKFold(3), scoring=scorer, **options)
         search.fit(X, y, **words)
     if kind is GridSearchCV:

@@ -147,7 +147,8 @@ def find_dialect(path, n_numbers):
         if separator == decimal and not quoted:
             continue
         dialect = Dialect(path, encoding, separator, decimal)
-        found = _count_numbers(dialect, lines, n_numbers)
+        counts = [dialect.count(next(dialect.split([line]), (1, []))[1]) for line in lines]
+        found = sum(count >= n_numbers for count in counts), sum(counts)
         if found[0] and found > most:
             best, most = dialect, found
     if best is None:
@@ -156,13 +157,6 @@ def find_dialect(path, n_numbers):
             "semicolons, tabs, commas, bars or blanks."
         )
     return best
-
-
-def _count_numbers(dialect, lines, n_numbers):
-    """How many lines hold at least so many numbers, and how many numbers they hold together."""
-    rows = [next(dialect.split([line]), (1, [])) for line in lines]
-    counts = [dialect.count(cells) for _, cells in rows]
-    return sum(count >= n_numbers for count in counts), sum(counts)
 
 
 def find_encoding(path):

@@ -5,6 +5,7 @@
 
 import re
 from itertools import chain, zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from sklearn_raacmm.app._sources import find_source
 _SURELY_DEGREES, _SURELY_COUNTS = 4 * np.pi, 36_000
 _DEGREES = ("deg", "degree", "degrees", "°", "º", "grad")
 _RADIANS = ("rad", "radian", "radians")
+_UNITS = (*_DEGREES, *_RADIANS, "mm", "m", "s", "ms", "-", "°c")
 _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*([^\])/]+?)\s*[\])]?$|^(.*?)[\s_]+(deg|rad|mm|m)$|^(.*?)(°)$"
 )
@@ -73,16 +75,12 @@ def _names_of_columns(above, width, n_numbers):
         return []
     names = above[-1]
     texts = [cell for cell in names if isinstance(cell, str) and cell]
-    if len(above) > 1 and texts and all(map(_is_unit, texts)):
-        names = _with_units(above[-2], names)
+    if len(above) > 1 and texts and all(text.strip("[]()").lower() in _UNITS for text in texts):
+        pairs = zip_longest(above[-2], names, fillvalue="")
+        names = [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in pairs]
     while len(names) > width and names[-1] == "":
         names = names[:-1]
     return list(map(str, names)) if len(texts) >= n_numbers or len(names) == width else []
-
-
-def _with_units(names, units):
-    pairs = zip_longest(names, units, fillvalue="")
-    return [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in pairs]
 
 
 def _fields_of_joint_states(cells, source, n_joints):
@@ -111,10 +109,6 @@ def _count_above(above, source, n_numbers):
         elif named and n_found:
             return named  # its fault is reported on reading
     return len(above)
-
-
-def _is_unit(cell):
-    return cell.strip("[]()").lower() in (*_DEGREES, *_RADIANS, "mm", "m", "s", "ms", "-", "°c")
 
 
 def split_unit(name):
@@ -203,22 +197,18 @@ class Columns:
         """Numbers (n_rows, n_columns) of some rows; the first cell that holds none is named."""
         values = np.empty((len(rows), len(columns)))
         for j, column in enumerate(columns):
-            found = self.source.numbers([cells[column] for _, cells in rows])
-            values[:, j] = np.nan if found is None else found
-            if not np.all(np.isfinite(values[:, j])):
-                raise self._first_fault(rows, column)
+            cells = [cells[column] for _, cells in rows]
+            found: Any = self.source.numbers(cells)
+            if found is None or not np.all(np.isfinite(found)):
+                found = [self.source.number(cell) for cell in cells]
+                first = next(i for i, v in enumerate(found) if v is None or not np.isfinite(v))
+                what = f"{cells[first]!r} is not a number" if cells[first] != "" else "is empty"
+                if isinstance(cells[first], str) and re.search(r"\d[.,]\d", cells[first]):
+                    sign = {".": "point", ",": "comma"}[self.source.decimal]
+                    what += f" with a decimal {sign}, which the others have"
+                raise self.fault(rows[first][0], column, what)
+            values[:, j] = found
         return values
-
-    def _first_fault(self, rows, column):
-        """Error that names the first cell of a column that is no finite number."""
-        values = [self.source.number(cells[column]) for _, cells in rows]
-        first = next(i for i, v in enumerate(values) if v is None or not np.isfinite(v))
-        number, cell = rows[first][0], rows[first][1][column]
-        what = f"{cell!r} is not a number" if cell != "" else "is empty"
-        if isinstance(cell, str) and re.search(r"\d[.,]\d", cell):
-            sign = {".": "point", ",": "comma"}[self.source.decimal]
-            what += f" with a decimal {sign}, which the others have"
-        return self.fault(number, column, what)
 
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
@@ -297,13 +287,10 @@ class Columns:
         if any(len(set(cells)) != 1 for cells in names.values()):
             raise TableError(f"{self.path}: the names of the joints differ from row to row.")
         in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
-        return self._in_order_of_joints(in_file, [name.lower() for name in joint_names or ()])
-
-    def _in_order_of_joints(self, in_file, joint_names):
-        """Columns of joints from the base on, by the arm's names or by numbers in the names."""
+        joint_names = [name.lower() for name in joint_names or ()]
         if joint_names and in_file.keys() >= set(joint_names):
             return [in_file[name] for name in joint_names]
-        numbered = {name: re.search(r"\d+", name) for name in in_file}
+        numbered: Any = {name: re.search(r"\d+", name) for name in in_file}
         if len(in_file) == self.n_joints and all(numbered.values()):
             return [in_file[name] for name in sorted(in_file, key=lambda n: int(numbered[n][0]))]
         order = ", ".join(f"{self.header[i]} ({name})" for name, i in in_file.items())
@@ -414,10 +401,9 @@ class Columns:
                 cells = self._cells(i)
                 # A label that is missing here and there is a fault, which is reported on reading.
                 given = [cell for cell in cells if cell != ""]
-                if given and all(map(self._is_label, given)):
+                if given and not any(
+                    self.source.number(cell) is not None or _TIME.search(str(cell))
+                    for cell in given
+                ):
                     found[i] = len(given) == len(cells)
         return [i for i, whole in found.items() if whole] or list(found)
-
-    def _is_label(self, cell):
-        is_text = isinstance(cell, str) and self.source.number(cell) is None
-        return is_text and not _TIME.search(cell)

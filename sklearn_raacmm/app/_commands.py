@@ -3,9 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import importlib.util
+import importlib
 import io
-import json
 import shlex
 import sys
 import webbrowser
@@ -14,35 +13,28 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._arm_dialogue import ask_for_an_arm
-from sklearn_raacmm.app._causes import (
-    find_cause_columns,
-    find_unnamed_probe,
-    read_causes,
-    read_tools,
-)
 from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._dh import read_dh, write_template
-from sklearn_raacmm.app._figures import draw_arm
 from sklearn_raacmm.app._files import (
     correction_files,
+    find_cause_columns,
     find_rows,
+    find_unnamed_probe,
     load_arm,
     load_correction,
     open_beside,
-    parse_vector,
     print_notes,
-    read_rows,
+    read_causes,
+    read_tools,
     write_corrected,
 )
 from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import describe_result, judge_limit, list_outliers, report_text
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import check_places, heard_findings, numbered_rows, write_whole
+from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
@@ -58,11 +50,16 @@ def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
     _check_learning(options)
     arm = load_arm(options.arm, options.base, options.tip)
-    table, lengths = read_rows(options, arm), _read_all_lengths(options)
+    layout = find_rows(options, arm)
+    table = layout.read()
+    print_notes(table.notes)
+    lengths = [parse_length(text) for text in options.length or ()]
+    lengths += read_places(options.places, options.length_sd) if options.places else []
+    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     like = [load_correction(folder).model for folder in options.like or ()]
     _progress(-1, 1, "calibration")
     # Findings stand in the result, and are printed with it.
-    with numbered_rows(table.rows), heard_findings():
+    with numbered_rows(table.rows), collected_findings():
         result = learn_correction(
             arm,
             table.angles,
@@ -79,7 +76,7 @@ def learn(options):
             tools=read_tools(table, options),
         )
     _progress(30, 30, "report")
-    layout, corrected = find_rows(options, arm), io.StringIO(newline="")
+    corrected = io.StringIO(newline="")
     in_order = any(name.startswith("direction") for name in result.causes)
     write_corrected(layout, result, options, in_order, corrected)
     named = {"serial number": options.serial, "operator": options.operator}
@@ -107,7 +104,12 @@ def _check_learning(options):
         raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
     if options.limit_2s is not None and options.points:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
-    missing = [name for name in ("jinja2", "matplotlib", "skops") if not _is_installed(name)]
+    missing = []
+    for name in ("jinja2", "matplotlib", "skops"):
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            missing.append(name)
     if missing:
         raise TableError(
             f"{' and '.join(missing)} must be installed for the report and the model's file: "
@@ -117,20 +119,6 @@ def _check_learning(options):
     check_places([out / name for name in _WRITTEN], filter(None, read))
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
-
-
-def _is_installed(name):
-    try:
-        return importlib.util.find_spec(name) is not None
-    except ValueError:  # marked as not to be imported
-        return False
-
-
-def _read_all_lengths(options):
-    """Known lengths of the command line and of files."""
-    lengths = [parse_length(text) for text in options.length or ()]
-    lengths += read_places(options.places, options.length_sd) if options.places else []
-    return lengths + (read_lengths(options.lengths, options.length_sd) if options.lengths else [])
 
 
 def _print_result(result, row_numbers, options):
@@ -162,7 +150,7 @@ def correct(options):
         )
     if not options.tool and (unnamed := find_unnamed_probe(saved)):
         raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
-    layout = find_rows(options, saved.arm)
+    layout = find_rows(options, saved.arm, labelled=False)
     print_notes(layout.notes)
     stream = (
         nullcontext(options.stdout)
@@ -204,68 +192,6 @@ def export(options):
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}
-
-
-def arm(options):
-    """Show an arm, and write its file."""
-    given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    _check_arm_options(options, given)
-    places = [options.out, options.picture, options.template]
-    check_places(
-        [place for place in places if place and place != "-"],
-        filter(None, [options.source, options.dh]),
-    )
-    if options.template:
-        write_template(options.template)
-        print(f"Written to {options.template}")
-        if not any(given):
-            return OK
-    shown = _meant_arm(options)
-    print(shown)
-    if options.into:
-        text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
-    else:
-        text = shown.to_json()
-    if options.out == "-":
-        options.stdout.write(text)
-    written = {options.out: text} if options.out not in (None, "-") else {}
-    if options.picture:
-        written[options.picture] = draw_arm(shown)
-    write_whole(written)
-    for path in written:
-        print(f"Written to {path}")
-    return OK, json.loads(shown.to_json())
-
-
-def _check_arm_options(options, given):
-    """Refuse options that do not belong together."""
-    if sum(one is not None for one in given) > 1:
-        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
-    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
-        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
-    if (options.modified or options.probe) and not options.dh:
-        raise TableError("--modified and --probe belong to --dh.")
-    if options.into and not options.out:
-        raise TableError("--into needs --out, the file to write; it may be the same file.")
-
-
-def _meant_arm(options):
-    """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
-    if options.lengths_222 or options.lengths_223:
-        layout = "2-2-2" if options.lengths_222 else "2-2-3"
-        lengths = options.lengths_222 or options.lengths_223
-        offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
-        return Arm.from_lengths(layout, *lengths, **offsets)
-    if options.dh:
-        convention = "modified" if options.modified else "standard"
-        return read_dh(options.dh, convention, parse_vector(options.probe or "0,0,0"))
-    if options.source and options.into:
-        return load_arm(options.source)  # --base and --tip are those of the other file
-    if options.source:
-        return load_arm(options.source, options.base, options.tip)
-    if not sys.stdin.isatty():
-        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
-    return ask_for_an_arm()
 
 
 def demo(options):

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.display import RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
 from sklearn_raacmm.utils import natural_order
@@ -17,16 +16,11 @@ from sklearn_raacmm.utils import natural_order
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
 _BEFORE, _AFTER = "#D55E00", "#0072B2"  # as the displays have them
+_INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+_EMPTY = ("axes.facecolor", "figure.facecolor", "legend.facecolor", "legend.edgecolor")
 _STYLE: Any = {
-    "text.color": _INK,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "axes.facecolor": "none",
-    "figure.facecolor": "none",
-    "legend.facecolor": "none",
-    "legend.edgecolor": "none",
+    **dict.fromkeys(_INKED, _INK),
+    **dict.fromkeys(_EMPTY, "none"),
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
@@ -57,7 +51,7 @@ def draw_figures(result, limit_mm=None):
     draws = {
         "positions": lambda figure: _positions(figure, result.scores, limit_mm),
         "joints": lambda figure: _joints(figure, result),
-        "volume": lambda figure: _volume(figure, result),
+        "volume": lambda figure: _volume(figure, result.arm, result.angles),
     }
     if result.scores.lengths:
         draws["lengths"] = lambda figure: _lengths(figure, result.scores)
@@ -78,13 +72,10 @@ def _on_page(text):
 def _positions(figure, scores, limit_mm):
     figure.set_size_inches(7.2, 3.2)
     order = natural_order(scores.table["position"])
-    before, after, positions = (
-        np.asarray(scores.table[name])[order] for name in ("before", "after", "position")
-    )
     display = RepeatabilityDisplay(
-        before=before,
-        after=after,
-        positions=positions,
+        before=scores.table["before"][order],
+        after=scores.table["after"][order],
+        positions=np.asarray(scores.table["position"])[order],
         statistic="2s" if scores.measure == "2S" else "mean",
         before_interval=_intervals(scores, scores.left_before)[order],
         after_interval=_intervals(scores, scores.left_after)[order],
@@ -135,26 +126,26 @@ def _joints(figure, result):
             ax.set_ylabel("deviation, µm")
 
 
-def _volume(figure, result):
-    """Where the probe has been, from above and from the side, with some poses of the arm."""
+def _volume(figure, arm, angles, places=()):
+    """Where the probe has been, from above and from the side, with some poses, and places."""
     figure.set_size_inches(7.2, 3.4)
-    angles = result.angles[:: -(-len(result.angles) // _MOST_POINTS)]
-    points, some = result.arm.forward(angles), angles[:: max(1, len(angles) // _MOST_ARMS)]
-    joints = result.arm.frames(some)[:, :, :, 3]
-    chains = np.concatenate([joints, result.arm.forward(some)[:, None]], axis=1)
+    angles = angles[:: -(-len(angles) // _MOST_POINTS)]
+    points, some = arm.forward(angles), angles[:: max(1, len(angles) // _MOST_ARMS)]
+    chains = np.concatenate([arm.frames(some)[..., 3], arm.forward(some)[:, None]], axis=1)
     above, side = figure.subplots(1, 2)
-    for ax, view in ((above, lambda p: p[:, :2].T), (side, _beside_axis)):
+    for ax, view in (
+        (above, lambda p: p[:, :2].T),
+        (side, lambda p: (np.hypot(p[:, 0], p[:, 1]), p[:, 2])),
+    ):
         for chain in chains:
             ax.plot(*view(chain), color="0.6", linewidth=0.8, alpha=0.6)
         ax.plot(*view(points), ".", color=_AFTER, markersize=3)
+        for number, place in enumerate(places, start=1):
+            at = np.ravel(view(place[None]))
+            ax.annotate(str(number), at, xytext=(4, 4), textcoords="offset points")
     above.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
     side.set(xlabel="distance from the base axis, mm", ylabel="z, mm", title="from the side")
     side.set_aspect("equal")
-
-
-def _beside_axis(points):
-    """Distance from the base axis and height of points (n, 3)."""
-    return np.hypot(points[:, 0], points[:, 1]), points[:, 2]
 
 
 def _lengths(figure, scores):
@@ -198,23 +189,10 @@ def draw_arm(arm):
     return make_svg(draw, "arm")
 
 
-def draw_plan(arm, positions):
-    """Where the cones (n, 3), mm, of a plan stand, from above and from the side, as an element."""
-    turn = np.linspace(0, 2 * np.pi, 100)
-    circle = reach_mm(arm) * np.array([np.cos(turn), np.sin(turn)])
+def draw_plan(arm, plan):
+    """Where the cones of a plan stand, with their numbers and some of its poses, as an element."""
 
     def draw(figure):
-        figure.set_size_inches(9, 4.5)
-        views = ((1, "from above: x and y, mm"), (2, "from the side: x and z, mm"))
-        for ax, (up, title) in zip(figure.subplots(1, 2), views, strict=True):
-            places = positions[:, [0, up]]
-            ax.plot(*places.T, color="0.7", linewidth=1)
-            ax.plot(*places.T, "o", color=_AFTER)
-            for number, place in enumerate(places, start=1):
-                ax.annotate(str(number), place, xytext=(4, 4), textcoords="offset points")
-            ax.plot(0, 0, "s", color=_BEFORE, markersize=9)
-            ax.plot(*circle, color="0.8", linestyle=":")
-            ax.set(title=title, aspect="equal")
+        _volume(figure, arm, plan.angles, plan.positions)
 
-    text = make_svg(draw, "plan")
-    return text[text.index("<svg") :]
+    return _on_page(make_svg(draw, "plan", _STYLE))

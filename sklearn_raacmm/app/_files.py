@@ -7,13 +7,13 @@ import csv
 import os
 import sys
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._causes import find_cause_columns, read_causes, read_tools
 from sklearn_raacmm.app._cells import TableError, parse_number
-from sklearn_raacmm.app._tables import Layout, read_table
+from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import directions_of, within_turn
@@ -76,7 +76,7 @@ def write_corrected(layout, correction, options, in_order, file):
     found. Returns the number of rows, and the largest angle of each joint (1, n_joints) in their
     unit.
     """
-    source, n_rows, largest, last = layout.source, 0, 0.0, None
+    source, n_rows, largest, before, came = layout.source, 0, 0.0, None, 0.0
     writer = csv.writer(file, delimiter=source.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS])
     known, columns = correction.facts["causes"], find_cause_columns(options)
@@ -85,7 +85,10 @@ def write_corrected(layout, correction, options, in_order, file):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         angles, causes = in_rad(block), read_causes(block, columns)
         if in_order:
-            ways, last = directions_of(angles, last), angles[-1]
+            # From the last row of the block before; a joint that stands still keeps its direction.
+            ways = directions_of(np.vstack([angles[:1] if before is None else before, angles]))[1:]
+            ways = np.where(ways == 0, came, ways)
+            before, came = angles[-1:], ways[-1]
             ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
             causes |= {name: way for name, way in ways.items() if name in known}
         new = _corrected(correction, correction.inputs(angles, causes), block, options)
@@ -127,26 +130,14 @@ def in_rad(table):
     return within_turn(np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles)
 
 
-def read_rows(options, arm, labelled=True):
-    """The table that the options name; what was guessed is printed."""
-    table = read_table(options.table, arm.n_joints, **_table_options(options, arm, labelled))
-    print_notes(table.notes)
-    return table
-
-
-def find_rows(options, arm):
-    """Layout of the table that the options name, to be read block by block without labels."""
-    return Layout(options.table, arm.n_joints, **_table_options(options, arm, False))
-
-
 def print_notes(notes):
     """Print what the user should know, beside the results."""
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
 
 
-def _table_options(options, arm, labelled):
-    """Options of `read_table` as the command line has them."""
+def find_rows(options, arm, labelled=True):
+    """Layout of the table that the options name."""
     points, tool = getattr(options, "points", None), getattr(options, "tool", None)
     if points and not Path(points).is_file():
         points = points.split(",")
@@ -159,17 +150,19 @@ def _table_options(options, arm, labelled):
     if counts is not None:
         counts = [parse_number(text) for text in counts.split(",")]
         counts = counts[0] if len(counts) == 1 else counts
-    return {
-        "angles": options.angles.split(",") if options.angles else None,
-        "points": points,
-        "position": options.position if labelled else None,
-        "angle_unit": options.unit,
-        "labelled": labelled,
-        "joint_names": arm.names,
-        "counts_per_turn": counts,
-        "sheet": options.sheet,
-        "others": [*find_cause_columns(options).values(), *filter(None, [tool])],
-    }
+    return Layout(
+        options.table,
+        arm.n_joints,
+        angles=options.angles.split(",") if options.angles else None,
+        points=points,
+        position=options.position if labelled else None,
+        angle_unit=options.unit,
+        labelled=labelled,
+        joint_names=arm.names,
+        counts_per_turn=counts,
+        sheet=options.sheet,
+        others=[*find_cause_columns(options).values(), *filter(None, [tool])],
+    )
 
 
 def parse_vector(text):
@@ -178,3 +171,59 @@ def parse_vector(text):
     if len(vector) != 3:
         raise TableError(f"--probe needs three numbers in mm, such as 0,0,250, got {text!r}.")
     return vector
+
+
+# -- causes: what the options --extra and --tool name ---------------------------------------------
+
+
+def find_cause_columns(options):
+    """Column of the table of each cause: `--extra NAME` or `--extra NAME=COLUMN`, as a dict."""
+    pairs = [text.partition("=")[::2] for text in getattr(options, "extra", None) or ()]
+    return {name.strip(): column.strip() or name.strip() for name, column in pairs}
+
+
+def read_causes(table, columns):
+    """Numbers of the causes in a table, or in a block of one; times in seconds."""
+    return {name: _numbers(table, column) for name, column in columns.items()}
+
+
+def _numbers(table, column):
+    values = table.others[column]
+    if values.dtype.kind == "f":
+        return values
+    times = []
+    for row, text in zip(table.rows, values.tolist(), strict=True):
+        try:
+            times.append(datetime.fromisoformat(text).timestamp())
+        except ValueError:
+            raise TableError(
+                f"row {row}, column {column!r}: {text!r} is neither a number nor a time such as "
+                "2024-05-31 12:30:00."
+            ) from None
+    return np.array(times)
+
+
+def read_tools(table, options):
+    """Labels of the probes in the column that `--tool` names, (n,); None without it."""
+    column = getattr(options, "tool", None)
+    if column is None:
+        return None
+    return np.array([_tool_label(label) for label in table.others[column].tolist()])
+
+
+def _tool_label(cell):
+    """Label of a probe, the same whether its block of the table holds numbers only or not."""
+    try:
+        number = float(cell)
+    except ValueError:
+        return cell
+    return str(int(number)) if number.is_integer() else repr(number)
+
+
+def find_unnamed_probe(saved):
+    """Sentence for rows that do not name which of the learnt probes they are of, or ""."""
+    tools, own = saved.tools, saved.arm.probe.tolist()
+    if len(tools) < 2 or own not in tools.values():
+        return ""
+    name = next(name for name, probe in tools.items() if probe == own)
+    return f"this correction was learnt with the tools {', '.join(tools)}, and {name} is in use"

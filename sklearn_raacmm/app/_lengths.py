@@ -43,20 +43,20 @@ def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any
     TableError
         If a row does not hold these; the sentence has its number.
     """
-    return list(_rows_of(path, 2, 1, sd, "two labels and a length in mm"))
+    return list(_read_rows(path, 2, 1, sd, "two labels and a length in mm"))
 
 
 def read_places(path, sd=None):
     """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm."""
     try:
-        return lengths_of_places(list(_rows_of(path, 1, 3, sd, "a label, x, y and z in mm")))
+        return lengths_of_places(list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm")))
     except TableError:
         raise
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
 
 
-def _rows_of(path, n_labels, n_numbers, sd, what):
+def _read_rows(path, n_labels, n_numbers, sd, what):
     """Yield labels, numbers and a standard deviation of each row, the header left out."""
     dialect, begun = find_source(path, n_numbers), False
     for number, cells in dialect.rows():

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._causes import find_unnamed_probe
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._files import (
     correction_files,
+    find_rows,
+    find_unnamed_probe,
     in_rad,
     load_correction,
     parse_vector,
     print_notes,
-    read_rows,
 )
 from sklearn_raacmm.app._lengths import read_lengths
 from sklearn_raacmm.arm import check_angles
@@ -46,8 +46,7 @@ def register(options):
     new = saved.register(today.angles, today.positions, today.points, lengths)
     y = new.calibration.residuals(today.angles, today.points, today.positions)
     left = _mean_deviation(y - new.model.predict(new.inputs(today.angles)), today.positions)
-    usual = _usual_deviation(saved, today)
-    _refuse_another_arm(left, usual)
+    usual = _check_left(left, saved, today)
     facts = _print_moves(f"Registered with {_describe_poses(today)}.", saved, new)
     print(f"Mean deviation {_mean_deviation(y, today.positions):.3f} -> {left:.3f} mm.")
     holds = usual is None or left <= _MUCH_MORE * usual
@@ -71,7 +70,7 @@ def update(options):
     X = saved.inputs(today.angles)
     was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
     before, after = (_mean_deviation(y - mm, today.positions) for mm in (was, now))
-    _refuse_another_arm(after, _usual_deviation(saved, today))
+    _check_left(after, saved, today)
     facts = _print_moves(f"Updated with {_describe_poses(today)}.", saved, new)
     updates = vars(new.model).get("updates_", ())
     if len(updates) == len(vars(saved.model).get("updates_", ())):
@@ -125,11 +124,14 @@ def check(options):
         print_notes([f"{unnamed}: check with this one."])
     today, lengths = _read_today(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts = False, {}
+    changed, facts, slipped = False, {}, ()
     if has_causes:
         changed, facts, slipped = _check_model(saved, today, lengths, rate, options)
-        today = _without(today, slipped) if by_spread else today
     if by_spread:
+        if slipped:  # they are left out where each position keeps two or more
+            kept = np.delete(np.arange(len(today.angles)), slipped)
+            if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
+                today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
         changed = _check_spread(saved, today, rate, changed, facts)
     elif not changed:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
@@ -160,14 +162,6 @@ def _check_model(saved, today, lengths, rate, options):
         print(f"Appended to {options.record}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     return changed, {name: getattr(found, name) for name in names}, found.slipped
-
-
-def _without(today, slipped):
-    """The same without some rows, where each position keeps two or more."""
-    kept = np.delete(np.arange(len(today.angles)), slipped)
-    if np.unique(today.positions[kept], return_counts=True)[1].min() < 2:
-        return today
-    return replace(today, angles=today.angles[kept], positions=today.positions[kept])
 
 
 def _check_spread(saved, today, rate, changed, facts):
@@ -221,7 +215,8 @@ def _open_correction(options):
 def _read_today(options, arm):
     """What was measured today: its table, the angles in rad, and known lengths."""
     by_tracker = bool(options.points)
-    table = read_rows(options, arm, labelled=not by_tracker)
+    table = find_rows(options, arm, labelled=not by_tracker).read()
+    print_notes(table.notes)
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
@@ -241,23 +236,23 @@ def _mean_deviation(left, positions):
     return float(np.linalg.norm(left, axis=1).mean())
 
 
-def _usual_deviation(saved, today):
-    """Mean deviation that was left when it was learnt, mm; None if that was another measure."""
-    if (saved.facts["measure"] == "2S") != (today.points is None):
-        return None
-    left = float(np.mean(saved.facts["positions"]["after"]))
-    if saved.facts["measure"] == "2S":  # of normal errors: twice their length's root mean square
-        left *= np.sqrt(8 / (3 * np.pi)) / 2
-    return left
+def _check_left(left, saved, today):
+    """Refuse poses whose points scatter as those of no arm with this table do.
 
-
-def _refuse_another_arm(left, usual):
-    """Refuse poses whose points scatter as those of no arm with this table do, mm."""
+    Returns the mean deviation that was left when it was learnt, mm; None if that was another
+    measure.
+    """
+    usual, by_cones = None, saved.facts["measure"] == "2S"
+    if by_cones == (today.points is None):
+        usual = float(np.mean(saved.facts["positions"]["after"]))
+        if by_cones:  # of normal errors: twice their length's root mean square
+            usual *= np.sqrt(8 / (3 * np.pi)) / 2
     if left > max(MUCH_SCATTER_MM, _MUCH_MORE * (usual or 0.0)):
         raise TableError(
             f"the points are still off by {left:.3g} mm, and nothing is written. {_OTHER_ARM} If "
             "all are right, the arm has changed too much: learn again."
         )
+    return usual
 
 
 def _print_moves(title, old, new):

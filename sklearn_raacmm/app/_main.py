@@ -53,11 +53,17 @@ def main(arguments: list[str] | None = None) -> int:
         with contextlib.suppress(OSError):  # or the interpreter complains at its end
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        return _refuse(options, _sentence_of(error))
     # ImportError: an extra is missing, and the sentence says which.
-    except (ValueError, TypeError, ImportError) as error:
-        return _refuse(options, error)
+    except (OSError, ValueError, TypeError, ImportError) as error:
+        text = str(error)
+        if isinstance(error, OSError) and error.strerror and error.filename is not None:
+            # Files are written under another name first.
+            name = re.sub(r"(\.[0-9a-f]+)+\.tmp$", "", str(error.filename))
+            text = f"{name}: {error.strerror.lower()}."
+        if options.json:
+            print(json.dumps({"exit_code": BAD_INPUT, "error": text}, ensure_ascii=False))
+        print(f"raacmm {options.word}: {text}", file=sys.stderr)
+        return BAD_INPUT
     except KeyboardInterrupt:
         print("raacmm: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -77,52 +83,9 @@ def _run(options):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore" if options.quiet else "always", UserWarning)
-        warnings.showwarning = _show_warning
-        done = getattr(module, options.word)(options)
-    code, facts = done if isinstance(done, tuple) else (done, {})
+        warnings.showwarning = lambda message, *_: print(f"note: {message}", file=sys.stderr)
+        code, facts = getattr(module, options.word)(options)
     if options.json:
         text = json.dumps({"exit_code": code, **facts}, indent=1, ensure_ascii=False)
         print(text, file=options.stdout)
     return code
-
-
-def _refuse(options, error):
-    if options.json:
-        print(json.dumps({"exit_code": BAD_INPUT, "error": str(error)}, ensure_ascii=False))
-    print(f"raacmm {options.word}: {error}", file=sys.stderr)
-    return BAD_INPUT
-
-
-def _sentence_of(error):
-    """Sentence of an error; of the system's own, without its number."""
-    if error.strerror and error.filename is not None:
-        # Files are written under another name first.
-        name = re.sub(r"(\.[0-9a-f]+)+\.tmp$", "", str(error.filename))
-        return f"{name}: {error.strerror.lower()}."
-    return error
-
-
-def _show_warning(message, *where, **more):
-    print(f"note: {message}", file=sys.stderr)
-
-
-def completion(options):
-    """Print a script for bash and zsh that completes the words and the options of each."""
-    parser = make_parser()
-    groups: Any = parser._subparsers
-    words = groups._group_actions[0].choices
-    cases = "\n".join(
-        f'    {name}) all="{" ".join(own.known[1:])}" ;;' for name, own in words.items()
-    )
-    print(
-        '[ -n "$ZSH_VERSION" ] && autoload -U +X bashcompinit && bashcompinit\n'
-        "_raacmm() {\n"
-        f'  local all="{" ".join(words)}"\n'
-        '  [ "$COMP_CWORD" -gt 1 ] && case "${COMP_WORDS[1]}" in\n'
-        f"{cases}\n"
-        "  esac\n"
-        '  COMPREPLY=($(compgen -W "$all" -- "${COMP_WORDS[COMP_CWORD]}"))\n'
-        "}\n"
-        "complete -o default -F _raacmm raacmm"
-    )
-    return 0

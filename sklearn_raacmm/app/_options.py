@@ -60,10 +60,10 @@ WORDS = {
         "--model --c --onnx --name --std --any-probe",
     ),
     "arm": (
-        "_commands", "show an arm and write its file; without an arm it asks",
+        "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --into --template --out --picture",
+        "--modified --probe --into --out --picture",
     ),
     "plan": (
         "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -74,11 +74,6 @@ WORDS = {
         "_commands", "learn the correction of a simulated arm, with a report",
         "raacmm demo --open",
         f"--out {_LEARNING}",
-    ),
-    "completion": (
-        "_main", "print what makes a shell complete words and options",
-        'eval "$(raacmm completion)"',
-        "",
     ),
 }  # fmt: skip
 
@@ -177,10 +172,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "FILE",
         "help": "write the arm's numbers into a copy of the robot's own URDF or UR kinematics",
     },
-    "--template": {
-        "metavar": "XLSX",
-        "help": "write a workbook to fill in: a sheet for --dh and one for poses",
-    },
     "--picture": {"metavar": "SVG", "help": "picture of the arm and its axes"},
     "--cones": {"type": int, "default": 8, "help": "number of cones (8)"},
     "--poses": {"type": int, "default": 12, "help": "poses in each cone (12)"},
@@ -213,7 +204,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def make_parser():
-    """The parser of the command; `known` of it and of each word are what can be completed."""
+    """The parser of the command; its `known` are all options and words."""
     parser = _Parser(
         "raacmm",
         description="Residual correction for articulated arm coordinate measuring machines.",

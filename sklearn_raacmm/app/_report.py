@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._figures import draw_figures
 from sklearn_raacmm.correction import Correction, CorrectionScores
+from sklearn_raacmm.display import HarmonicDisplay
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import write_whole
 
@@ -87,22 +88,16 @@ def write_report(
 
 def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
     """Text of the report; parameters as for `write_report`."""
-    try:
-        import jinja2
-    except ImportError:
-        raise ImportError("The report needs jinja2: pip install jinja2.") from None
     limit = None if limit_2s is None else judge_limit(result.scores, limit_2s)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
-    template = files("sklearn_raacmm.app").joinpath("_report.html").read_text(encoding="utf-8")
-    return environment.from_string(template).render(
+    table = result.scores.table
+    worst_first = np.argsort(-table["after"], kind="stable")
+    return render(
+        "_report.html",
         result=result,
         scores=result.scores,
         limit=limit,
         facts=_facts(result) | (facts or {}),
-        positions=_positions(result.scores),
+        positions=[{name: column[i] for name, column in table.items()} for i in worst_first],
         sheet=_sheet(result.scores),
         deviations=_deviations(result),
         parameters=_parameters(result.calibration),
@@ -112,6 +107,20 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         figures=draw_figures(result, limit_2s),
         most_rows=_MOST_ROWS,
     )
+
+
+def render(name, **values):
+    """Page of a template in this folder."""
+    try:
+        import jinja2
+    except ImportError:
+        raise ImportError("Pages need jinja2: pip install jinja2.") from None
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
+    template = files("sklearn_raacmm.app").joinpath(name).read_text(encoding="utf-8")
+    return environment.from_string(template).render(values)
 
 
 def describe_result(result):
@@ -152,12 +161,12 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
     if not 0 < limit < np.inf:
         raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
-    word = "PASS" if high <= limit else "FAIL" if low > limit else "OPEN"
-    what = {
-        "PASS": "is within the limit",
-        "FAIL": "is above the limit",
-        "OPEN": "cannot be told from the limit",
-    }[word]
+    if high <= limit:
+        word, what = "PASS", "is within the limit"
+    elif low > limit:
+        word, what = "FAIL", "is above the limit"
+    else:
+        word, what = "OPEN", "cannot be told from the limit"
     above = int(np.sum(scores.table["after"] > limit))
     return word, (
         f"Mean 2S after correction, {micrometres(mean)} µm (95 %: {micrometres(low)} to "
@@ -181,13 +190,6 @@ def _facts(result):
         "versions": f"{card['written_by']}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Python {platform.python_version()}",
     }
-
-
-def _positions(scores):
-    """Rows of the table of positions, the worst first."""
-    table = scores.table
-    order = np.argsort(-table["after"], kind="stable")
-    return [{name: column[i] for name, column in table.items()} for i in order]
 
 
 def _sheet(scores):
@@ -233,17 +235,12 @@ def list_outliers(result, row_numbers=None):
 def _parameters(calibration):
     """The calibrated table: name, nominal, value, standard deviation, unit, note."""
     rows = []
-    for name, nominal, value, sd in zip(
-        calibration.names,
-        calibration.nominal,
-        calibration.values,
-        calibration.standard_deviations,
-        strict=True,
-    ):
+    fitted = calibration.nominal, calibration.values, calibration.standard_deviations
+    for name, *values in zip(calibration.names, *fitted, strict=True):
         angle = name.startswith(("alpha", "theta"))
         factor, unit = (180 / np.pi, "°") if angle else (1.0, "mm")
         note = "not identified" if name in calibration.unidentified else ""
-        rows.append((name, factor * nominal, factor * value, factor * sd, unit, note))
+        rows.append((name, *(factor * value for value in values), unit, note))
     return rows
 
 
@@ -251,12 +248,10 @@ def _harmonics(model):
     """The largest harmonics that the model found: joint, order, amplitude, its sd, cause."""
     if not getattr(model, "helps_", False):  # another kind of model, or one that does not help
         return []
+    sds = HarmonicDisplay(harmonics=model.harmonics_, n_joints=model.arm_.n_joints).amplitude_sd
     rows = []
-    for row in model.harmonics_[:_MOST_HARMONICS]:
-        c, s = row["cos_arcsec"], row["sin_arcsec"]
-        size = max(float(np.hypot(c, s)), 1e-300)
-        sd = float(np.hypot(c * row["cos_sd_arcsec"], s * row["sin_sd_arcsec"]) / size)
-        order = int(row["order"])
+    for row, sd in list(zip(model.harmonics_, sds, strict=True))[:_MOST_HARMONICS]:
+        joint, order = int(row["joint"]), int(row["order"])
         cause = next(cause for below, cause in _CAUSES if order < below)
-        rows.append((int(row["joint"]), order, float(row["amplitude_arcsec"]), sd, cause))
+        rows.append((joint, order, float(row["amplitude_arcsec"]), float(sd), cause))
     return rows

@@ -1,13 +1,14 @@
-"""Rows of whatever holds a table: text, spreadsheets, data frames, and programs of robots."""
+"""Rows of whatever holds a table: text, spreadsheets, lines of JSON, and programs of robots."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import json
 import re
 import zipfile
 from contextlib import closing, contextmanager
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 from sklearn_raacmm.app._cells import Dialect, TableError, clean, find_dialect, find_encoding
@@ -19,11 +20,7 @@ _HEAD_CHARACTERS = 1 << 20
 # the file, is no table.
 _MOST_BYTES, _MOST_RATIO = 1 << 30, 300
 _SHEETS = (".xlsx", ".xlsm")
-_FRAMES = {
-    ".parquet": "read_parquet", ".feather": "read_feather", ".jsonl": "read_json",
-    ".ndjson": "read_json",
-}  # fmt: skip
-_SAVE_AS = (".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf")
+_SAVE_AS = (".parquet", ".feather", ".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf")
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
 # joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
@@ -62,8 +59,8 @@ def find_source(path, n_numbers, sheet=None):
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
-    if kind in _FRAMES:
-        return _frame(path, _FRAMES[kind])
+    if kind in (".jsonl", ".ndjson"):
+        return _json_lines(path)
     return _program(path, n_numbers) or find_dialect(path, n_numbers)
 
 
@@ -79,26 +76,20 @@ def _find_sheet(path, n_numbers, wanted):
     if not candidates:
         raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
     for name in candidates:
-        dialect = _sheet_dialect(path, name, names, n_numbers)
-        if dialect is not None:
-            return dialect
+        others = ", ".join(other for other in names if other != name)
+        more = f" (--sheet takes another: {others})" if others else ""
+        what, read = f"Spreadsheet, sheet {name!r}{more}", partial(_sheet_rows, path, name)
+        best, most = None, 0
+        for decimal, separator in ((".", ","), (",", ";")):
+            dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
+            counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
+            found = sum(count for count in counts if count >= n_numbers)
+            if found > most:
+                best, most = dialect, found
+        if best is not None:
+            return best
     sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
     raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
-
-
-def _sheet_dialect(path, name, names, n_numbers):
-    """How a sheet is written, by its decimal sign with most numbers; None if no row has so many."""
-    others = ", ".join(other for other in names if other != name)
-    more = f" (--sheet takes another: {others})" if others else ""
-    what, read = f"Spreadsheet, sheet {name!r}{more}", partial(_sheet_rows, path, name)
-    best, most = None, 0
-    for decimal, separator in ((".", ","), (",", ";")):
-        dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
-        counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
-        found = sum(count for count in counts if count >= n_numbers)
-        if found > most:
-            best, most = dialect, found
-    return best
 
 
 def _sheet_rows(path, name):
@@ -140,37 +131,23 @@ def _open_book(path):
         raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
 
 
-# -- data frames ----------------------------------------------------------------------------------
+# -- lines of JSON --------------------------------------------------------------------------------
 
 
-def _frame(path, reader):
-    """A table that pandas reads; lists in cells become columns of their own."""
+def _json_lines(path):
+    """A table of messages, one a line; lists in them become columns of their own."""
+    rows = []
     try:
-        import pandas
-    except ImportError:
-        raise TableError(f"{path}: to read it, install pandas (pip install pandas).") from None
-    options = {"lines": True} if reader == "read_json" else {}
-    try:
-        frame = getattr(pandas, reader)(path, **options)
-    except ImportError:
-        raise TableError(f"{path}: to read it, install pyarrow (pip install pyarrow).") from None
-    except Exception as error:  # of a damaged file, anything
+        for line in filter(str.strip, path.read_text(encoding="utf-8-sig").splitlines()):
+            rows.append(row := {})
+            for name, value in json.loads(line).items():
+                values = enumerate(value) if isinstance(value, list) else [("", value)]
+                row |= {f"{name}{i}": clean(cell) for i, cell in values}
+    except (ValueError, AttributeError) as error:  # no JSON, or no message with names
         raise TableError(f"{path} cannot be read: {error}.") from None
-
-    def read():
-        columns = {}
-        for name in frame.columns:
-            values = frame[name].tolist()
-            widths = {len(v) if isinstance(v, list | tuple) else -1 for v in values}
-            if widths == {-1} or len(widths) != 1:
-                columns[str(name)] = values
-            else:
-                columns |= {f"{name}{i}": [v[i] for v in values] for i in range(*widths)}
-        yield 0, list(columns)
-        for number, cells in enumerate(zip(*columns.values(), strict=True), 1):
-            yield number, [clean(cell) for cell in cells]
-
-    return Dialect(path, what=f"Read by pandas ({reader})", read=read)
+    names = list(dict.fromkeys(chain(*rows)))
+    cells = [names, *([row.get(name, "") for name in names] for row in rows)]
+    return Dialect(path, what="Lines of JSON", read=partial(enumerate, cells))
 
 
 # -- programs of robots ---------------------------------------------------------------------------

@@ -70,8 +70,7 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), .parquet or .jsonl (with pandas), or a robot's
-        program.
+        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), or a robot's program.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
@@ -104,7 +103,7 @@ def read_table(
     Raises
     ------
     TableError
-        If something cannot be told, or is wrong: the sentence has the row and the column.
+        If something cannot be decided, or is wrong: the sentence names the row and the column.
 
     Examples
     --------
@@ -119,42 +118,11 @@ def read_table(
     >>> table.angle_unit, table.positions.tolist(), table.angles.tolist()
     ('deg', ['A', 'A'], [[12.5, -3.0], [13.0, -2.5]])
     """
-    layout = Layout(
+    return Layout(
         path, n_joints, angles=angles, position=position, points=points, angle_unit=angle_unit,
         labelled=labelled, joint_names=joint_names, counts_per_turn=counts_per_turn, sheet=sheet,
         others=others,
-    )  # fmt: skip
-    # Numbers take less memory than their cells, which are read block by block.
-    table = _join([block for block, _ in layout.blocks(100_000)])
-    table.notes.extend(layout.notes)
-    if isinstance(points, str | PathLike):
-        return _with_points(layout, table, points)
-    if labelled and points is None:
-        _refuse_lonely_labels(path, table)
-    return table
-
-
-def _join(blocks):
-    """One table of several with the same columns."""
-    first, *_ = blocks
-    parts = {
-        part: np.concatenate([getattr(block, part) for block in blocks])
-        for part in ("angles", "positions", "points", "rows")
-        if getattr(first, part) is not None
-    }
-    others = {name: np.concatenate([b.others[name] for b in blocks]) for name in first.others}
-    return replace(first, **parts, others=others)
-
-
-def _refuse_lonely_labels(path, table):
-    labels, first, counts = np.unique(table.positions, return_index=True, return_counts=True)
-    several = labels[counts > 1].tolist()
-    for label, row in zip(labels[counts == 1].tolist(), first[counts == 1], strict=True):
-        near = get_close_matches(label, several, 1)
-        hint = f" Was {near[0]!r} meant?" if near else ""
-        raise TableError(
-            f"{path}: row {table.rows[row]}: the position {label!r} occurs in this row only.{hint}"
-        )
+    ).read()  # fmt: skip
 
 
 class Layout:
@@ -170,24 +138,45 @@ class Layout:
         columns = self.columns = Columns(path, n_joints, sheet)
         self.source, self.header, self.notes = columns.source, columns.header, columns.notes
         self.angle_columns = columns.find_angles(angles, joint_names)
-        named = () if isinstance(points, str | PathLike) else points or ()
+        self.points_file = points if isinstance(points, str | PathLike) else None
+        self.labelled = labelled and points is None
+        named: Any = () if self.points_file else points or ()
         self.point_columns = [columns.column(name, "--points") for name in named]
         self.position_column = None
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or columns.labelled):
             taken = {*self.angle_columns, *self.point_columns}
             self.position_column = columns.find_position(position, taken)
-        self.turns = _check_turns(counts_per_turn, n_joints)
-        if self.turns is not None:
-            angle_unit = "deg"
+        self.turns = None
+        if counts_per_turn is not None:
+            self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
+            if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
+                raise TableError(
+                    "--counts-per-turn needs a positive number, or one for each of "
+                    f"{n_joints} joints."
+                )
         self.angle_unit = angle_unit or columns.find_unit(self.angle_columns)
         self.point_factor = _find_point_factor(columns, self.point_columns)
         self.others = {name: columns.column(name, "others") for name in others}
         used = {*self.angle_columns, *self.point_columns, self.position_column}
         used |= set(self.others.values())
-        unused = [name for i, name in enumerate(self.header) if i not in used]
-        if unused:
+        if unused := [name for i, name in enumerate(self.header) if i not in used]:
             self.notes.append(f"Columns not used: {', '.join(unused)}.")
+
+    def read(self):
+        """All rows as one table."""
+        # Numbers take less memory than their cells, which are read block by block.
+        blocks = [block for block, _ in self.blocks(100_000)]
+        names = ("angles", "positions", "points", "rows")
+        parts = {name: [getattr(block, name) for block in blocks] for name in names}
+        joined: Any = {k: None if v[0] is None else np.concatenate(v) for k, v in parts.items()}
+        others = {name: np.concatenate([b.others[name] for b in blocks]) for name in self.others}
+        table = Table(angle_unit=self.angle_unit, notes=self.notes, others=others, **joined)
+        if self.points_file:
+            return _with_points(self, table, self.points_file)
+        if self.labelled:
+            _refuse_lonely_labels(self.columns.path, table)
+        return table
 
     def blocks(self, n_rows):
         """Yield tables of at most so many rows, and their cells as they are in the file."""
@@ -218,16 +207,15 @@ class Layout:
         )
 
 
-def _check_turns(counts_per_turn, n_joints):
-    """Counts of the encoders in a turn as an array, or None."""
-    if counts_per_turn is None:
-        return None
-    turns = np.asarray(counts_per_turn, dtype=float)
-    if turns.ndim > 1 or turns.size not in (1, n_joints) or not np.all(turns > 0):
+def _refuse_lonely_labels(path, table):
+    labels, first, counts = np.unique(table.positions, return_index=True, return_counts=True)
+    several = labels[counts > 1].tolist()
+    for label, row in zip(labels[counts == 1].tolist(), first[counts == 1], strict=True):
+        near = get_close_matches(label, several, 1)
+        hint = f" Was {near[0]!r} meant?" if near else ""
         raise TableError(
-            f"--counts-per-turn needs a positive number, or one for each of {n_joints} joints."
+            f"{path}: row {table.rows[row]}: the position {label!r} occurs in this row only.{hint}"
         )
-    return turns
 
 
 # -- points of a tracker --------------------------------------------------------------------------

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
-from sklearn_raacmm.arm._chain import written
-from sklearn_raacmm.arm._checks import check_angles, checked_fields, floats
-from sklearn_raacmm.arm._files import fields_of_json, json_text
-from sklearn_raacmm.arm._kinematics import frames_of, joint_jacobian, points_of
-from sklearn_raacmm.arm._urdf import arm_of_urdf, urdf_with
+from sklearn_raacmm.arm._chain import urdf_text
+from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
+from sklearn_raacmm.arm._files import json_text, read_fields
+from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of
+from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import check_places, html_table, write_whole
 
 
@@ -117,7 +117,7 @@ class Arm:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        for field, value in checked_fields(self).items():
+        for field, value in check_fields(self).items():
             object.__setattr__(self, field, value)
 
     # -- a value: equality, copies, representation ------------------------------------------
@@ -204,11 +204,7 @@ class Arm:
         >>> Arm.from_name("panda").replace(probe=(0, 0, 138), name="with a ball")
         <Arm 'with a ball': 7 joints, modified DH, probe (0, 0, 138) mm>
         """
-        known = self.__getstate__()
-        unknown = sorted(set(changes) - set(known))
-        if unknown:
-            raise TypeError(f"Arm has no parameter {', '.join(unknown)}; it has {list(known)}.")
-        return Arm(**{**known, **changes})
+        return Arm(**{**self.__getstate__(), **changes})
 
     # -- constructors -----------------------------------------------------------------------
 
@@ -355,7 +351,7 @@ class Arm:
         OSError
             If the file cannot be read, or is a folder.
         """
-        params, where = fields_of_json(source)
+        params, where = read_fields(source)
         try:
             return cls(**params)
         except (ValueError, TypeError) as error:
@@ -382,7 +378,7 @@ class Arm:
         >>> Arm.from_json(arm.to_json()) == arm
         True
         """
-        return _kept(json_text(self), path)
+        return _write_text(json_text(self), path)
 
     @classmethod
     def from_urdf(
@@ -429,7 +425,7 @@ class Arm:
         >>> bool(abs(again.forward([[0.1] * 7]) - arm.forward([[0.1] * 7])).max() < 1e-9)
         True
         """
-        return arm_of_urdf(cls, source, base, tip)
+        return read_urdf(cls, source, base, tip)[0]
 
     def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
@@ -447,7 +443,7 @@ class Arm:
         str
             The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
         """
-        return _kept(written(self), path)
+        return _write_text(urdf_text(self), path)
 
     def update_urdf(
         self,
@@ -495,7 +491,7 @@ class Arm:
         """
         if out is not None:
             check_places([out])
-        return _kept(urdf_with(self, original, base, tip), out)
+        return _write_text(write_into_urdf(self, original, base, tip), out)
 
     # -- kinematics -------------------------------------------------------------------------
 
@@ -557,7 +553,7 @@ class Arm:
         ndarray of shape (n_samples, n_joints + 1, 3, 4)
             ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
         """
-        return frames_of(self, check_angles(angles, self.n_joints, angle_unit))
+        return frame_poses(self, check_angles(angles, self.n_joints, angle_unit))
 
     def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
         """Compute the derivative of the probe's position by each joint angle.
@@ -580,7 +576,7 @@ def _rebuild(params):
     return Arm(**params)
 
 
-def _kept(text, path):
+def _write_text(text, path):
     """The text, written to a file where a path is given."""
     if path is not None:
         write_whole({path: text})

@@ -55,20 +55,18 @@ def read_chain(source, base=None, tip=None):
         raise TypeError(f"source must be a path or the text of a URDF file, got {source!r:.60}.")
     is_text = isinstance(source, str) and bool(re.match(r"\s*<", source) or _UR_FILE.search(source))
     where = "the URDF text" if is_text else str(source)
-    text: Any = source if is_text else _text_of(source)
+    text: Any = source
+    if not is_text:
+        try:
+            text = Path(source).read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError:
+            raise ValueError(f"{source} is not UTF-8 text.") from None
     if _UR_FILE.search(text):
         if base or tip:
             raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
         return _ur_joints(text, where), "", text, where
     elements, name = _joints(text, where)
     return [_joint(e, where) for e in _chain(elements, base, tip, where)], name, text, where
-
-
-def _text_of(path):
-    try:
-        return Path(path).read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path} is not UTF-8 text.") from None
 
 
 def _joints(text, where):
@@ -290,7 +288,7 @@ def _xyz_rpy(origin):
     return tuple(" ".join(repr(float(value)) for value in part) for part in parts)
 
 
-def written(arm):
+def urdf_text(arm):
     """Text of an arm as URDF; see `Arm.to_urdf`."""
     rows = []
     before = np.eye(4)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, report_findings
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -23,21 +23,21 @@ MAX_LENGTH_MM = 1e5
 MIN_LENGTH_MM = 1e-6
 
 
-def checked_fields(arm: Any) -> dict[str, Any]:
+def check_fields(arm: Any) -> dict[str, Any]:
     """Fields of an `Arm` as it keeps them; each fault gets one clear sentence."""
-    a = numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
+    a = check_numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
     n = a.size
     checked = {
         "a": a,
-        "alpha": numbers("alpha", arm.alpha, n, "rad", 2 * np.pi),
-        "d": numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
-        "theta_offset": numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
-        "probe": numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
-        "joint_signs": numbers("joint_signs", arm.joint_signs, n, "", 1, True),
-        "pose_joints": pair_of("pose_joints", arm.pose_joints, 1, n),
-        "pose_frames": pair_of("pose_frames", arm.pose_frames, 0, n),
-        "names": names_of(arm.names, n),
-        "limits": limits_of(arm.limits, n),
+        "alpha": check_numbers("alpha", arm.alpha, n, "rad", 2 * np.pi),
+        "d": check_numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
+        "theta_offset": check_numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
+        "probe": check_numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
+        "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 1, True),
+        "pose_joints": check_pair("pose_joints", arm.pose_joints, 1, n),
+        "pose_frames": check_pair("pose_frames", arm.pose_frames, 0, n),
+        "names": check_names(arm.names, n),
+        "limits": check_limits(arm.limits, n),
     }
     if np.any(np.abs(checked["joint_signs"]) != 1):
         raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
@@ -55,9 +55,10 @@ def checked_fields(arm: Any) -> dict[str, Any]:
     return checked
 
 
-def numbers(name, value, size, unit, bound, broadcast=False):
+def check_numbers(name, value, size, unit, bound, broadcast=False):
     """One finite float64 per joint, read-only."""
-    array = floats(name, value)
+    # The fields of an arm that a calibration changes are such arrays: they need no conversion.
+    array = value if type(value) is np.ndarray and value.dtype == float else floats(name, value)
     if broadcast and array.ndim == 0:
         array = np.broadcast_to(array, size)
     if array.ndim != 1 or not array.size or size not in (None, array.size):
@@ -76,7 +77,7 @@ def numbers(name, value, size, unit, bound, broadcast=False):
     return array
 
 
-def names_of(names, n):
+def check_names(names, n):
     """Names of the joints: none, or a different one for each."""
     found = tuple(names) if isinstance(names, list | tuple) else ("",)
     whole = all(name and is_name(name) for name in found)
@@ -91,7 +92,7 @@ def is_name(value):
     return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
 
 
-def limits_of(limits: Any, n: int) -> Any:
+def check_limits(limits: Any, n: int) -> Any:
     """Lower and upper limit of each joint in rad, read-only; None where there are none."""
     if limits is None:
         return None
@@ -111,7 +112,7 @@ def limits_of(limits: Any, n: int) -> Any:
     return limits
 
 
-def pair_of(name, value, low, high):
+def check_pair(name, value, low, high):
     """Two different whole numbers."""
     pair = ()
     try:
@@ -175,4 +176,4 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
 
 
 def _say(text, advice, weight: Any = "doubt", joints=()):
-    say_findings([Finding("angle-unit", text, advice, weight, joints=joints)])
+    report_findings([Finding("angle-unit", text, advice, weight, joints=joints)])

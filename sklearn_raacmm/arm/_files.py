@@ -29,7 +29,7 @@ _JSON_KEYS = {
 _OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
 
 
-def fields_of_json(source: Any) -> tuple[dict[str, Any], str]:
+def read_fields(source: Any) -> tuple[dict[str, Any], str]:
     """Fields of `Arm` in a JSON file, and a name of the source: see `Arm.from_json`."""
     content, where = _content(source)
     if not isinstance(content, dict) or content.get("format") != _FORMAT:

@@ -6,7 +6,7 @@
 from typing import Any
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.utils import Finding, say_findings
+from sklearn_raacmm.utils import Finding, report_findings
 
 _BUILT_IN = "aacmm6"
 
@@ -21,12 +21,12 @@ def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
     if arm is not None:
         return arm
-    said = (
+    text = (
         f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are not "
         "those of your arm."
     )
     advice = f'Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
-    say_findings([Finding("built-in-arm", said, advice)])
+    report_findings([Finding("built-in-arm", text, advice)])
     return Arm.from_name(_BUILT_IN)
 
 

@@ -97,7 +97,7 @@ def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
     return out
 
 
-def frames_of(arm: Any, angles: np.ndarray) -> np.ndarray:
+def frame_poses(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames (n, n_joints + 1, 3, 4) at angles that have been checked: see `Arm.frames`."""
     frames = np.empty((len(angles), len(arm.a) + 1, 3, 4))
     for rows in chunks(len(angles), CHUNK_ROWS):
@@ -112,14 +112,14 @@ def joint_jacobian(arm: Any, angles: np.ndarray) -> np.ndarray:
     first = 0 if arm.convention == "standard" else 1
     for rows in chunks(len(angles), CHUNK_ROWS):
         columns = frame_columns(arm, dh_theta(arm, angles[rows]))
-        probe = probe_of(arm, columns)
+        probe = probe_from_frames(arm, columns)
         for i, sign in enumerate(arm.joint_signs):
             frame = columns[i + first]
             result[rows, :, i] = sign * cross(frame[2], probe - frame[3]).T
     return result
 
 
-def probe_of(arm, frames, probes=None):
+def probe_from_frames(arm, frames, probes=None):
     """Probe points (3, n_samples) from `frame_columns`; `probes` as of `points_of`."""
     x, y, z, origin = frames[-1]
     own = arm.probe if probes is None else probes.T
@@ -143,7 +143,7 @@ def axis_vectors(
     and y of the frames' origins and of the probe, (n, 2, n_frames + 1) mm.
     """
     frames = frame_columns(arm, dh_theta(arm, angles))
-    probe = probe_of(arm, frames, probes)
+    probe = probe_from_frames(arm, frames, probes)
     axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
     lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
     n_axes = 3 * len(frames)
@@ -161,7 +161,7 @@ def parameter_jacobian(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.nda
     jac = np.empty((len(angles), 3, 4 * n + 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
         frames = frame_columns(arm, dh_theta(arm, angles[rows]))
-        probe = probe_of(arm, frames)
+        probe = probe_from_frames(arm, frames)
         points[rows] = probe.T
         for i in range(n):
             # Row i goes along and about z of one of its two frames, and x of the other.

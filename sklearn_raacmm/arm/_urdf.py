@@ -23,16 +23,35 @@ _SAME_MM = 1e-10
 _SAME_ARM = 0.2
 
 
-def arm_of_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
-    """The arm of a robot's own file: see `Arm.from_urdf`."""
-    joints, name, _, where = read_chain(source, base, tip)
-    return _arm_of(cls, joints, name, where)[0]
+def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
+    """The arm of a robot's own file, see `Arm.from_urdf`, and how it stands in the file.
+
+    That is the pose of its base in the file's base frame (4, 4), the chain of joints, the text of
+    the file, and its name for messages.
+    """
+    joints, name, text, where = read_chain(source, base, tip)
+    frames = _frames(joints)
+    moving = [(f, joint) for f, joint in zip(frames, joints, strict=True) if joint.axis is not None]
+    n = len(moving)
+    if n < 2:
+        raise ValueError(f"{where}: the chain has {n} revolute joints, not several.")
+    directions = [frame[:3, :3] @ joint.axis for frame, joint in moving]
+    points = [frame[:3, 3] for frame, _ in moving]
+    directions, points, tip_point = _straighten(directions, points, frames[-1][:3, 3])
+    table, probe, placed = _table(directions, points, tip_point)
+    parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
+    limits = np.array([joint.limits for _, joint in moving])
+    arm = cls(
+        **table, probe=probe, convention="modified", name=name,
+        **usual_pose(n, parallel, "modified"), names=tuple(joint.name for _, joint in moving),
+        limits=limits if np.isfinite(limits).any() else None,
+    )  # fmt: skip
+    return arm, placed, joints, text, where
 
 
-def urdf_with(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
+def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
-    joints, name, text, where = read_chain(original, base, tip)
-    nominal, placed = _arm_of(type(arm), joints, name, where)
+    nominal, placed, joints, text, where = read_urdf(type(arm), original, base, tip)
     same = (nominal.convention, nominal.n_joints) == (arm.convention, arm.n_joints)
     if not same or np.any(nominal.joint_signs != arm.joint_signs):
         raise ValueError(
@@ -91,28 +110,6 @@ def _frames(joints):
         frame = frame @ joint.origin
         frames.append(frame)
     return frames
-
-
-def _arm_of(cls, joints, name, where):
-    """The arm of a chain, and the pose of its base in the file's base frame (4, 4)."""
-    moving = [(f, j) for f, j in zip(_frames(joints), joints, strict=True) if j.axis is not None]
-    directions = [frame[:3, :3] @ joint.axis for frame, joint in moving]
-    points = [frame[:3, 3] for frame, _ in moving]
-    tip_point = _frames(joints)[-1][:3, 3]
-    if len(directions) < 2:
-        raise ValueError(f"{where}: the chain has {len(directions)} revolute joints, not several.")
-    directions, points, tip_point = _straighten(directions, points, tip_point)
-    table, probe, placed = _table(directions, points, tip_point)
-    n = len(directions)
-    parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
-    pose = usual_pose(n, parallel, "modified")
-    limits = np.array([joint.limits for _, joint in moving])
-    own = {
-        "names": tuple(joint.name for _, joint in moving),
-        "limits": limits if np.isfinite(limits).any() else None,
-    }
-    arm = cls(**table, probe=probe, convention="modified", name=name, **pose, **own)
-    return arm, placed
 
 
 def _straighten(directions, points, tip):

@@ -16,7 +16,6 @@ from sklearn.utils._param_validation import Interval, StrOptions, validate_param
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration._checks import (
     check_correction,
-    check_free,
     check_problem,
     one_row_a_pose,
     predicted,
@@ -26,12 +25,12 @@ from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
 from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
-from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
+from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
-    say_findings,
+    report_findings,
     slip_factors,
     with_findings,
 )
@@ -45,7 +44,7 @@ _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
-_PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
+_PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both"), StrOptions({"auto"})]
 
 
 @one_blas_thread
@@ -53,9 +52,8 @@ _PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both")]
     {
         "arm": [Arm],
         "loss": [StrOptions(set(WEIGHTS))],
-        "prior_length_mm": [*_PRIOR, StrOptions({"auto"})],
-        "prior_angle_rad": [*_PRIOR, StrOptions({"auto"})],
-        "prior_probe_mm": _PRIOR,
+        "prior_length_mm": _PRIOR,
+        "prior_angle_rad": _PRIOR,
         "angle_unit": [StrOptions({"rad", "deg"})],
     },
     prefer_skip_nested_validation=True,
@@ -75,7 +73,6 @@ def calibrate(
     loss: str = "soft_l1",
     prior_length_mm: float | str = "auto",
     prior_angle_rad: float | str = "auto",
-    prior_probe_mm: float = UNKNOWN_PLACE_MM,
     angle_unit: str = "rad",
 ) -> CalibrationResult:
     """Identify the static parameters of an arm.
@@ -114,8 +111,6 @@ def calibrate(
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
         long and short lengths apart.
-    prior_probe_mm : float, default=1000
-        Standard deviation of the true probe about that of `arm`.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
 
@@ -175,36 +170,35 @@ def calibrate(
     >>> bool(np.abs(result.arm.d[2] - truth.d[2]) < 0.02)
     True
     """
-    lengths, free = listed("lengths", lengths), check_free(free)
+    lengths, free = listed("lengths", lengths), listed("free", free)
+    if not all(isinstance(name, str) and name in FIELDS for name in free):
+        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     asked = None if correction is None else check_correction(correction, angles, angle_unit)
     # Within one turn, lest a warning of far angles be repeated by what follows.
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
     problem = check_problem(angles, groups, points, lengths, tools, stations)
     poses, angles, problem = one_row_a_pose(angles, problem)
-    say_findings(wrong_units(arm, angles, problem))
+    report_findings(wrong_units(arm, angles, problem))
     if asked is not None:
         asked = asked[poses.first]
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
-    def fitted(problem):
-        fit = Fit(arm, angles, problem, loss, free, priors)
-        return fit, *_fit_in_steps(fit)
-
-    priors = (prior_length_mm, prior_angle_rad, prior_probe_mm)
-    fit, given, before = fitted(problem)
+    priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
+    fit, given, before = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))
     bare = None
     if asked is not None:
         _settle(fit, correction, asked)
-        bare = fitted(replace(problem, correction=None))[0]
+        problem = replace(problem, correction=None)
+        bare = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))[0]
     result = _result(fit, given, before, groups)
-    say_findings(findings_of_fit(fit, result, bare, lengths, poses))
+    report_findings(findings_of_fit(fit, result, bare, lengths, poses))
     result = _with_all_rows(result, poses)
-    say_findings(outliers(result))
+    report_findings(outliers(result))
     return result
 
 
 def _fit_in_steps(fit):
-    """Fit; scatter of the arm as given, and with nothing but probe and base fitted."""
+    """The fit; scatter of the arm as given, and with nothing but probe and base fitted."""
     fit.run(np.zeros_like(fit.is_free))
     given = fit.distances().mean()
     fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm")))
@@ -212,7 +206,7 @@ def _fit_in_steps(fit):
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
     fit.run(fit.is_free)
-    return given, before
+    return fit, given, before
 
 
 def _settle(fit, correction, asked):
@@ -275,9 +269,9 @@ def _result(fit, given, before, groups):
 
 def _identified(fit, names):
     """What the data say of the free parameters, as fields of a `CalibrationResult`."""
-    mask = fit.mask_of(fit.is_free)
+    mask = fit.free_mask(fit.is_free)
     free_names = [name for name, is_in in zip(names, mask, strict=True) if is_in]
-    angle = np.array([is_angle(name) for name in names])
+    angle = np.array([name.startswith(ANGLES) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
     unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)

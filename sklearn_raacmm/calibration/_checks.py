@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, MAX_LENGTH_MM, reach_mm
+from sklearn_raacmm.arm import MAX_LENGTH_MM, reach_mm
 from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.measurements import coarse_angles, find_poses
 from sklearn_raacmm.utils import (
     Finding,
     encode_groups,
     floats,
-    listed,
-    say_findings,
+    report_findings,
 )
 
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -41,7 +40,12 @@ def check_problem(angles, groups, points, lengths, tools, stations):
             found, labels[f"{name}s"] = encode_groups(given, n, f"{name}s")
             labels[f"{name}_labels"] = tuple(found.tolist())
     if points is not None:
-        return Problem(None, _check_points(points, n, lengths), [], **labels)
+        points = floats("points", points, 3)
+        if len(points) != n:
+            raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
+        if lengths:
+            raise ValueError("lengths are between groups; measured points have no use for them.")
+        return Problem(None, points, [], **labels)
     if stations is not None:
         raise ValueError(
             "stations are of measured points. In a test without a tracker, a fixed point that is "
@@ -58,17 +62,8 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     if lonely:
         names = tuple(positions[i] for i in lonely)
         text = f"{len(lonely)} groups have one point and say nothing, such as {names[0]}."
-        say_findings([Finding("lonely-position", text, positions=names)])
+        report_findings([Finding("lonely-position", text, positions=names)])
     return problem
-
-
-def _check_points(points, n, lengths):
-    points = floats("points", points, finite=True)
-    if points.shape != (n, 3):
-        raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-    if lengths:
-        raise ValueError("lengths are between groups; measured points have no use for them.")
-    return points
 
 
 def check_correction(correction, angles, angle_unit):
@@ -88,7 +83,7 @@ def check_correction(correction, angles, angle_unit):
 def predicted(correction, angles, problem, probes):
     """Residuals (n, 3) that a model predicts at rows, with the probe of each tool (n_tools, 3)."""
     residuals = np.empty((len(angles), 3))
-    # A model with a second stage cannot be moved to another probe.
+    # Only a model of the arm's own causes can be moved to another probe.
     can_be_moved = hasattr(correction, "with_arm")
     for tool, probe in enumerate(probes):
         rows, model = problem.rows_of_tool(tool), correction
@@ -106,13 +101,6 @@ def _finite_residuals(model, angles):
             f"got shape {residuals.shape}."
         )
     return residuals
-
-
-def check_free(free):
-    free = listed("free", free)
-    if not all(isinstance(name, str) and name in FIELDS for name in free):
-        raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
-    return free
 
 
 def check_length(entry: Any, labels: Any) -> Any:
@@ -145,7 +133,7 @@ def one_row_a_pose(angles, problem):
     poses = find_poses(angles, None if codes is None else codes.ravel(), problem.points)
     if not poses.merges:
         return poses, angles, problem
-    say_findings(poses.findings())
+    report_findings(poses.findings())
     names = ("index", "points", "correction", "tools", "stations")
     parts = {name: poses.mean(getattr(problem, name)) for name in names}
     problem = replace(problem, **parts)
@@ -157,8 +145,7 @@ def one_row_a_pose(angles, problem):
 def wrong_units(arm, angles, problem):
     """Measured points, or the arm's table, are in another unit."""
     reach, points = reach_mm(arm), problem.points
-    if angles is not None:
-        yield from coarse_angles(angles, reach)
+    yield from coarse_angles(angles, reach)
     if points is not None and len(points) > 1:
         shown = arm.forward(angles)
         sizes = [np.sqrt(np.square(p - p.mean(axis=0)).sum(axis=1).mean()) for p in (shown, points)]

@@ -1,4 +1,4 @@
-"""What is to be said of a calibration that has settled."""
+"""Findings on a calibration that has settled."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
 from sklearn_raacmm.calibration._problem import points_and_jacobian
-from sklearn_raacmm.calibration._result import is_angle
+from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.measurements import base_motions, moved_positions, moved_set_up
 from sklearn_raacmm.utils import Finding, row_numbers
 
@@ -57,7 +57,13 @@ def findings_of_fit(fit, result, bare, lengths, poses):
     if not no_arm:
         n, scatter = len(fit.names), result.scatter_after_mm
         sd = result.standard_deviations[:n]
-        yield from wrong_table(fit.names, fit.nominal, fit.x[:n], sd, _far(fit), lengths, scatter)
+        length, angle, _ = fit.priors
+        limits = {"probe_mm": np.inf}
+        limits["angle_rad"] = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
+        far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
+        far = np.array([limits.get(KINDS[i], far_mm) for i in fit.kind])
+        far[~fit.is_free] = np.inf
+        yield from wrong_table(fit.names, fit.nominal, fit.x[:n], sd, far, lengths, scatter)
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
@@ -130,15 +136,6 @@ def _no_such_arm(arm, before, after):
         )
 
 
-def _far(fit):
-    """Departure of each parameter from the table that is worth a word."""
-    length, angle, _ = fit.priors
-    far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
-    far_rad = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
-    far = {"probe_mm": np.inf, "angle_rad": far_rad}
-    return np.where(fit.is_free, [far.get(KINDS[i], far_mm) for i in fit.kind], np.inf)
-
-
 def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
     """A table that the data contradict: an offset forgotten, a link mistyped.
 
@@ -155,7 +152,7 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
     for i in wrong:
         field = names[i].rstrip("0123456789")
         joints.append(int(names[i].removeprefix(field)))
-        factor, unit = (180 / np.pi, "°") if is_angle(names[i]) else (1.0, " mm")
+        factor, unit = (180 / np.pi, "°") if names[i].startswith(ANGLES) else (1.0, " mm")
         parts.append(
             f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
             f"the table says {factor * nominal[i]:.6g}{unit}"
@@ -173,7 +170,9 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
         f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}.",
         advice,
         joints=tuple(sorted(set(joints))),
-        size_mm=float(max((departure[i] for i in wrong if not is_angle(names[i])), default=0)),
+        size_mm=float(
+            max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
+        ),
     )
 
 
@@ -205,7 +204,7 @@ def _set_up_moved(fit, poses):
 
 def _poses_alike(fit):
     """Away from the poses of the test little more is known of the arm than its table says."""
-    mask = fit.mask_of(fit.is_free)
+    mask = fit.free_mask(fit.is_free)
     arm, n = fit.arm(), 4 * fit.nominal_arm.n_joints + 3
     # Of too few rows another finding tells.
     if not mask[: n - 3].any() or fit.problem.n_coordinates < 2 * mask.sum():
@@ -244,7 +243,7 @@ def outliers(result):
             "outliers",
             f"{len(rows)} of {n} rows lie farther than {result.outlier_limit_mm:.3g} mm from where "
             f"they belong, up to {far:.3g} mm.",
-            "They are not learnt from. " + "Look at their labels and at the seat." * many,
+            "They are not learnt from. " + "Look at their labels and at the cone." * many,
             "doubt" if many else "note",
             rows=row_numbers(rows),
             size_mm=far,

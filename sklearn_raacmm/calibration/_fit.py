@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from sklearn_raacmm.calibration._problem import (
     points_and_jacobian,
     unpack,
 )
-from sklearn_raacmm.calibration._result import is_angle
+from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 
@@ -103,7 +104,7 @@ class Fit:
         tools = in_brackets(problem.tool_labels, problem.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
-        kind = np.array([int(is_angle(name)) for name in self.names])
+        kind = np.array([int(name.startswith(ANGLES)) for name in self.names])
         lengths = kind == 0
         kind[lengths] = np.where(are_long(self.nominal[: len(kind)][lengths]), 0, 3)
         is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
@@ -124,8 +125,8 @@ class Fit:
     def _place(self, points):
         """First guess of every base."""
         problem = self.problem
-        rows_of = [problem.rows_of_station(s) for s in range(problem.n_stations)]
-        places = [align(points[rows], problem.points[rows]) for rows in rows_of]
+        parts = [problem.rows_of_station(s) for s in range(problem.n_stations)]
+        places = [align(points[rows], problem.points[rows]) for rows in parts]
         self.rotations = np.stack([rotation for rotation, _ in places])
         self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
 
@@ -145,13 +146,13 @@ class Fit:
     def arm(self, tool=0):
         return unpack(self.nominal_arm, self.x, tool)
 
-    def mask_of(self, is_free):
+    def free_mask(self, is_free):
         """Free parameters of x: bases always are."""
         return np.r_[is_free, np.ones(len(self.x) - len(is_free), bool)]
 
     def run(self, is_free):
         """Alternate least squares, and the weights and variances they imply, until they settle."""
-        mask = self.mask_of(is_free)
+        mask = self.free_mask(is_free)
         for rounds in range(MAX_ROUNDS):
             if self.sigma is None:
                 self._weigh()
@@ -175,7 +176,7 @@ class Fit:
         is_free = mask[: len(self.nominal)]
         share = np.ones(len(is_free))  # of the prior's variance that the data leave
         rows, jac = self._residuals_and_jacobian(self.x, mask)
-        covariance = covariance_of(jac)
+        covariance = inverse_normal(jac)
         variance = np.diag(covariance)[: is_free.sum()]
         share[is_free] = np.minimum(variance / self.prior_sd[is_free] ** 2, 1.0)
         self._weigh(self._spread(covariance, rows, jac))
@@ -372,7 +373,7 @@ class Fit:
         the end of known lengths is therefore no better known than one of its points.
         """
         jac = self._residuals_and_jacobian(self.x, mask)[1]
-        covariance = covariance_of(jac)
+        covariance = inverse_normal(jac)
         if self.problem.lengths:
             first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
             sd = np.array([entry[3] for entry in self.problem.lengths])
@@ -399,13 +400,10 @@ def gauss_newton_step(jac, rows, damping):
     size[size == 0] = 1
     normal /= np.outer(size, size)
     normal[np.diag_indices(len(size))] += damping
-    factor, known = None, False
-    try:
+    factor: Any = None
+    with suppress(LinAlgError):
         factor = cho_factor(normal, lower=True, check_finite=False)
-        known = np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT
-    except LinAlgError:
-        pass
-    if factor is not None and known:
+    if factor and np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT:
         step = -cho_solve(factor, slope / size, check_finite=False) / size
     else:
         whole = np.concatenate([jac / size, np.sqrt(damping) * np.eye(len(size))])
@@ -414,7 +412,7 @@ def gauss_newton_step(jac, rows, damping):
     return step, float(-slope @ step)
 
 
-def covariance_of(jac):
+def inverse_normal(jac):
     """Inverse of ``jac.T @ jac``, with infinite variances where it is singular."""
     size = np.linalg.norm(jac, axis=0)
     size[size == 0] = 1

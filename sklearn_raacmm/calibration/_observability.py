@@ -57,16 +57,11 @@ def _readable(basis, names, prior_sd, unit):
     for row, pivot in sorted(zip(basis, pivots, strict=True), key=lambda pair: pair[1]):
         moves = np.abs(row * prior_sd / unit)  # mm at the probe, about
         large = moves > _SMALL_TERM * moves.max()
-        factors = row * prior_sd / prior_sd[pivot]
-        order = [pivot, *(i for i in np.flatnonzero(large) if i != pivot)]
-        lines.append(_sum_of(factors[order], [names[i] for i in order]))
+        factors, text = row * prior_sd / prior_sd[pivot], ""
+        for i in [pivot, *(i for i in np.flatnonzero(large) if i != pivot)]:
+            minus, plus = (" - ", " + ") if text else ("-", "")
+            size = abs(factors[i])
+            text += minus if factors[i] < 0 else plus
+            text += names[i] if abs(size - 1) < 0.005 else f"{size:.3g} {names[i]}"
+        lines.append(text)
     return tuple(lines)
-
-
-def _sum_of(factors, names):
-    text = ""
-    for factor, name in zip(factors, names, strict=True):
-        sign = ("-" if factor < 0 else "") if not text else (" - " if factor < 0 else " + ")
-        size = abs(factor)
-        text += sign + (name if abs(size - 1) < 0.005 else f"{size:.3g} {name}")
-    return text

@@ -26,7 +26,7 @@ _LONG_SHARE = 0.25
 # gives the same: nine freedoms that a few poses determine.
 UNKNOWN_PLACE_MM = 1000.0
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in benchmarks/bench_after_the_lab.py.
+# worst way of registering leaves in benchmarks/bench_after_the_lab.py series.
 REGISTERED_PLACE_MM = 5.0
 
 
@@ -94,15 +94,9 @@ def pack(arm):
 
 def unpack(arm, x, tool=0):
     """The arm with the parameters of one vector; further tools follow the first one's probe."""
-    n = arm.n_joints
-    start = 4 * n + 3 * tool
-    return arm.replace(
-        a=x[:n],
-        alpha=x[n : 2 * n],
-        d=x[2 * n : 3 * n],
-        theta_offset=x[3 * n : 4 * n],
-        probe=x[start : start + 3],
-    )
+    start = 4 * len(arm.a)
+    parts = [*np.split(x[:start], 4), x[start + 3 * tool :][:3]]
+    return arm.replace(**dict(zip(FIELDS, parts, strict=True)))
 
 
 def points_and_jacobian(arm, angles, x, problem):
@@ -110,7 +104,7 @@ def points_and_jacobian(arm, angles, x, problem):
 
     By table and probes, mm and rad.
     """
-    n_table = 4 * arm.n_joints
+    n_table = 4 * len(arm.a)
     points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
         rows, start = problem.rows_of_tool(tool), n_table + 3 * tool
@@ -127,11 +121,8 @@ def left_jacobian(rotvec):
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     if angle < 1e-6:
         return np.eye(3) + cross / 2
-    return (
-        np.eye(3)
-        + (1 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
+    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.eye(3) + first * cross + second * cross @ cross
 
 
 def in_brackets(labels, n):

@@ -4,14 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from dataclasses import replace
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.error_model import IDLE_SD, check_extra
 from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
-from sklearn_raacmm.utils import Finding, floats, say_findings
+from sklearn_raacmm.utils import Finding, floats, report_findings
 
 # The family of columns by which each kind of cause is judged.
 _FAMILIES = {"time": "temperature", "payload": "force"}
@@ -67,15 +67,19 @@ def with_kept_causes(data, calibration):
     if not data.causes:
         return data
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    prior_sd = replace(data, like=()).fit(None, calibration, rows)[0].prior_sd_
+    own = copy(data)
+    own.like = ()
+    prior_sd = own.fit(None, calibration, rows)[0].prior_sd_
     kinds = [name.split()[0] for name in data.causes]
     keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * IDLE_SD for kind in kinds])
     named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
     gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
     if gone:
         said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
-        say_findings([Finding("cause-not-kept", said, weight="note")])
-    return replace(data, causes=tuple(named), values=data.values[:, keep])
+        report_findings([Finding("cause-not-kept", said, weight="note")])
+    kept = copy(data)
+    kept.causes, kept.values = tuple(named), data.values[:, keep]
+    return kept
 
 
 def usual_values(names, values):
@@ -116,7 +120,7 @@ def say_worth_of_directions(data, left, unknown):
         f"out, and {lost:.4f} mm where they are not known."
     )
     advice = "Hand them on when you correct: see directions_of."
-    say_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
+    report_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
 
 
 def say_make(model):
@@ -128,4 +132,4 @@ def say_make(model):
     said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "
     said += f"for them is {gain:.1f} nats."
     code = "make-believed" if believed else "make-not-believed"
-    say_findings([Finding(code, said, weight="note")])
+    report_findings([Finding(code, said, weight="note")])

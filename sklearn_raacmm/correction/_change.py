@@ -4,13 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from typing import NamedTuple
+from datetime import date as calendar
 
 import numpy as np
 
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import LEAST_POSITIONS, LinearModel, constrained, judge
+from sklearn_raacmm.error_model import LEAST_POSITIONS, constrained, judge
 from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
 from sklearn_raacmm.utils import centred
 
@@ -22,7 +22,7 @@ _LOG_NOISE = (0.0, 4.0)
 LEAST_NOISE_MM = 1e-4
 # Up to this order a harmonic changes by as much as harmonics were expected to be. When all orders
 # did, and the update faded, 60 poses left 0.277 mm where both rules leave 0.162
-# (benchmarks/bench_after_the_lab.py).
+# (benchmarks/bench_after_the_lab.py series).
 _LOW_ORDERS = 8
 # Orders that every joint may show after a change, whether or not it did before; see
 # `with_low_orders`.
@@ -34,19 +34,12 @@ _N_FOLDS = 5
 _TRIED = 200
 
 
-class Changed(NamedTuple):
-    """A linear model that has changed."""
-
-    model: LinearModel
-    tau: dict  # how much each part has changed
-    noise_sd: float  # mm
-    pose_weight: np.ndarray  # (n,) what the loss left of the weight of each pose
-
-
-def changed_model(linear, poses, log_noise=_LOG_NOISE):
+def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
-    `log_noise` bounds the logarithm of the noise in units of the old model's.
+    `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
+    model, what `updates_` keeps of the change (`tau` says how much each part has changed), and
+    what the loss left of the weight of each pose, (n,).
     """
     linear = with_low_orders(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
@@ -75,7 +68,13 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE):
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
         free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
-    return Changed(model, after.tau, after.noise_sd, after.row_weight)
+    entry = {
+        "date": calendar.today().isoformat() if date is None else str(date),
+        "n_poses": len(angles),
+        "tau": after.tau,
+        "noise_sd_mm": after.noise_sd,
+    }
+    return model, entry, after.row_weight
 
 
 def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
@@ -97,7 +96,7 @@ def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
     for number in range(fold.max() + 1):
         out = fold == number
         rest = poses.at(~out)
-        model = linear if rest.too_few else changed_model(linear, rest, log_noise).model
+        model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
         correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
     found = [
         judge(
@@ -193,7 +192,7 @@ def with_low_orders(linear):
     """The same model with the orders 1 and 2 of every joint among its columns.
 
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
-    free orders cost more than they find (benchmarks/bench_months.py).
+    free orders cost more than they find (benchmarks/bench_after_the_lab.py months).
     """
     if "harmonics" not in linear.prior_sd:
         return linear

@@ -21,7 +21,7 @@ from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
-from sklearn_raacmm.utils import Finding, encode_groups, hear, say_findings
+from sklearn_raacmm.utils import Finding, call_collecting, encode_groups, report_findings
 
 
 def learn_correction(
@@ -154,7 +154,7 @@ def learn_correction(
     )
 
     def inside():
-        data = Data.checked(
+        data = Data(
             arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
         )
         calibration = _calibrated(data, angles, angle_unit)
@@ -167,7 +167,7 @@ def learn_correction(
             say_make(fitted)
         return data, calibration, scores, fitted, noise
 
-    (data, calibration, scores, fitted, noise), findings = hear(inside)
+    (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
     scores = with_verdict(scores, findings, fitted)
     base = None
     if calibration.base_rotation is not None:
@@ -246,10 +246,12 @@ def _say_what_moved(data, calibration, model, noise, rows):
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
         every = np.ones(len(left))
-        say_findings(moved_positions(left, data.angles, every, data.positions, noise**2, data.rows))
+        report_findings(
+            moved_positions(left, data.angles, every, data.positions, noise**2, data.rows)
+        )
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
-    say_findings([drift_of(calibration.arm, data.angles[rows], left, codes)])
+    report_findings([drift_of(calibration.arm, data.angles[rows], left, codes)])
 
 
 def _calibrated(data, angles, angle_unit):
@@ -269,7 +271,7 @@ def _calibrated(data, angles, angle_unit):
         )
     said = f"The points scatter by {scatter:.1f} mm after calibration."
     advice = "The table of the arm is probably wrong: look at it before you use the correction."
-    say_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
+    report_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
     return calibration
 
 

@@ -11,7 +11,7 @@ from datetime import date as calendar
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ from sklearn.utils._param_validation import Interval, validate_params
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
-from sklearn_raacmm.error_model import ArmResidualRegressor, LinearModel
+from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.utils import (
     centred,
@@ -219,13 +219,13 @@ def check_correction(
     linear_model_of(model, "checked")
     model = model if arm is None else model.with_arm(arm)
     linear = _widened(model.linear_model_)
-    today = NewPoses.checked(model, X, y, groups, sample_weight)
+    today = NewPoses(model, X, y, groups, sample_weight)
     lengths = listed("lengths", lengths)
     if lengths and groups is None:
         raise ValueError("lengths are between positions: give groups, the position of each pose.")
     labels = encode_groups(groups)[0].tolist() if lengths else []
     lengths = [check_length(entry, labels) for entry in lengths]
-    poses, slipped = _poses_of(linear, model, today, lengths)
+    poses = _Poses(linear, model, today, lengths)
     nuisance = poses.nuisance(refitted)
     root = poses.root_of_covariance()
     whiten = Whitened(root, nuisance)
@@ -262,7 +262,7 @@ def check_correction(
             f"It is real and small, {size_mm:.2g} mm beside the {usual_mm:.2g} mm that the "
             f"correction leaves: nothing needs to be done. {advice}"
         )
-    named = tuple(np.flatnonzero(slipped).tolist())
+    named = tuple(np.flatnonzero(poses.slipped).tolist())
     return CorrectionCheck(
         holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, named, record
     )
@@ -281,19 +281,6 @@ def _widened(linear):
         gauge_free_half=wider * linear.gauge_free_half,
         noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
     )
-
-
-def _poses_of(linear, model, today, lengths):
-    """Today's poses that count, and which of the rows have slipped."""
-    correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
-    left = today.residuals - correction
-    slipped, tamed = _slipped(linear, today, left)
-    kept = (today.weights > 0) & ~slipped
-    angles, weights = today.angles[kept], today.weights[kept]
-    codes = None if today.codes is None else today.codes[kept]
-    points = linear.arm.forward(angles[:, : linear.arm.n_joints]) - correction[kept]
-    known = _lengths_between(points, codes, weights, lengths)
-    return _Poses(linear, angles, left[kept], tamed[kept], weights, codes, *known), slipped
 
 
 def _slipped(linear, poses, left):
@@ -336,18 +323,25 @@ def _lengths_between(points, codes, weights, lengths):
     return rows.reshape(len(known), 3 * len(points)), size - stated, sd
 
 
-class _Poses(NamedTuple):
-    """Poses of today: rows of coordinates, three for each pose, and one for each known length."""
+class _Poses:
+    """Poses of today that count: rows of coordinates, and one for each known length.
 
-    linear: LinearModel
-    angles: np.ndarray  # (n, n_joints)
-    left: np.ndarray  # (n, 3) residuals less the correction, mm
-    tamed: np.ndarray  # (n, 3) the same without the tails
-    weights: np.ndarray  # (n,)
-    codes: np.ndarray | None  # (n,) position of each pose
-    lengths: np.ndarray  # (l, 3 n) what the coordinates do to the lengths, mm per mm
-    length_errors: np.ndarray  # (l,) mm
-    length_sd: np.ndarray  # (l,) mm
+    `left` (n, 3) are the residuals less the correction in mm, `tamed` the same without the tails;
+    `lengths` (l, 3 n) is what the coordinates do to the lengths, mm per mm.
+    """
+
+    def __init__(self, linear, model, today, lengths):
+        correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
+        left = today.residuals - correction
+        self.slipped, tamed = _slipped(linear, today, left)
+        kept = (today.weights > 0) & ~self.slipped
+        self.linear, self.angles, self.weights = linear, today.angles[kept], today.weights[kept]
+        self.left, self.tamed = left[kept], tamed[kept]
+        self.codes = None if today.codes is None else today.codes[kept]
+        points = linear.arm.forward(self.angles[:, : linear.arm.n_joints]) - correction[kept]
+        self.lengths, self.length_errors, self.length_sd = _lengths_between(
+            points, self.codes, self.weights, lengths
+        )
 
     def rows(self, columns):
         """Columns (n, 3, k) or (3 n, k) as rows of coordinates and lengths, (m, k)."""

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from copy import copy
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
@@ -13,17 +13,15 @@ from sklearn_raacmm.error_model import ArmResidualRegressor, check_poses
 from sklearn_raacmm.utils import check_weights, encode_groups, floats
 
 
-class NewPoses(NamedTuple):
-    """New poses, checked."""
+class NewPoses:
+    """New poses of a fitted model, checked; each fault gets one clear sentence.
 
-    angles: np.ndarray  # (n, n_joints + n_extra) rad, then the extra columns
-    residuals: np.ndarray  # (n, 3) mm, without the correction
-    weights: np.ndarray  # (n,)
-    codes: np.ndarray | None  # (n,) position of each, where positions have unknown offsets
+    `angles` (n, n_joints + n_extra) in rad, then the extra columns; `residuals` (n, 3) in mm,
+    without the correction; `weights` (n,); `codes` (n,), the position of each where positions have
+    unknown offsets, or None.
+    """
 
-    @classmethod
-    def checked(cls, model, X, y, groups, sample_weight):
-        """New poses of a fitted model; each fault gets one clear sentence."""
+    def __init__(self, model, X, y, groups, sample_weight):
         angles = check_poses(model, X)
         y = floats("y", y, 3)
         if len(y) != len(angles):
@@ -34,7 +32,8 @@ class NewPoses(NamedTuple):
                 "each new pose."
             )
         codes = None if groups is None else encode_groups(groups, len(y))[1]
-        return cls(angles, y, check_weights(sample_weight, angles), codes)
+        self.angles, self.residuals, self.codes = angles, y, codes
+        self.weights = check_weights(sample_weight, angles)
 
     @property
     def positions(self):
@@ -43,10 +42,12 @@ class NewPoses(NamedTuple):
 
     def at(self, rows):
         """Some of the poses."""
-        codes = self.codes
-        if codes is not None:
-            codes = np.unique(codes[rows], return_inverse=True)[1].ravel()
-        return NewPoses(self.angles[rows], self.residuals[rows], self.weights[rows], codes)
+        some = copy(self)
+        some.angles, some.residuals = self.angles[rows], self.residuals[rows]
+        some.weights = self.weights[rows]
+        if self.codes is not None:
+            some.codes = np.unique(self.codes[rows], return_inverse=True)[1].ravel()
+        return some
 
     @property
     def n_coordinates(self):
@@ -56,18 +57,14 @@ class NewPoses(NamedTuple):
         return int(3 * (np.count_nonzero(used) - n_offsets))
 
     @property
-    def n_free(self):
-        """Freedoms of base and tool that the poses show: of a single-point test, the tool's."""
-        return 9 if self.codes is None else 3
-
-    @property
     def too_few(self):
         """Why nothing can be learnt from these poses, or an empty string."""
-        if self.n_coordinates > self.n_free:
+        n_free = 9 if self.codes is None else 3  # of base and tool; cones show the tool's alone
+        if self.n_coordinates > n_free:
             return ""
         return (
             f"{len(self.angles)} new poses give {self.n_coordinates} coordinates, fewer than would "
-            f"show more than the {self.n_free} freedoms of base and tool"
+            f"show more than the {n_free} freedoms of base and tool"
         )
 
 

@@ -3,9 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, replace
+from copy import copy
 from inspect import ismethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -22,32 +22,22 @@ from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, listed, unheard
+from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
 _FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
 
 
-@dataclass(frozen=True, eq=False)
 class Data:
-    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths."""
+    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths.
 
-    arm: Arm
-    angles: np.ndarray
-    positions: np.ndarray
-    points: np.ndarray | None
-    tools: np.ndarray | None  # label of the probe of each row
-    lengths: list
-    rows: np.ndarray  # first row of each pose among those given
-    given: tuple  # angles, positions, points and tools of these
-    causes: tuple  # names of the columns of `values`
-    values: np.ndarray  # (n, n_causes)
-    like: tuple  # models of earlier arms of the make
+    `rows` are the first rows of each pose among those `given`; `causes` name the columns of
+    `values` (n, n_causes); `like` are models of earlier arms of the make.
+    """
 
-    @classmethod
-    def checked(
-        cls, arm, angles, positions, points, lengths, angle_unit,
+    def __init__(
+        self, arm, angles, positions, points, lengths, angle_unit,
         extra=None, in_order=False, like=(), tools=None,
     ):  # fmt: skip
         check_arm(arm)
@@ -78,14 +68,12 @@ class Data:
                 raise ValueError("like and tools cannot be given together.")
             names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
-        given = angles, labels[codes], points, tools
         poses = find_poses(angles, kinds, points)
-        angles, points, first = poses.mean_angles(angles), poses.mean(points), poses.first
-        tools = None if tools is None else tools[first]
-        return cls(
-            arm, angles, given[1][first], points, tools, lengths, first, given, causes,
-            values[first], like,
-        )  # fmt: skip
+        self.arm, self.lengths, self.like, self.rows = arm, lengths, like, poses.first
+        self.given = angles, labels[codes], points, tools
+        self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
+        self.positions, self.tools = labels[codes][self.rows], _at(self.rows, tools)
+        self.causes, self.values = causes, values[self.rows]
 
     def without_wrong(self, calibration):
         """The same without the known lengths that the calibration of all rows found to be wrong."""
@@ -93,7 +81,9 @@ class Data:
             return self
         wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
         lengths = [entry for entry, out in zip(self.lengths, wrong, strict=True) if not out]
-        return replace(self, lengths=lengths)
+        right = copy(self)
+        right.lengths = lengths
+        return right
 
     @property
     def inputs(self):
@@ -172,7 +162,7 @@ class Data:
         model = model_for(None, calibration.arm, self.causes)
         y = self.residuals(calibration, rows)
         probes = self._probes(calibration, rows)
-        with unheard():  # what there is to say is said of the rows that are learnt from
+        with ignored_findings():  # what there is to say is said of the rows that are learnt from
             model.fit(self.inputs[rows], y, groups=self.positions[rows], probes=probes)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
@@ -218,11 +208,11 @@ def _at(rows, values):
     return None if values is None else values[rows]
 
 
-class _OfTools(NamedTuple):
-    """A model at the probes of several tools, for rows in this order."""
+class _OfTools:
+    """A model at the probes of several tools, by their labels, for rows with these (n,) labels."""
 
-    models: dict  # by the label of the tool
-    tools: np.ndarray  # (n,) label of each row
+    def __init__(self, models, tools):
+        self.models, self.tools = models, tools
 
     def predict(self, X, return_std=False):
         found = np.empty((1 + return_std, len(X), 3))

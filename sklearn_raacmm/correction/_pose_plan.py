@@ -49,13 +49,13 @@ def plan_poses(
     n_poses: int = 12,
     *,
     region: ArrayLike | None = None,
-    lean_deg: float | None = None,
+    lean_deg: float | None = 60.0,
     random_state: int | np.random.RandomState | None = 0,
 ) -> PosePlan:
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
-    allows, and in an order of short ways (``benchmarks/bench_first_test.py``).
+    allows, and in an order of short ways (``benchmarks/bench_after_the_lab.py plan``).
 
     Parameters
     ----------
@@ -66,10 +66,9 @@ def plan_poses(
     region : array-like of shape (2, 3), default=None
         Lowest and highest x, y and z where cones can stand, base frame, mm. None: all around the
         base, from a quarter to 85 % of the reach away, up to 45 % of it high.
-    lean_deg : float or None, default=None
+    lean_deg : float or None, default=60
         How far the probe may lean from the vertical, degrees; no frame of the wrist may be lower
-        than the cone then. Give 60 for cones that are fixed on a table. None: the probe may come
-        from anywhere, as a ball in a magnet, which shows more of the arm.
+        than the cone then. None: a probe that may come from anywhere, as a ball in a magnet.
     random_state : int, RandomState instance or None, default=0
         Draws the places and poses that are tried.
 
@@ -102,7 +101,7 @@ def plan_poses(
         if region.shape != (2, 3) or not np.all(region[0] <= region[1]):
             raise ValueError(
                 "region must be the lowest and the highest x, y and z in mm, shape (2, 3), got "
-                f"{region.tolist()}."
+                f"{region.tolist()!s:.60}."
             )
     places, poses = [], []
     for _ in range(_PLACES * n_positions):

@@ -20,10 +20,10 @@ from sklearn_raacmm.utils import (
     encode_groups,
     group_means,
     html_table,
+    ignored_findings,
     listed,
     natural_order,
-    say_findings,
-    unheard,
+    report_findings,
 )
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
@@ -202,7 +202,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     summary = _summary(table["before"], table["after"], block_of)
     coverage, factor = coverage_of(after, std)
     unknown_lengths = length_findings(calibration)
-    say_findings(unknown_lengths)
+    report_findings(unknown_lengths)
     n_blocks = len(np.unique(block_of))
     helps, verdict = _verdict(table, summary, measure, n_blocks, unknown_lengths)
     errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
@@ -283,7 +283,7 @@ def _are_rows(pair, n_rows):
 def _one_fold(data, model, train, test):
     """Deviations before and after and their standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
-    with unheard():  # whatever there is to say is said of all rows
+    with ignored_findings():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = _share_of(fitted), data.at_probes(fitted, calibration, test)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_arm, dh_theta, frame_columns
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.utils import align, centred, encode_groups, unheard
+from sklearn_raacmm.utils import align, centred, encode_groups, ignored_findings
 
 # Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
 # numbers here the tables of tests/correction/test_table_search.py, of one and of two faults, are
@@ -133,7 +133,7 @@ def search_table(
 def _scatter(arm, angles, positions, points, unit):
     """Mean scatter after calibration, mm."""
     where = {"groups": positions} if points is None else {"points": points}
-    with unheard():  # of the wrong tables, nearly all have something to be said
+    with ignored_findings():  # of the wrong tables, nearly all have something to be said
         return calibrate(arm, angles, angle_unit=unit, **where).scatter_after_mm
 
 

@@ -31,21 +31,27 @@ from sklearn_raacmm.correction._change import (
     with_low_orders,
 )
 from sklearn_raacmm.correction._new_poses import NewPoses, place_columns
-from sklearn_raacmm.correction._update import record_of
 from sklearn_raacmm.error_model import order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
-from sklearn_raacmm.utils import Finding, centred, encode_groups, one_blas_thread, say_findings
+from sklearn_raacmm.utils import (
+    Finding,
+    centred,
+    encode_groups,
+    one_blas_thread,
+    report_findings,
+)
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
-# benchmarks/bench_transfer.py judges: it does not choose.
+# benchmarks/bench_after_the_lab.py transfer judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
 # Nats of evidence for the earlier arms from which on they are believed where too few positions can
 # be left out for a share: one draw of a Panda lost a third at 0.5, the sixteen draws with at least
-# 5 gained (``benchmarks/bench_transfer.py --panda``).
+# 5 gained (``benchmarks/bench_after_the_lab.py transfer --panda``).
 LEAST_GAIN_NATS = 4.0
 # Factor of the fading of a believed start: Wiener's is 1, and half of it leaves as little on Pandas
-# as none (``benchmarks/bench_transfer.py --panda``), for the mean of the make is known beside it.
+# as none (``benchmarks/bench_after_the_lab.py transfer --panda``), for the mean of the make is
+# known beside it.
 _FADING = 0.5
 # The noise of the new arm in units of the earlier arms', by a factor of 55 either way: its model
 # may be better, too.
@@ -73,20 +79,19 @@ def transferred_model(models, arm, X, y, groups=None):
     # Its calibration holds what the extra columns do in the mean of its own rows.
     prior = replace(prior, terms=prior.terms._replace(extra=own.linear_model_.terms.extra))
     of_offsets = groups if own.linear_model_.offsets else None
-    poses = NewPoses.checked(own, X, y, of_offsets, None)
-    changed = changed_model(prior, poses, _LOG_NOISE)
-    entry = record_of(changed, len(poses.angles), None)
-    poses = poses._replace(weights=poses.weights * changed.pose_weight * own.pose_weight_)
-    gain = _evidence_of_change(prior, changed, poses) - _evidence_of_fit(own.linear_model_, poses)
+    poses = NewPoses(own, X, y, of_offsets, None)
+    linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE)
+    poses.weights = poses.weights * pose_weight * own.pose_weight_
+    gain = _evidence_of_change(prior, entry, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
     fading = replace(own.fading_, factor=_FADING, most=1.0)
     positions = poses.positions if groups is None else encode_groups(groups, len(y))[1]
     fading, judgement = judged_fading(prior, poses, fading, positions, _LOG_NOISE)
     if fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS):
-        linear = replace(changed.model, offsets=poses.codes is not None)
+        linear = replace(linear, offsets=poses.codes is not None)
         new.linear_model_ = replace(linear, fading_half=linear.gauge_free_half)
         new.fading_, new.judgement_ = fading, judgement
-        new.pose_weight_ = changed.pose_weight
+        new.pose_weight_ = pose_weight
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
     new.updates_ = (entry | {"n_arms": len(models), "gain_nats": float(gain)},)
@@ -99,7 +104,7 @@ def _suitable_models(models, arm, n_columns):
     for number, model in enumerate(models, start=1):
         if why := _why_not(model, kept, arm, n_columns):
             said = f"Earlier arm {number} of {len(models)} is passed over: {why}."
-            say_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
+            report_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
         else:
             kept.append(model)
     return kept
@@ -185,12 +190,12 @@ def _pooled(linears, arm):
     )
 
 
-def _evidence_of_change(prior, changed, poses):
+def _evidence_of_change(prior, entry, poses):
     """Log evidence under the prior of the earlier arms."""
     prior = with_low_orders(prior)
     known = prior_of(prior)
-    sd = np.array([changed.tau[name] for name in known.part]) * known.size
-    return _log_evidence(prior, np.hstack([known.half, np.diag(sd)]), poses, changed.noise_sd)
+    sd = np.array([entry["tau"][name] for name in known.part]) * known.size
+    return _log_evidence(prior, np.hstack([known.half, np.diag(sd)]), poses, entry["noise_sd_mm"])
 
 
 def _evidence_of_fit(linear, poses):

@@ -15,10 +15,10 @@ from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, jud
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, hear, one_blas_thread, say_findings
+from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, report_findings
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
-# benchmarks/bench_after_the_lab.py have 1.0 to 1.9.
+# benchmarks/bench_after_the_lab.py series have 1.0 to 1.9.
 _STRANGE = 10.0
 
 
@@ -118,45 +118,33 @@ def update_correction(
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
     new = X, y, groups, sample_weight
-    updated, found = hear(_updated, model, new, date)
+    updated, found = call_collecting(_updated, model, new, date)
     updated.findings_ = tuple(found)
     return updated
 
 
 def _updated(model, new, date):
     """A copy of the model, brought up to date if the new poses show enough."""
-    poses = NewPoses.checked(model, *new)
+    poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
-        say_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
+        report_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
-    say_findings(what_is_wrong(model, poses))
-    changed = changed_model(linear, poses)
-    if changed.noise_sd > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
+    report_findings(what_is_wrong(model, poses))
+    updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
+    if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
-            f"The new poses scatter by {changed.noise_sd:.3g} mm a coordinate about the updated "
-            f"model, the old ones did by {linear.noise_sd:.3g} mm:"
+            f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
+            f"updated model, the old ones did by {linear.noise_sd:.3g} mm:"
         )
         advice = (
             "are they of this arm, and residuals in its base frame, registered through the "
             "correction?"
         )
-        say_findings([Finding("strange-poses", said, advice, size_mm=changed.noise_sd)])
-    updated.linear_model_ = changed.model
-    weighed = poses._replace(weights=poses.weights * changed.pose_weight)
-    updated.fading_, judgement = judged_fading(linear, weighed, model.fading_)
+        report_findings([Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"])])
+    poses.weights = poses.weights * pose_weight
+    updated.fading_, judgement = judged_fading(linear, poses, model.fading_)
     updated.judgement_ = judgement or model.judgement_
-    before = vars(model).get("updates_", ())
-    updated.updates_ = (*before, record_of(changed, len(poses.angles), date))
+    updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
-
-
-def record_of(changed, n_poses, date):
-    """What `updates_` keeps of a change."""
-    return {
-        "date": calendar.today().isoformat() if date is None else str(date),
-        "n_poses": n_poses,
-        "tau": changed.tau,
-        "noise_sd_mm": changed.noise_sd,
-    }

@@ -64,7 +64,7 @@ class ArmErrors:
         Weight at the probe, N: it varies between 0 and this number from pose to pose. Joints twist
         and tubes bend under it as under the arm's own weight.
     slip_share : float, default=0.0
-        Share of the poses in which the probe has slipped out of its seat.
+        Share of the poses in which the probe has slipped out of its cone.
     slip_mm : float, default=1.0
         How far it has slipped then, in a random direction.
 

@@ -93,7 +93,7 @@ def fetch_panda_ball_socket(
     data : :class:`~sklearn.utils.Bunch`
         As :func:`make_single_point`: ``data`` (n_poses, 7), ``target``, ``groups``, ``points``,
         ``arm``, calibrated on all rows and the known lengths (to judge a correction, calibrate
-        without the placements left out, as ``benchmarks/compare_regressors.py``),
+        without the placements left out, as ``benchmarks/make_results.py``),
         ``nominal_arm`` and names; and:
 
         placements : ndarray or Series of shape (n_poses,)
@@ -188,7 +188,7 @@ def fetch_ur10_tracker(
         As :func:`make_single_point`: ``data`` (11911, 6), the commanded joint angles, rad,
         ``groups``, the numbers of the goal positions, ``temperature``, ``directions`` by the pose
         that was measured before, ``points``, ``arm``, calibrated on all rows (to judge a correction
-        see ``benchmarks/compare_regressors.py``), ``nominal_arm`` and names; and:
+        see ``benchmarks/make_results.py``), ``nominal_arm`` and names; and:
 
         target : ndarray or DataFrame of shape (11911, 3)
             Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus

@@ -100,7 +100,7 @@ def make_single_point(
             What is known in a simulation only: ``machine`` (SimulatedArm), ``positions``
             (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
             ``perfect_correction`` (what the best possible model predicts from the readings, mm) and
-            ``slipped`` (whether the probe had slipped out of its seat).
+            ``slipped`` (whether the probe had slipped out of its cone).
 
     Raises
     ------

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from functools import partial
 from numbers import Integral
 from typing import Any
 
@@ -245,27 +246,21 @@ class SimulatedArm:
             moved += np.cross(slope * np.cross(along, across), probe - origin[:, end])
         return moved
 
-    def forward(
-        self,
-        angles: ArrayLike,
-        *,
-        warming_k: ArrayLike | None = None,
-        directions: ArrayLike | None = None,
-        payload_n: ArrayLike = 0.0,
-    ) -> np.ndarray:
+    def forward(self, angles: ArrayLike, **state: Any) -> np.ndarray:
         """Where the probe really is.
 
         Parameters
         ----------
-        angles, warming_k, directions, payload_n
-            As in :meth:`deviations`.
+        angles : array-like of shape (n_samples, 6)
+            In rad.
+        **state : dict
+            `warming_k`, `directions` and `payload_n` of :meth:`deviations`.
 
         Returns
         -------
         points : ndarray of shape (n_samples, 3)
             True centres of the probe, mm.
         """
-        state: dict = {"warming_k": warming_k, "directions": directions, "payload_n": payload_n}
         return self.true_arm.forward(angles) + sum(self.deviations(angles, **state).values())
 
     def read(
@@ -339,15 +334,7 @@ class SimulatedArm:
             f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
         )
 
-    def solve(
-        self,
-        angles: np.ndarray,
-        points: np.ndarray,
-        *,
-        warming_k: ArrayLike | None = None,
-        directions: ArrayLike | None = None,
-        payload_n: ArrayLike = 0.0,
-    ) -> np.ndarray:
+    def solve(self, angles: np.ndarray, points: np.ndarray, **state: Any) -> np.ndarray:
         """Move poses a little until the true probe is at the points.
 
         Parameters
@@ -356,8 +343,8 @@ class SimulatedArm:
             Poses nearby, rad.
         points : ndarray of shape (n_samples, 3)
             Where the true probe shall be, mm.
-        warming_k, directions, payload_n
-            As in :meth:`deviations`.
+        **state : dict
+            `warming_k`, `directions` and `payload_n` of :meth:`deviations`.
 
         Returns
         -------
@@ -369,12 +356,9 @@ class SimulatedArm:
         ValueError
             If some points are out of reach.
         """
-
-        def forward(q):
-            return self.forward(q, warming_k=warming_k, directions=directions, payload_n=payload_n)
-
         angles = check_angles(angles, 6, "rad")
         points = _points("points", points, (len(angles), 3))
+        forward = partial(self.forward, **state)
         angles = _reach(forward, self.true_arm, angles, points)
         missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
         if missed.any():

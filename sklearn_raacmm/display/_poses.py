@@ -25,7 +25,7 @@ _BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
 _AFTER = {"color": AFTER["color"], "linewidth": 1.0}
 # The longest residual is drawn as long as this share of the arm, or a little shorter.
 _LONGEST = 0.3
-# Matplotlib leaves room around a box in space for any view; the usual ones need less.
+# Matplotlib leaves space around a box in space for any view; the usual ones need less.
 _ZOOM = 1.05
 
 
@@ -154,8 +154,11 @@ class ArmPosesDisplay(FittedDisplay):
         if ax is not None and not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
         check_scalar(max_poses, "max_poses", Integral, min_val=1)
-        is_number = isinstance(magnification, Real) and 0 < magnification < np.inf
-        if not is_number and not (isinstance(magnification, str) and magnification == "auto"):
+        if isinstance(magnification, str):
+            fits = magnification == "auto"
+        else:
+            fits = isinstance(magnification, Real) and 0 < magnification < np.inf
+        if not fits:
             raise ValueError(
                 f'magnification must be "auto" or positive, got {magnification!r:.60}.'
             )
@@ -171,8 +174,11 @@ class ArmPosesDisplay(FittedDisplay):
             (self.after, self.name, _AFTER, after_kwargs),
         ):
             if residuals is not None:
-                lines = self._bristles(tips, residuals)
-                ax.plot(*lines.T, **(style | {"label": label} | (kwargs or {})))
+                # One line goes from every tip along its residual, NaN between them.
+                lines = np.full((len(tips), 3, 3), np.nan)
+                lines[:, 0] = tips
+                lines[:, 1] = tips + self.magnification_ * residuals
+                ax.plot(*lines.reshape(-1, 3).T, **(style | {"label": label} | (kwargs or {})))
         ends = tips + self.magnification_ * self.before
         corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]], ends])
         ax.plot(*np.array([[0, 0, 0], [0, 0, 1e-9]]).T, "s", color="0.4", markersize=6)
@@ -182,17 +188,17 @@ class ArmPosesDisplay(FittedDisplay):
             zlabel="z (mm)",
             title=f"{len(shown)} of {len(tips)} poses; residuals x {self.magnification_:g}",
         )
-        _fill(ax, corners)
+        # Equal scales, limits close to the points, and a box that fills the axes. Arms that stand
+        # in one plane still get a box that can be turned.
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        half = 0.52 * np.maximum(high - low, 0.1 * np.max(high - low))
+        for axis, middle, side in zip("xyz", (low + high) / 2, half, strict=True):
+            ax.set(**{f"{axis}lim": (middle - side, middle + side)})
+        ax.set_box_aspect(half, zoom=_ZOOM)
+        ax.locator_params(nbins=5)
         ax.legend(fontsize="small", loc="upper left")
         self.ax_, self.figure_ = ax, ax.figure
         return self
-
-    def _bristles(self, tips, residuals):
-        """Points of one line that goes from every tip along its residual, NaN between them."""
-        lines = np.full((len(tips), 3, 3), np.nan)
-        lines[:, 0] = tips
-        lines[:, 1] = tips + self.magnification_ * residuals
-        return lines.reshape(-1, 3)
 
     def _magnification(self):
         longest = np.linalg.norm(self.before, axis=1).max()
@@ -201,18 +207,6 @@ class ArmPosesDisplay(FittedDisplay):
         most = _LONGEST * np.ptp(self.chains.reshape(-1, 3), axis=0).max() / longest
         power = 10.0 ** np.floor(np.log10(most))
         return float(power * max(digit for digit in (1, 2, 5) if digit * power <= most))
-
-
-def _fill(ax, points):
-    """Equal scales, limits close to the points (n, 3), and a box that fills the axes."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    # Arms that stand in one plane still get a box that can be turned.
-    half = 0.52 * np.maximum(high - low, 0.1 * np.max(high - low))
-    middle = (low + high) / 2
-    for axis, start, end in zip("xyz", middle - half, middle + half, strict=True):
-        ax.set(**{f"{axis}lim": (start, end)})
-    ax.set_box_aspect(half, zoom=_ZOOM)
-    ax.locator_params(nbins=5)
 
 
 def arm_chains(arm, angles, angle_unit="rad"):

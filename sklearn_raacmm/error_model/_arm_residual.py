@@ -29,7 +29,7 @@ from sklearn_raacmm.utils import (
     VersionedEstimator,
     many_without_weight,
     one_blas_thread,
-    say_findings,
+    report_findings,
     whole_fit,
 )
 
@@ -262,7 +262,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         self.linear_model_ = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
-        say_findings(many_without_weight(fitted.pose_weight))
+        report_findings(many_without_weight(fitted.pose_weight))
         return self
 
     def __sklearn_tags__(self) -> Any:

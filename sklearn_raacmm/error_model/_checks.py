@@ -23,7 +23,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
-    say_findings,
+    report_findings,
     share_of_means,
 )
 
@@ -55,7 +55,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     labels, positions = (None, None) if groups is None else encode_groups(groups, len(y))
     codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
     targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, codes is not None)
-    say_findings(check_targets(targets))
+    report_findings(check_targets(targets))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     if probes is not None:
         X = np.hstack([X, _check_probes(probes, len(X))])
@@ -85,7 +85,7 @@ def _check_repeats(weights):
             "or too much will be learnt."
         )
         advice = "A weight counts repeats: give weights of about 1."
-        say_findings([Finding("worth-of-rows", said, advice)])
+        report_findings([Finding("worth-of-rows", said, advice)])
     return weights
 
 
@@ -119,7 +119,7 @@ def _check_lengths(lengths, codes, labels, kinematics):
             "offsets: they may come out worse than without correction."
         )
         advice = "Keep it, give known lengths, or do not measure lengths with this model."
-        say_findings([Finding("distances-not-held", said, advice)])
+        report_findings([Finding("distances-not-held", said, advice)])
     return [check_length(entry, labels.tolist()) for entry in lengths]
 
 
@@ -148,7 +148,7 @@ def poses_of(rows, extra):
     dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)
     if not dwells.merges:
         return dwells, rows
-    say_findings(dwells.findings())
+    report_findings(dwells.findings())
     angles = dwells.mean_angles(rows.X[:, :n_joints])
     rows = rows._replace(
         X=np.hstack([angles, dwells.mean(rows.X[:, n_joints:])]),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, row_numbers, say_findings
+from sklearn_raacmm.utils import Finding, report_findings, row_numbers
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -77,7 +77,7 @@ def warn_of_constants(extra, values, weights):
                 f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
                 "of it, and predictions will not depend on it."
             )
-            say_findings([Finding("constant-column", said, "Is the sensor alive?")])
+            report_findings([Finding("constant-column", said, "Is the sensor alive?")])
 
 
 def check_values(extra, values):
@@ -87,7 +87,7 @@ def check_values(extra, values):
     """
     for (name, known), column in zip(extra, values.T, strict=True):
         if len(known) == 3 and len(column):  # not so for the mean of many arms
-            say_findings(_beyond(name, known, column))
+            report_findings(_beyond(name, known, column))
 
 
 def _beyond(name, known, column):

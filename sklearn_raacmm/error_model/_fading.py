@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, centred, group_means, say_findings
+from sklearn_raacmm.utils import Finding, centred, group_means, report_findings
 
 # Factor of the standard deviation with a reference for every pose: Wiener's. With 2 instead 25
 # simulated errors at poses of real arms leave 3 % and 11 % more.
@@ -138,7 +138,8 @@ def warn_where_unknown(share, most):
     """Warn where nothing, or next to nothing, is left of most corrections."""
     if most == 0:
         said = "The correction is 0: it did not help at positions that were left out."
-        say_findings([Finding("share-of-zero", said, "Update it with new poses, or learn again.")])
+        advice = "Update it with new poses, or learn again."
+        report_findings([Finding("share-of-zero", said, advice)])
         return
     faded = np.count_nonzero(share < _WARN_SHARE * most)
     if 2 * faded > len(share):
@@ -147,4 +148,4 @@ def warn_where_unknown(share, most):
             "are reduced to less than a tenth."
         )
         advice = "Measure there before you correct, or see `fading`."
-        say_findings([Finding("little-known", said, advice)])
+        report_findings([Finding("little-known", said, advice)])

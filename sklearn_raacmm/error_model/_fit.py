@@ -33,7 +33,7 @@ from sklearn_raacmm.utils import (
     centred,
     chunks,
     group_sums,
-    say_findings,
+    report_findings,
     stage,
     tukey_weights,
 )
@@ -159,7 +159,7 @@ def fit_with_constants(rows, positions, terms, with_field):
     left = rows.y - fitted.model.predict(rows.X)[0]
     constants = group_sums(left, positions, weights) / (total + known)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
-    say_findings(
+    report_findings(
         [
             Finding(
                 "constants-of-positions",

@@ -30,7 +30,7 @@ IDLE_SD = 1e-6
 # data do not show would carry the variance beyond all bounds by their rounding.
 _LARGEST_VARIANCE = 3600.0**2
 # Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
-# leads to the same models (``benchmarks/bench_curves.py --narrow``).
+# leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
 _WIDE_SD = 30.0
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6

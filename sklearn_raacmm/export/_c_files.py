@@ -9,7 +9,7 @@ import re
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_program import function
 from sklearn_raacmm.export._c_text import Tables, comment, plain
-from sklearn_raacmm.export._program import fingerprint_of, pruned
+from sklearn_raacmm.export._program import hash_program, pruned
 
 # What the functions return.
 STATUS = ("OK", "FADED", "NOT_FINITE")
@@ -38,7 +38,7 @@ def sources(program, name, stem, dtype, card=None, notes=()):
         with_std = pruned(program, ("y", "trust", "std"))
         text += "\n" + function(with_std, tables, "evaluate_std", _FADED_BELOW)
     text = f"{tables.text}\n{text}"
-    digest = fingerprint_of(program)
+    digest = hash_program(program)
     used = re.findall(r"\b(sin|cos|sqrt|atan2|exp|log|fabs|isfinite)f?\(", text)
     facts = [f"fingerprint {digest}", f"written by sklearn_raacmm {__version__}"]
     facts += [about["arm"]] if "arm" in about else []
@@ -83,17 +83,12 @@ def _macros(program, name, digest, card, tables):
         "TABLE_BYTES": tables.n_bytes,
         "INPUT_UNIT": f'"{about["angle_unit"]}"' if "arm" in about else None,
         "OUTPUT_UNIT": '"mm"' if about["corrects"] else None,
-        "SERIAL_NUMBER": _quoted(card.get("serial_number")),
-        "DATE": _quoted(card.get("date")),
-        "DATA_FINGERPRINT": _quoted(card.get("training", {}).get("data_fingerprint")),
     }
+    if "training" in card:
+        values["DATA_FINGERPRINT"] = f'"{plain(card["training"]["data_fingerprint"])}"'
     values |= {k.upper(): repr(float(v)) for k, v in card.get("standard_deviation", {}).items()}
     values |= {status: i for i, status in enumerate(STATUS)}
     return "".join(f"#define {name.upper()}_{k} {v}\n" for k, v in values.items() if v is not None)
-
-
-def _quoted(text):
-    return None if text is None else f'"{plain(text)[:200]}"'
 
 
 def _functions(program, name, real):

@@ -81,11 +81,9 @@ class _Writer:
         """Expression of one number of a value."""
         op = self.ops[number]
         i = "0" if op.size == 1 else i
-        if op.name == "constant":
-            if op.size == 1:
-                return self.tables.literal(op.given["value"][0])
-            return f"{self.tables('constant', op.given['value'])}[{i}]"
-        if not self.inline(number):
+        if op.name == "constant" and op.size == 1:
+            return self.tables.literal(op.given["value"][0])
+        if op.name == "constant" or not self.inline(number):
             return f"{self.array(number)}[{i}]"
         if op.name == "take":
             return self.at(op.inputs[0], self._index(op, i))
@@ -117,6 +115,11 @@ class _Writer:
         else:
             self.put(f"for (int i = 0; i < {n}; ++i)", f"    {body('i')}")
 
+    def _assign(self, number, expression):
+        """A value of its own, by the expression of each of its numbers."""
+        self.declare(number)
+        self.loop(self.ops[number].size, lambda i: f"v{number}[{i}] = {expression(i)};")
+
     def declare(self, number, fill="", padded=False):
         n = self.ops[number].size
         self.padded |= {number} if padded else set()
@@ -127,8 +130,7 @@ class _Writer:
         if self.inline(number):
             return
         if op.name in _ELEMENTWISE:
-            self.declare(number)
-            self.loop(op.size, lambda i: f"v{number}[{i}] = {self._expression(op, i)};")
+            self._assign(number, lambda i: self._expression(op, i))
         else:
             getattr(self, f"_{op.name}")(number, op)
 
@@ -137,8 +139,7 @@ class _Writer:
         if start and not (self.inline(source) and self.ops[source].name != "constant"):
             self.put(f"const {self.real} *const v{number} = {self.array(source)} + {start};")
             return
-        self.declare(number)
-        self.loop(op.size, lambda i: f"v{number}[{i}] = {self.at(source, self._index(op, i))};")
+        self._assign(number, lambda i: self.at(source, self._index(op, i)))
 
     def _index(self, op, i):
         """Which number of its source a `take` has in place i."""
@@ -190,12 +191,7 @@ class _Writer:
 
     def _refused(self, number, condition, y):
         self.put(f"const int ok{number} = {condition};")
-        self.declare(number)
-        nan = f"({self.real})NAN"
-        self.loop(
-            self.ops[number].size,
-            lambda i: f"v{number}[{i}] = ok{number} ? {self.at(y, i)} : {nan};",
-        )
+        self._assign(number, lambda i: f"ok{number} ? {self.at(y, i)} : ({self.real})NAN")
 
     def _within(self, number, op):
         y, x = op.inputs
@@ -209,8 +205,7 @@ class _Writer:
         rows, columns = matrix.shape
         (source,), x = op.inputs, self.array(op.inputs[0])
         if not np.any(matrix):
-            self.declare(number)
-            self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift, i)};")
+            self._assign(number, lambda i: self._init(shift, i))
         elif 2 * np.count_nonzero(matrix) <= matrix.size:
             self._sparse(number, matrix, shift, x)
         elif rows < _VECTOR:
@@ -359,11 +354,8 @@ def _packed(rows):
             lengths = np.minimum(at // _VECTOR * _VECTOR + _VECTOR, n)
             parts = [row[:length] for row, length in zip(full, lengths, strict=True)]
             whole = f"{text} / {_VECTOR} * {_VECTOR} + {_VECTOR}"
-            return (
-                n,
-                np.concatenate(parts),
-                f"const int whole = {whole}, n = whole < {n} ? whole : {n};",
-            )
+            length = f"const int whole = {whole}, n = whole < {n} ? whole : {n};"
+            return n, np.concatenate(parts), length
     return n, full, f"const int n = {n};"
 
 

@@ -111,8 +111,6 @@ KERNEL_LOOPS = {
         _BOUND,
         "{v}[c] = (1 + {v}[c] + {v}[c] * {v}[c] / 3) * falling_exp(-{v}[c]);",
     ],
-    "rational_quadratic": ["{v}[c] = 1 / (1 + 0.5{f} * {v}[c]);"],
-    "inverse_multiquadric": ["{v}[c] = 1 / sqrt{f}(1 + {v}[c]);"],
 }
 _FALLING_EXP = """
 /* exp(x) for {least} <= x <= 0, to {error} of itself: libm's cannot be computed for several x at

@@ -115,13 +115,9 @@ class Tables:
         return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
 
 
-def _wrap(values, literal, indent, width=96):
+def _wrap(values, literal, indent, width=95):
     """Values with commas, in lines of limited width."""
-    lines, line = [], indent
-    for i, value in enumerate(values):
-        word = literal(value) + ("," if i + 1 < len(values) else "")
-        if len(line) + len(word) + 1 > width and line != indent:
-            lines.append(line.rstrip())
-            line = indent
-        line += word + " "
-    return "\n".join([*lines, line.rstrip()])
+    return textwrap.fill(
+        ", ".join(map(literal, values)), width, initial_indent=indent, subsequent_indent=indent,
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip

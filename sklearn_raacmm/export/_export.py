@@ -17,9 +17,9 @@ from sklearn_raacmm.export._c_test import make_test
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._model_card import ModelCard
-from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._onnx import LEAST_OPSET, converted, run_onnx
-from sklearn_raacmm.export._program import fingerprint_of, run
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._onnx import convert, run_onnx
+from sklearn_raacmm.export._program import hash_program, run
 from sklearn_raacmm.export._proof import check_answers, make_test_rows, rows_as_json
 from sklearn_raacmm.utils import check_flags, write_whole
 
@@ -154,7 +154,7 @@ def export_c(
     name = check_name(path.stem if name is None else name)
     _check(dtype, card, std=std, any_probe=any_probe)
     given = None if isinstance(poses, str) and poses == "random" else poses
-    program = program_of(model, std, any_probe)
+    program = build_program(model, std, any_probe)
     rows = make_test_rows(model, given, std, dtype, any_probe)
     notes = _check_in_c(program, rows, dtype)
     source, header = sources(program, name, path.stem, dtype, card, notes)
@@ -207,7 +207,7 @@ def fingerprint(model: Any) -> str:
     ValueError
         If the model cannot be exported.
     """
-    return fingerprint_of(program_of(model))
+    return hash_program(build_program(model))
 
 
 def to_onnx(
@@ -216,7 +216,6 @@ def to_onnx(
     *,
     dtype: str = "double",
     std: bool = False,
-    target_opset: int = 17,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
 ) -> Any:
@@ -235,9 +234,6 @@ def to_onnx(
 
     std : bool, default=False
         Whether there is a second output, the standard deviation.
-
-    target_opset : int, default=17
-        Version of the ONNX operators, 13 or newer.
 
     card : ModelCard or str, default=None
         Facts to keep in the file's metadata, see :func:`describe`.
@@ -271,16 +267,9 @@ def to_onnx(
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
     _check(dtype, card, std=std)
-    whole = isinstance(target_opset, int) and not isinstance(target_opset, bool)
-    if not whole or target_opset < LEAST_OPSET:
-        raise ValueError(
-            f"target_opset must be a whole number, {LEAST_OPSET} or newer, got "
-            f"{target_opset!r:.60}."
-        )
-    path = None if path is None else Path(path)
-    program = program_of(model, std)
-    made = converted(program, dtype, target_opset)
-    facts = {"sklearn_raacmm_version": __version__, "fingerprint": fingerprint_of(program)}
+    program = build_program(model, std)
+    made = convert(program, dtype)
+    facts = {"sklearn_raacmm_version": __version__, "fingerprint": hash_program(program)}
     rows = make_test_rows(model, poses, std, dtype)
     found = run_onnx(made, rows["X"])
     if found is not None and (notes := check_answers("the ONNX file", rows, found, dtype)):
@@ -291,5 +280,5 @@ def to_onnx(
     for key, value in facts.items():
         made.metadata_props.add(key=key, value=value)
     if path is not None:
-        write_whole({path: made.SerializeToString()})
+        write_whole({Path(path): made.SerializeToString()})
     return made

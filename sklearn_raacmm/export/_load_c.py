@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._program import hash_program
 from sklearn_raacmm.utils import check_flags, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
@@ -54,12 +54,12 @@ class CompiledModel:
     n_features_in_: int
     n_outputs_: int
 
-    def __init__(self, text: Any, facts: Any, compiler: Any, folder: Any, flags: Any) -> None:
-        self._state = text, facts, compiler, folder, flags
+    def __init__(self, text: Any, facts: Any, folder: Any, flags: Any) -> None:
+        self._state = text, facts, folder, flags
         self.fingerprint, self.n_features_in_, self.n_outputs_, dtype, self._about = facts
         self._verb = "correct" if self._about["corrects"] else "predict"
         self._real = np.float64 if dtype == "double" else np.float32
-        library = _library(text, compiler, folder, flags)
+        library = _library(text, folder, flags)
         self._functions = {
             name: getattr(library, f"{NAME}_{name}")
             for name in (self._verb, "point", f"{self._verb}_std")
@@ -109,14 +109,12 @@ class CompiledModel:
 
     def correct(self, angles: ArrayLike) -> np.ndarray:
         """Correction in mm of one pose or many, to be subtracted; as :meth:`predict`."""
-        if "point" not in self._functions:
-            raise ValueError("The model has no arm and three outputs, so predict is all it has.")
+        self._needs("point", "The model has no arm and three outputs, so predict is all it has.")
         return self.predict(angles)
 
     def point(self, angles: ArrayLike) -> np.ndarray:
         """Corrected centre of the probe at one pose, base frame, mm, (3,)."""
-        if "point" not in self._functions:
-            raise ValueError("The model has no arm and three outputs, so it has no point.")
+        self._needs("point", "The model has no arm and three outputs, so it has no point.")
         return self._row(angles, "point")[1].copy()
 
     def status(self, angles: ArrayLike) -> int:
@@ -125,10 +123,13 @@ class CompiledModel:
 
     def predict_std(self, X: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Prediction and standard deviation of one row, (n_outputs,) each."""
-        if f"{self._verb}_std" not in self._functions:
-            raise ValueError("The model was compiled without standard deviation: std=True.")
+        self._needs(f"{self._verb}_std", "The model was compiled without its deviation: std=True.")
         _, mean, std = self._row(X, f"{self._verb}_std")
         return mean.copy(), std.copy()
+
+    def _needs(self, name, otherwise):
+        if name not in self._functions:
+            raise ValueError(otherwise)
 
     def _row(self, row: Any, name: str) -> Any:
         """Status of one row, and the thread's own buffers with prediction and deviation."""
@@ -160,7 +161,6 @@ def load_c(
     model: Any,
     *,
     std: bool = False,
-    compiler: str | None = None,
     cache_dir: str | PathLike[str] | None = None,
 ) -> CompiledModel:
     """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
@@ -174,9 +174,6 @@ def load_c(
 
     std : bool, default=False
         Whether ``predict_std`` is there.
-
-    compiler : str, default=None
-        C compiler, called as gcc is; None: the environment variable CC, or cc, gcc or clang.
 
     cache_dir : str or path-like, default=None
         Folder to keep the library in, which must be the user's own. None: the environment variable
@@ -200,7 +197,8 @@ def load_c(
 
     Notes
     -----
-    Inputs are not checked but for their number. Where ``predict`` raises, the result is NaN.
+    The compiler is that of the environment variable CC, or cc, gcc or clang. Inputs are not checked
+    but for their number. Where ``predict`` raises, the result is NaN.
 
     Examples
     --------
@@ -210,24 +208,24 @@ def load_c(
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
     check_flags(std=std)
-    return _compiled(program_of(model, std), "double", compiler, cache_dir)
+    return _compiled(build_program(model, std), "double", cache_dir)
 
 
-def _compiled(program, dtype, compiler, folder, flags=_FLAGS):
+def _compiled(program, dtype, folder, flags=_FLAGS):
     text = sources(program, NAME, NAME, dtype)
     about = {key: program.about[key] for key in ("corrects", "flat")}
-    facts = fingerprint_of(program), program.n_inputs, program.n_outputs, dtype, about
-    return CompiledModel(text, facts, compiler, folder, flags)
+    facts = hash_program(program), program.n_inputs, program.n_outputs, dtype, about
+    return CompiledModel(text, facts, folder, flags)
 
 
 def answers_in_c(program, dtype, X):
     """What the C source of a program gives at rows X, as `run`; None without a compiler."""
     try:
-        compiler = _find_compiler(None)
+        _find_compiler()
     except RuntimeError:
         return None
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        model = _compiled(program, dtype, compiler, folder, _FAST)
+        model = _compiled(program, dtype, folder, _FAST)
         calls = {"y": (model._verb, 1), "point": ("point", 1), "std": (f"{model._verb}_std", 2)}
         return {
             name: np.array([model._row(row, verb)[place].copy() for row in X], dtype=float)
@@ -236,20 +234,20 @@ def answers_in_c(program, dtype, X):
         }
 
 
-def _find_compiler(compiler):
-    names = [compiler] if compiler else [os.environ.get("CC", ""), *_COMPILERS]
-    found = next(filter(None, map(shutil.which, filter(None, names))), None)
+def _find_compiler():
+    names = [*filter(None, [os.environ.get("CC")]), *_COMPILERS]
+    found = next(filter(None, map(shutil.which, names)), None)
     if found is None:
         raise RuntimeError(
-            f"No C compiler found: none of {', '.join(filter(None, names))} is on the PATH. "
+            f"No C compiler found: none of {', '.join(names)} is on the PATH. "
             "Install gcc or clang, or name one in the environment variable CC."
         )
     return found
 
 
-def _library(text, compiler, folder, flags):
+def _library(text, folder, flags):
     """The loaded library: from the folder of libraries, or compiled now."""
-    compiler = _find_compiler(compiler)
+    compiler = _find_compiler()
     parts = [*text, compiler, *flags, platform.platform(), platform.machine()]
     place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
     given, env = folder is not None, os.environ

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import datetime
+import contextlib
 import hashlib
 import json
 import re
@@ -20,8 +20,8 @@ from sklearn.utils import _safe_indexing, check_consistent_length
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._program import fingerprint_of
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._program import hash_program
 from sklearn_raacmm.export._steps import (
     check_fitted,
     described,
@@ -36,8 +36,8 @@ from sklearn_raacmm.utils import encode_groups, floats, share_of_means
 # leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
 # positions has less than half in one of 200 draws (chi-squared), which is too often.
 _CENTRED = 0.09
-# Characters shown of a text that comes from outside, and of a finding.
-_LONGEST, _LONG = 200, 1000
+# Characters shown of a text that comes from outside.
+_LONGEST = 1000
 
 
 class ModelCard(dict[str, Any]):
@@ -52,7 +52,7 @@ class ModelCard(dict[str, Any]):
         for key, value in self.items():
             if key in ("updates", "findings"):
                 lines += ["", f"## {key}", ""]
-                lines += [f"- {_short(entry, longest=_LONG)}" for entry in value]
+                lines += [f"- {_short(entry)}" for entry in value]
                 continue
             if not isinstance(value, dict):
                 lines.append(f"- {_words(key)}: {_short(value)}")
@@ -73,7 +73,7 @@ def _words(key):
     return " ".join(words) + unit
 
 
-def _short(value, digits=6, longest=None):
+def _short(value, digits=6):
     if isinstance(value, float):
         return repr(value) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
@@ -81,20 +81,20 @@ def _short(value, digits=6, longest=None):
     if isinstance(value, dict):
         facts = (f"{_words(name)}: {_short(fact, digits)}" for name, fact in value.items())
         return "; ".join(facts)
-    return "unknown" if value is None else escaped(value, longest or _LONGEST)
+    return "unknown" if value is None else escaped(value)
 
 
-def escaped(text, longest=_LONGEST):
+def escaped(text):
     """Text on one line, without control characters, that neither Markdown nor HTML reads as code.
 
-    At most `longest` characters of it are shown, then "...".
+    Of a longer one `_LONGEST` characters are shown, then "...".
     """
     # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
     line = "".join(
         " " if unicodedata.category(c)[0] == "C" or unicodedata.category(c) in ("Zl", "Zp") else c
         for c in str(text)
     )
-    line = line if len(line) <= longest else line[:longest] + "..."
+    line = line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
     line = re.sub(r"([\\`*\[\]|~#!]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", line)
     return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
 
@@ -106,8 +106,6 @@ def describe(
     groups: ArrayLike | None = None,
     *,
     n_folds: int = 5,
-    serial_number: str | None = None,
-    date: Any = None,
 ) -> ModelCard:
     """Say what a fitted model is, so that whoever receives its file knows.
 
@@ -133,12 +131,6 @@ def describe(
         With `groups`, the error after the correction is that at positions left out, in so many
         folds. 0, or without `groups`, or of a model that :func:`update_correction` has changed:
         that at the rows given, and the card says so.
-
-    serial_number : str, default=None
-        Of the arm. Like `date` it becomes a macro of the header that :func:`export_c` writes.
-
-    date : str or datetime.date, default=None
-        Of the measurement, or of the model.
 
     Returns
     -------
@@ -183,7 +175,7 @@ def describe(
     then = "".join(f", then {name}" for name, _ in extra_columns(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
-        fingerprint=_fingerprint(model),
+        fingerprint=None,
         steps=[described(step) for _, step in leaves(model)],
         input=f"{first.n_features_in_} columns"
         if arm is None
@@ -192,10 +184,8 @@ def describe(
         if arm is not None
         else "as fitted",
     )
-    if serial_number is not None:
-        card["serial_number"] = _text("serial_number", serial_number)
-    if date is not None:
-        card["date"] = _text("date", date.isoformat() if isinstance(date, datetime.date) else date)
+    with contextlib.suppress(ValueError):  # a model that cannot be exported has none
+        card["fingerprint"] = hash_program(build_program(model))
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
@@ -207,13 +197,13 @@ def describe(
     if updates:
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:
-        card.update(_of_rows(model, X, y, groups, 0 if updates else n_folds))
+        card.update(_describe_rows(model, X, y, groups, 0 if updates else n_folds))
         if updates and "error" in card:  # a copy that is fitted anew is not the updated model
             card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
     return card
 
 
-def _of_rows(model, X, y, groups, n_folds):
+def _describe_rows(model, X, y, groups, n_folds):
     """The card's sections on the rows given: `training`, and with y `error`."""
     first, (arm, unit) = next(leaves(model))[1], _arm(model)
     given = X  # a table keeps the names that the model was fitted with
@@ -227,29 +217,17 @@ def _of_rows(model, X, y, groups, n_folds):
         y = floats("y", y, finite=True)
         check_consistent_length(X, y)
     sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_columns(model)])}
-    sections["training"]["data_fingerprint"] = _data_fingerprint(X, y, codes)
+    # The numbers that the model was fitted on: float64 and int64, little-endian.
+    digest = hashlib.sha256()
+    for values, kind in ((X, "<f8"), (y, "<f8"), (codes, "<i8")):
+        digest.update(repr(None if values is None else values.shape).encode())
+        if values is not None:
+            digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
+    sections["training"]["data_fingerprint"] = digest.hexdigest()
     if y is not None:
         named = given if hasattr(first, "feature_names_in_") else X
         sections["error"] = _error(model, named, y, codes, groups, n_folds)
     return sections
-
-
-def _text(name, value):
-    """A field of text, or one clear sentence."""
-    if not isinstance(value, str) or not value.strip():
-        raise ValueError(f"{name} must be text, got {value!r:.60}.")
-    return value
-
-
-def _data_fingerprint(X, y, codes):
-    """SHA-256 of the numbers that the model was fitted on: float64 and int64, little-endian."""
-    digest = hashlib.sha256()
-    for values, kind in ((X, "<f8"), (y, "<f8"), (codes, "<i8")):
-        shape = None if values is None else values.shape
-        digest.update(repr(shape).encode())
-        if values is not None:
-            digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
-    return digest.hexdigest()
 
 
 def _arm(model):
@@ -259,18 +237,11 @@ def _arm(model):
         return None, None
 
 
-def _fingerprint(model):
-    try:
-        return fingerprint_of(program_of(model))
-    except ValueError:
-        return None
-
-
 def _training(X, codes, arm, unit, extra):
     facts = {"rows": len(X), "positions": None if codes is None else int(codes.max()) + 1}
     if arm is None:
         return facts
-    X, given = X[:, : arm.n_joints], X[:, arm.n_joints :]
+    X, given = np.split(X, [arm.n_joints], axis=1)
     facts[f"smallest_joint_angles_{unit}"] = X.min(axis=0).round(4).tolist()
     facts[f"largest_joint_angles_{unit}"] = X.max(axis=0).round(4).tolist()
     for name, column in zip(extra, given.T, strict=True):
@@ -295,7 +266,8 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
         raise ValueError(
             f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
         )
-    predicted = np.empty_like(y)
+    predicted = np.reshape(model.predict(X), y.shape)
+    seen = "these rows; if the model was fitted on them, this is better than it will be on others"
     folds = 0 if groups is None else min(n_folds, int(codes.max()) + 1)
     if folds >= 2:
         takes_groups = has_fit_parameter(model, "groups")
@@ -305,11 +277,6 @@ def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) ->
             fold = clone(model).fit(_safe_indexing(X, train), y[train], **extra)
             predicted[test] = np.reshape(fold.predict(_safe_indexing(X, test)), y[test].shape)
         seen = f"positions not seen: {folds} folds by position, fitted again each time"
-    else:
-        predicted[:] = np.reshape(model.predict(X), y.shape)
-        seen = (
-            "these rows; if the model was fitted on them, this is better than it will be on others"
-        )
     spatial = groups is not None and y.ndim == 2 and y.shape[1] == 3
     relative = spatial and share_of_means(y, codes, np.ones(len(y))) < _CENTRED
     facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}

@@ -70,8 +70,7 @@ class _Chain:
             axes = self.p.take(last, [0, 3, 6, 1, 4, 7, 2, 5, 8])
             along = self.p("dots", axes, self.probe_vector())
             return self.p("add", along, self.p.take(last, [9, 10, 11]))
-        matrix = np.kron([*self.arm.probe, 1.0], np.eye(3))
-        return self.p("affine", last, matrix=matrix, shift=np.zeros(3))
+        return self.p.affine(last, np.kron([*self.arm.probe, 1.0], np.eye(3)))
 
     def probe_vector(self):
         """Vector of the probe in the last frame, mm: the last three inputs."""
@@ -94,7 +93,7 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def program_of(model, std=False, any_probe=False):
+def build_program(model, std=False, any_probe=False):
     """The program of a fitted model; ValueError names a step that cannot be exported.
 
     Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
@@ -182,7 +181,7 @@ def _regressor(chain, path, step, x):
         )
     matrix = np.atleast_2d(step.coef_)
     shift = np.broadcast_to(np.atleast_1d(step.intercept_), (len(matrix),)).astype(float)
-    return chain.p("affine", x, matrix=matrix, shift=shift), None
+    return chain.p.affine(x, matrix, shift), None
 
 
 def _cylindrical(chain, path, step, rest, x):
@@ -233,7 +232,7 @@ def pose_features(chain, step):
         turned = p("sub", columns, middle)
         columns = p("add", p("elevation", p("sin", turned), p("cos", turned)), middle)
     if step.joints == "pose":
-        columns = pose_of(chain, columns)
+        columns = pose_angles(chain, columns)
     if step.encoding == "periodic":
         n = p.size(columns)
         both = p("join", p("cos", columns), p("sin", columns))
@@ -249,7 +248,7 @@ def pose_features(chain, step):
 _FAR = 1e30
 
 
-def pose_of(chain, angles):
+def pose_angles(chain, angles):
     """Given angles of the pose's joints, and the elevation of the line shoulder to wrist, rad."""
     p, arm, frames = chain.p, chain.arm, chain.frames()
     shoulder, wrist = (p.take(frames, 12 * i + 9 + np.arange(3)) for i in arm.pose_frames)
@@ -312,8 +311,7 @@ def linear_model(chain, linear, fades):
     vector = vector[order]
     matrix = np.zeros((2 * n_axes, m))
     matrix[vector, np.arange(m)] = linear.coef[order]
-    along = p("affine", sizes, matrix=matrix, shift=np.zeros(2 * n_axes))
-    y = p("dots", vectors, along)
+    y = p("dots", vectors, p.affine(sizes, matrix))
 
     def variances(half):
         # Any root gives the same variances; a triangle has half the entries.
@@ -382,7 +380,7 @@ def _sizes(chain, linear, table, vectors):
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
         unit_forces = np.round(force_on_probe(extra, mean + np.eye(len(extra)))).T
-        force = p("affine", p("sub", values, mean), matrix=unit_forces, shift=np.zeros(3))
+        force = p.affine(p("sub", values, mean), unit_forces)
         turns = 3 * table["frame"][pushed] + table["axis"][pushed]
         at = np.arange(3) * 2 * n_axes + turns[:, None]
         torque = p("dots", p.take(vectors, at.ravel()), force)

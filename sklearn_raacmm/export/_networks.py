@@ -29,7 +29,7 @@ def _one_network(p, net, x, std):
     linear = net.polynomial[1:].T
     y = p("add", p.constant(net.polynomial[0]), 0.0)
     if np.any(linear):
-        y = p("affine", x, matrix=linear, shift=net.polynomial[0])
+        y = p.affine(x, linear, net.polynomial[0])
     if k:
         # Centred as predict does it: the rounding is the same.
         shift = net.centers.mean(axis=0)
@@ -37,11 +37,10 @@ def _one_network(p, net, x, std):
             "radial", x, kernel=net.kernel, centers=(net.centers - shift) / net.length_scale,
             shift=shift, inverse_width=1 / net.length_scale,
         )  # fmt: skip
-        nothing = np.zeros(len(linear))
         if np.any(linear):
-            y = p("add", y, p("affine", phi, matrix=net.coef.T, shift=nothing))
+            y = p("add", y, p.affine(phi, net.coef.T))
         else:
-            y = p("affine", phi, matrix=net.coef.T, shift=net.polynomial[0])
+            y = p.affine(phi, net.coef.T, net.polynomial[0])
     return y, _network_variance(p, net, x, phi) if std else None
 
 
@@ -70,21 +69,18 @@ def _network_variance(p, net, x, phi):
     if len(net.tail_map):
         slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
         varies = np.any(slopes)
-        tail = p("affine", x, matrix=slopes, shift=constant) if varies else p.constant(constant)
-        columns.insert(0, tail)
+        columns.insert(0, p.affine(x, slopes, constant) if varies else p.constant(constant))
     for output in range(len(net.outputs)):
         of_prior, of_weights = net.roots(output)
         variance = p.constant(1.0)
         if len(of_weights):
             # From the last row to the first, so that each column ends where its zeros begin.
-            seen = p(
-                "affine", p("join", *columns), matrix=of_weights[::-1], shift=_zeros(of_weights)
-            )
+            seen = p.affine(p("join", *columns), of_weights[::-1])
             variance = p("add", p("dots", seen, seen), variance)
         variance = p("mul", variance, net.noise_variance[output])
         outside = p.constant(1.0)
         if k:
-            seen = p("affine", phi, matrix=of_prior, shift=_zeros(of_prior))
+            seen = p.affine(phi, of_prior)
             outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
         parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
     return p("join", *parts)
@@ -109,34 +105,30 @@ def _variance_by_one_matrix(p, net, x, phi):
     variance = p.constant(noise)
     if size:
         tails = [
-            _of_polynomial(p, net, x, phi, T, D, turn, *ridge)
+            _polynomial_variance(p, net, x, phi, T, D, turn, *ridge)
             for ridge in zip(net.alpha, known, strict=True)
         ]
         variance = p("add", variance, p("mul", p("join", *tails), noise))
     weights = 1 - (noise / signal)[:, None] / known
     distinct, which = np.unique(weights, axis=0, return_inverse=True)
     if len(distinct) > 2 or np.any(distinct < 0):
-        g = p("affine", phi, matrix=turn, shift=_zeros(turn))
-        inside = p("affine", p("mul", g, g), matrix=weights, shift=_zeros(weights))
+        g = p.affine(phi, turn)
+        inside = p.affine(p("mul", g, g), weights)
     else:
         roots = [np.linalg.qr(np.sqrt(row)[:, None] * turn, mode="r") for row in distinct]
-        g = [p("affine", phi, matrix=root, shift=_zeros(root)) for root in roots]
+        g = [p.affine(phi, root) for root in roots]
         inside = p.take(p("join", *(p("dots", one, one) for one in g)), which.ravel())
     outside = p("max", p("sub", 1.0, inside), 0.0)
     return p("add", variance, p("mul", outside, signal))
 
 
-def _of_polynomial(p, net, x, phi, T, D, turn, alpha, known):
+def _polynomial_variance(p, net, x, phi, T, D, turn, alpha, known):
     """Squared length of R (t - J g), see above: what T is beside D, by orthogonal columns."""
     weights = D.T @ T / known[:, None]
     left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
     root = np.asarray(np.linalg.qr(left, mode="r")).T
     of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
-    u = p("sub", p.constant(of_x[:, 0]), p("affine", phi, matrix=J, shift=_zeros(J)))
+    u = p("sub", p.constant(of_x[:, 0]), p.affine(phi, J))
     if np.any(of_x[:, 1:]):
-        u = p("add", u, p("affine", x, matrix=of_x[:, 1:], shift=_zeros(J)))
+        u = p("add", u, p.affine(x, of_x[:, 1:]))
     return p("dots", u, u)
-
-
-def _zeros(matrix):
-    return np.zeros(len(matrix))

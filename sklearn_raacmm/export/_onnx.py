@@ -14,8 +14,8 @@ import numpy as np
 
 from sklearn_raacmm.export._program import OPERATIONS
 
-# The operators stand since version 13; the newest version that they were tried with.
-LEAST_OPSET, _LATEST_OPSET = 13, 22
+# Version of the operators: they stand unchanged since 13, and runtimes of 2022 know 17.
+_OPSET = 17
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "maximum": "Max",
     "minimum": "Min", "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
@@ -128,7 +128,7 @@ def _elevation(height, reach):
     return rough + (sin * np.cos(rough) - cos * np.sin(rough))
 
 
-def converted(program, dtype, target_opset):
+def convert(program, dtype):
     """A program as an ONNX model: input X; outputs y, and std if the program has it."""
     graph = _Graph()
     helper, proto = graph.onnx.helper, graph.onnx.TensorProto
@@ -147,7 +147,7 @@ def converted(program, dtype, target_opset):
             outputs.append(helper.make_tensor_value_info(name, real, shape))
     inputs = [helper.make_tensor_value_info("X", real, [None, program.n_inputs])]
     made = helper.make_graph(graph.nodes, "sklearn_raacmm", inputs, outputs, graph.tensors)
-    versions = [helper.make_opsetid("", min(target_opset, _LATEST_OPSET))]
+    versions = [helper.make_opsetid("", _OPSET)]
     return helper.make_model(
         made, opset_imports=versions, producer_name="sklearn_raacmm",
         ir_version=helper.find_min_ir_version_for(versions),

@@ -60,7 +60,7 @@ class Builder:
         if key in self._known:
             return self._known[key]
         for label, value in given.items():
-            if not isinstance(value, str) and not np.isfinite(value).all():
+            if not (isinstance(value, str) or np.isfinite(value).all()):
                 raise ValueError(
                     f"The model holds NaN or infinity, a number that is not finite, among the "
                     f"{label} of an operation {name!r}: it cannot be exported."
@@ -92,6 +92,11 @@ class Builder:
         """Some columns of a value, by their numbers."""
         return self("take", x, index=np.concatenate([np.atleast_1d(i) for i in index]))
 
+    def affine(self, x, matrix, shift=None):
+        """A matrix times a value, and a shift."""
+        shift = np.zeros(len(matrix)) if shift is None else shift
+        return self("affine", x, matrix=matrix, shift=shift)
+
     def length(self, x):
         """Euclidean length, one number."""
         return self("sqrt", self("dots", x, x))
@@ -118,7 +123,7 @@ def pruned(program, names):
     return Program(ops, {name: place[int(i)] for name, i in outputs.items()}, program.about)
 
 
-def fingerprint_of(program):
+def hash_program(program):
     """SHA-256 of every operation and constant that the prediction is made of."""
     digest = hashlib.sha256()
     for op in pruned(program, ("y",)).ops:
@@ -208,8 +213,6 @@ _RADIAL = {
     "gaussian": lambda s: np.exp(-0.5 * s),
     "matern32": lambda s: (1.0 + np.sqrt(3.0 * s)) * np.exp(-np.sqrt(3.0 * s)),
     "matern52": lambda s: (1.0 + np.sqrt(5.0 * s) + 5 / 3 * s) * np.exp(-np.sqrt(5.0 * s)),
-    "rational_quadratic": lambda s: 1.0 / (1.0 + 0.5 * s),
-    "inverse_multiquadric": lambda s: 1.0 / np.sqrt(1.0 + s),
 }
 
 

@@ -1,10 +1,10 @@
-"""What was measured, and what is to be said about it, for every function that takes data."""
+"""What was measured, and findings on it, for every function that takes data."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
-from sklearn_raacmm.measurements._moved_seats import find_steps, moved_positions
+from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_TOLD,
     coarse_angles,

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn_raacmm.utils import Finding, group_means
 
 # A row joins the run while every joint is within this of the run's running mean, in rad, and runs
-# of so many rows are one pose (``benchmarks/bench_mistakes.py dwells``). Of 14 352 rows of real
+# of so many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real
 # series none are merged (``tests/measurements/test_order.py``).
 _STILL_RAD, _LEAST = 1e-3, 3
 # No encoder has such digits: rows that are closer are copies.
@@ -45,7 +45,7 @@ class Dwells(NamedTuple):
         return origin + group_means(within_turn(angles - origin[self.pose]), self.pose)
 
     def findings(self) -> Any:
-        """What is to be said of it."""
+        """Findings on copies and dwells."""
         n, n_poses = len(self.pose), len(self.first)
         if self.n_copies:
             yield Finding(

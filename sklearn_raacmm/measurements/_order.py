@@ -21,7 +21,7 @@ _STANDS_STILL = 1e-5
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 MOST_TOLD = 0.2
 _TREES, _FOLDS = 100, 5
-# Chance that a run without drift is said to drift.
+# Chance that a run without drift is called drifting.
 _BY_CHANCE = 0.01
 
 # Steps that angles are rounded to, deg, and how far a multiple may be off, as a part of it.
@@ -31,15 +31,13 @@ _STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
 _LEAST_DIFFERENT, _LARGE_MM = 10, 0.02
 
 
-def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.ndarray:
+def directions_of(angles: ArrayLike) -> np.ndarray:
     """Direction from which each joint came, from the order of the poses.
 
     Parameters
     ----------
     angles : array-like of shape (n_samples, n_joints)
         Joint angles in rad, in the order in which they were taken.
-    previous : array-like of shape (n_joints,), default=None
-        Angles before the first row. None: not known.
 
     Returns
     -------
@@ -50,7 +48,7 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
     Raises
     ------
     ValueError
-        If the angles are no numbers, or `previous` has another number of joints.
+        If the angles are no numbers.
 
     Examples
     --------
@@ -60,13 +58,8 @@ def directions_of(angles: ArrayLike, previous: ArrayLike | None = None) -> np.nd
     """
     angles = np.asarray(angles, dtype=float)
     angles = check_angles(angles, angles.shape[1] if angles.ndim == 2 else 0, "rad")
-    first = angles[:1] if previous is None else np.atleast_2d(np.asarray(previous, dtype=float))
-    if first.shape != (min(len(angles), 1), angles.shape[1]):
-        raise ValueError(
-            f"previous must hold {angles.shape[1]} angles, one for each joint, got {first.size}."
-        )
     # From 359 to 1 degree a joint has most likely gone the short way.
-    steps = within_turn(np.diff(angles, axis=0, prepend=first))
+    steps = within_turn(np.diff(angles, axis=0, prepend=angles[:1]))
     moved = np.where(np.abs(steps) > _STANDS_STILL, np.sign(steps), 0.0)
     last = np.maximum.accumulate(np.where(moved != 0, np.arange(len(moved))[:, None], 0), axis=0)
     return np.take_along_axis(moved, last, axis=0)
@@ -82,8 +75,8 @@ def order_told_by(angles: np.ndarray, codes: np.ndarray) -> float:
     trees = ExtraTreesRegressor(_TREES, min_samples_leaf=3, random_state=0)
     folds = GroupKFold(min(_FOLDS, int(codes.max()) + 1))
     features = np.hstack([np.cos(angles), np.sin(angles)])
-    told = cross_val_predict(trees, features, number, groups=codes, cv=folds)
-    return float(1 - np.square(number - told).mean() / number.var())
+    guessed = cross_val_predict(trees, features, number, groups=codes, cv=folds)
+    return float(1 - np.square(number - guessed).mean() / number.var())
 
 
 def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray | None) -> Finding:
@@ -110,18 +103,16 @@ def drift_of(arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray |
     by_chance = f_distribution.sf(share, rank, n_free) if n_free > 0 else 1.0
     moved = centred(effect @ coef, codes)
     size = float(np.sqrt(np.square(moved).sum(axis=1).mean()))
-    said = f"This run drifted by {1000 * size:.0f} um from its first row to its last"
-    said += "." if by_chance < _BY_CHANCE else ", no more than noise explains."
-    return Finding("drift-of-run", said, weight="note", size_mm=size)
+    text = f"This run drifted by {1000 * size:.0f} um from its first row to its last"
+    text += "." if by_chance < _BY_CHANCE else ", no more than noise explains."
+    return Finding("drift-of-run", text, weight="note", size_mm=size)
 
 
 def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:
     """All angles (n, n_joints), in rad, are multiples of a coarse step; `reach` in mm."""
     degrees = np.rad2deg(angles)
-    if not any(
-        len(np.unique(column)) >= _LEAST_DIFFERENT
-        for column in degrees.T[:, : 10 * _LEAST_DIFFERENT]
-    ):
+    some = degrees.T[:, : 10 * _LEAST_DIFFERENT]
+    if not any(len(np.unique(column)) >= _LEAST_DIFFERENT for column in some):
         return
     for step in _STEPS:
         size = np.deg2rad(step) / np.sqrt(12) * reach

@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_raacmm.utils import Finding, row_numbers
 
 # Share of the squares that a set-up of its own behind a row has to take away, beside what chance
-# does (``benchmarks/bench_mistakes.py set-ups``; parts of the real UR10 show up to 0.41), and rows
+# does (``benchmarks/bench_check.py set-ups``; parts of the real UR10 show up to 0.41), and rows
 # beside.
 _SHARE, _LEAST_ROWS = 0.5, 8
 # No move is smaller: rounding is none.

@@ -1,4 +1,4 @@
-"""Whether targets can be residuals of this arm, as they are said to be."""
+"""Whether targets can be residuals of this arm, as the caller has it."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -23,8 +23,8 @@ _LEFT, _STRIKING_SHARE, _STRIKING_MM = 0.1, 1e-3, 1.0
 # With fewer rows, a motion (six numbers) explains anything; so do factors and tables.
 _LEAST_ROWS, _ROWS_OF_FACTORS, _COORDINATES_OF_TABLES = 4, 10, 3
 # What may be left, as a share, where targets are a factor times the deviations of the arm's points,
-# and how far the factor may be from 1. Positions that deviate by more of the reach had no seat.
-_LEFT_OF_FACTOR, _FACTOR, _ONE_SEAT = 0.05, 0.05, 0.01
+# and how far the factor may be from 1. Positions that deviate by more of the reach had no cone.
+_LEFT_OF_FACTOR, _FACTOR, _ONE_CONE = 0.05, 0.05, 0.01
 # A table explains what is left by less than this share, and is larger than this, mm.
 _LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.5
 _WIDE = 0.1  # spread of the points, as a share of the reach
@@ -129,8 +129,8 @@ def are_not_of_these_points(targets, points):
         return
     y, shown = (centred(v, targets.codes, targets.weights) for v in (targets.y, points))
     size, of_points = _rms(y), _rms(shown)
-    one_seat = 0 < of_points < _ONE_SEAT * targets.reach
-    if len(y) < _ROWS_OF_FACTORS or not one_seat or not size > 0:
+    one_cone = 0 < of_points < _ONE_CONE * targets.reach
+    if len(y) < _ROWS_OF_FACTORS or not one_cone or not size > 0:
         return
     factor = float(np.vdot(y, shown) / np.vdot(shown, shown))
     if _rms(y - factor * shown) < _LEFT_OF_FACTOR * size:
@@ -163,7 +163,7 @@ def are_not_of_these_points(targets, points):
 
 
 def are_of_positions_unnamed(targets, points):
-    """Deviations from the means of positions, which the fit was not told."""
+    """Deviations from the means of positions, which the fit does not know."""
     if points is None or targets.codes is not None:
         return
     labels, codes = np.unique(np.round(points - targets.y, 3), axis=0, return_inverse=True)

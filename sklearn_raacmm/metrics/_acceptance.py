@@ -44,10 +44,7 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     >>> gauge_lengths(points, ["a", "a", "b", "b"], [["a", "b"]])
     array([300.])
     """
-    points = floats("points", points, 3)
-    labels, position = check_groups(groups, len(points))
-    ends = _ends(labels, pairs)
-    means = group_means(points, position)
+    means, ends, *_ = _ends(points, groups, pairs)
     return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
 
 
@@ -83,13 +80,10 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     >>> block_lengths([*left, *right], ["l", "l", "l", "r", "r", "r"], [["l", "r"]]).round(6)
     array([100.])
     """
-    points = floats("points", points, 3)
-    labels, position = check_groups(groups, len(points))
-    means = group_means(points, position)
+    means, ends, labels, left, position = _ends(points, groups, pairs)
     lengths = []
-    for first, second in _ends(labels, pairs):
-        rows = np.isin(position, (first, second))
-        flat = points[rows] - means[position[rows]]
+    for first, second in ends:
+        flat = left[np.isin(position, (first, second))]
         sizes, directions = np.linalg.svd(flat, full_matrices=False)[1:]
         if len(sizes) < 3 or sizes[1] < _LEAST_SPREAD * max(sizes[0], 1e-300):
             raise ValueError(
@@ -100,16 +94,21 @@ def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     return np.array(lengths)
 
 
-def _ends(labels, pairs):
-    """Numbers (n_lengths, 2) of the two groups of each pair."""
+def _ends(points, groups, pairs) -> Any:
+    """Means of groups, both numbers (n_lengths, 2) of each pair, labels, deviations, codes."""
+    points = floats("points", points, 3)
+    labels, position = check_groups(groups, len(points))
     pairs = np.asarray(pairs)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs has shape {pairs.shape}; (n_lengths, 2) is needed.")
     index = {label: i for i, label in enumerate(labels.tolist())}
-    unknown = [label for label in pairs.ravel().tolist() if label not in index]
-    if unknown:
-        raise ValueError(f"pairs names the group {unknown[0]!r}, which has no points.")
-    return np.array([index[label] for label in pairs.ravel().tolist()], dtype=int).reshape(-1, 2)
+    ends = [index.get(label) for label in pairs.ravel().tolist()]
+    if None in ends:
+        unknown = pairs.ravel().tolist()[ends.index(None)]
+        raise ValueError(f"pairs names the group {unknown!r}, which has no points.")
+    means = group_means(points, position)
+    ends = np.array(ends, dtype=int).reshape(-1, 2)
+    return means, ends, labels, points - means[position], position
 
 
 def length_error(
@@ -241,7 +240,7 @@ def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = Non
     Parameters
     ----------
     points : array-like of shape (n_points, 3)
-        Without groups, the centres themselves, mm: the means of a seat, or centres of spheres.
+        Without groups, the centres themselves, mm: the means of a cone, or centres of spheres.
         With groups, points probed on one sphere.
     groups : array-like of shape (n_points,), default=None
         Label of the articulation of each point: a least-squares sphere is fitted to each group,

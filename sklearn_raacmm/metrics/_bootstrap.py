@@ -77,7 +77,11 @@ def repeatability_interval(
     codes = np.zeros(len(points), dtype=int) if groups is None else encode_groups(groups)[1]
     n_positions = codes.max() + 1
     found = []
-    draws = _resamples(codes, n_resamples, check_random_state(random_state))
+    rng = check_random_state(random_state)
+    draws = np.empty((n_resamples, len(codes)), dtype=np.intp)
+    for code in range(n_positions):  # each row replaced by one of its own position
+        rows = np.flatnonzero(codes == code)
+        draws[:, rows] = rows[rng.randint(len(rows), size=(n_resamples, len(rows)))]
     for some in np.array_split(draws, -(-draws.size // _ROWS_AT_ONCE)):
         # Every position of every draw is a group of its own.
         labels = n_positions * np.arange(len(some))[:, None] + codes
@@ -89,12 +93,3 @@ def repeatability_interval(
     if aggregate is not None:
         found = getattr(np, aggregate)(found, axis=1)
     return np.quantile(found, [(1 - probability) / 2, (1 + probability) / 2], axis=0).T
-
-
-def _resamples(codes, n_resamples, rng):
-    """Rows (n_resamples, n_points), each replaced by one of its own position."""
-    draws = np.empty((n_resamples, len(codes)), dtype=np.intp)
-    for code in range(codes.max() + 1):
-        rows = np.flatnonzero(codes == code)
-        draws[:, rows] = rows[rng.randint(len(rows), size=(n_resamples, len(rows)))]
-    return draws

@@ -20,7 +20,8 @@ from sklearn_raacmm.utils import (
 )
 
 # Of deviations (n, q) about the means of positions: one row for each position.
-_DISTANCES = ("2s", "max", "mean")
+_REPORTED = {"repeatability_2s": "2s", "deviation_max": "max", "deviation_mean": "mean"}
+_DISTANCES = tuple(_REPORTED.values())
 _AXES = ("half_range", "2s")
 
 
@@ -38,7 +39,7 @@ def single_point_repeatability(
     points : array-like of shape (n_points, n_coordinates) or (n_points,)
         Measured or corrected points, mm.
     groups : array-like of shape (n_points,), default=None
-        Label of the position (the seat, the cone) of each point. None: all are of one position.
+        Label of the position (the cone) of each point. None: all are of one position.
     statistic : {"2s", "max", "mean"}, default="2s"
         Of the distances :math:`\delta_i` from the mean of the n points of a position: "2s" is
         :math:`2\sqrt{\sum\delta_i^2 / (n - 1)}`; "max" grows with n.
@@ -149,12 +150,11 @@ def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> 
     deviations, position, counts, labels = deviations_by_group(points, groups)
     if deviations.shape[1] != 3:
         raise ValueError(f"points have {deviations.shape[1]} coordinates; x, y and z are needed.")
-    distances = np.linalg.norm(deviations, axis=1, keepdims=True)
     columns = {"position": labels, "n_points": counts}
-    for statistic, name in zip(
-        _DISTANCES, ("repeatability_2s", "deviation_max", "deviation_mean"), strict=True
-    ):
-        columns[name] = _of_positions(distances, position, counts, statistic)[:, 0]
+    for name, statistic in _REPORTED.items():
+        columns[name] = single_point_repeatability(
+            points, groups, statistic=statistic, aggregate=None
+        )
     for statistic, name in zip(_AXES, ("half_range", "axis_2s"), strict=True):
         values = _of_positions(deviations, position, counts, statistic)
         columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
@@ -302,21 +302,18 @@ def repeatability_scorer(
             "Enable it first by sklearn.set_config(enable_metadata_routing=True), or tell the "
             "scorer the groups: repeatability_scorer(X, groups)."
         )
-    scorer = make_scorer(
-        _routed_scatter, greater_is_better=False, statistic=statistic, aggregate=aggregate
-    )
+    options: dict = {"statistic": statistic, "aggregate": aggregate}
+    scorer = make_scorer(_routed_scatter, greater_is_better=False, **options)
     return scorer.set_score_request(groups=True)
 
 
-def _routed_scatter(y_true, y_pred, *, groups=None, statistic, aggregate):
+def _routed_scatter(y_true, y_pred, *, groups=None, **options):
     if groups is None:
         raise ValueError(
             "repeatability_scorer() got no groups. Enable metadata routing and pass groups, or "
             "tell the scorer beforehand: repeatability_scorer(X, groups)."
         )
-    return within_position_scatter(
-        y_true, y_pred, groups=groups, statistic=statistic, aggregate=aggregate
-    )
+    return within_position_scatter(y_true, y_pred, groups=groups, **options)
 
 
 class _RowScorer:
@@ -325,14 +322,14 @@ class _RowScorer:
     def __init__(self, X, groups, statistic, aggregate):
         X = floats("X", X, -1)
         self.labels, position = check_groups(groups, len(X))
-        self.n_features, self.statistic, self.aggregate = X.shape[1], statistic, aggregate
+        self.options = {"statistic": statistic, "aggregate": aggregate}
         self.position_of_row = {}
         for row, p in zip(X, position, strict=True):
             if self.position_of_row.setdefault(row.tobytes(), p) != p:
                 raise ValueError(
                     f"The same row of X, {row}, belongs to the groups "
                     f"{self.labels[self.position_of_row[row.tobytes()]]} and {self.labels[p]}: "
-                    "a row's group cannot be told from its content. Use metadata routing."
+                    "the group does not follow from the content of a row. Use metadata routing."
                 )
 
     def __call__(self, estimator, X, y):
@@ -344,20 +341,7 @@ class _RowScorer:
                 f"{n_unknown} of {len(rows)} rows were not in the X given to "
                 "repeatability_scorer(X, groups), so their groups are unknown."
             )
-        return -within_position_scatter(
-            y,
-            estimator.predict(X),
-            groups=position,
-            statistic=self.statistic,
-            aggregate=self.aggregate,
-        )
-
-    def __repr__(self):
-        return (
-            f"repeatability_scorer(X of shape ({len(self.position_of_row)}, {self.n_features}), "
-            f"groups of {len(self.labels)} positions, statistic={self.statistic!r}, "
-            f"aggregate={self.aggregate!r})"
-        )
+        return -within_position_scatter(y, estimator.predict(X), groups=position, **self.options)
 
 
 def _difference(y_true, y_pred):

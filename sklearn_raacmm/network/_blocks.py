@@ -6,28 +6,19 @@ sum over blocks, or a triangular factor of them, like that of rows in memory.
 """
 
 from functools import partial, reduce
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.utils import check_array
 
 from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
-from sklearn_raacmm.network._rows import (
-    Block,
-    Merged,
-    Problem,
-    block_rows,
-    merge,
-    prepare,
-)
+from sklearn_raacmm.network._rows import block_rows, merge
 from sklearn_raacmm.utils import chunks, floats, one_blas_thread
 
 # Rows looked at together.
 CHUNK_ROWS = 2**16
 # Results that are combined in one task.
 _FAN_IN = 8
-_UNKNOWN = np.empty((0, 0))
 
 
 class ArrayChunks:
@@ -123,15 +114,6 @@ def dask_chunks(X, y, sample_weight):
     return DaskChunks(X, y[:, None] if y.ndim == 1 else y, sample_weight)
 
 
-class _Summary(NamedTuple):
-    """What a first pass over the rows tells."""
-
-    n_rows: int  # of positive weight
-    weight: float
-    sample: Merged  # of rows with the smallest hashes
-    complete: bool  # whether the sample holds all rows
-
-
 def _hash(X, seed):
     """A number for each row that depends on its content only (the finaliser of splitmix64)."""
     h = np.full(len(X), seed, dtype=np.uint64)
@@ -147,93 +129,60 @@ def _cut(sample, seed, size):
     """The rows of the smallest hashes, still sorted, and whether these are all."""
     if len(sample.X) <= size:
         return sample, True
-    kept = np.sort(np.argsort(_hash(sample.X, seed), kind="stable")[:size])
-    return Merged(*(a[kept] for a in sample[:6])), False
+    return sample.some(np.sort(np.argsort(_hash(sample.X, seed), kind="stable")[:size])), False
 
 
-def _summarise(X, Y, weights, start, seed, size):
+def summarise(X, Y, weights, start, seed, size):
+    """Number of rows of positive weight, their weight, a sample, and whether it holds all rows."""
     sample = merge(X, Y, weights)
     sample, complete = _cut(sample._replace(first=start + sample.first), seed, size)
-    return _Summary(int(np.sum(weights > 0)), weights.sum(), sample, complete)
+    return int(np.sum(weights > 0)), weights.sum(), sample, complete
 
 
 def _join(one, other, seed, size):
-    parts = zip(one.sample[:6], other.sample[:6], strict=True)
-    both = Merged(*(np.concatenate(pair) for pair in parts))
-    joined = merge(both.X, both.Y, both.weights, both.within, both.observed)
-    sample, complete = _cut(joined._replace(first=both.first[joined.first]), seed, size)
-    complete = complete and one.complete and other.complete
-    return _Summary(one.n_rows + other.n_rows, one.weight + other.weight, sample, complete)
+    both = [np.concatenate(pair) for pair in zip(one[2][:6], other[2][:6], strict=True)]
+    joined = merge(*(both[i] for i in (0, 1, 3, 4, 5)))
+    sample, complete = _cut(joined._replace(first=both[2][joined.first]), seed, size)
+    return one[0] + other[0], one[1] + other[1], sample, complete and one[3] and other[3]
 
 
-class _Elsewhere(NamedTuple):
-    """Rows of a problem that are not held, and are not merged where they are repeated."""
+def draw_rows(chunks, n_features, size, seed):
+    """Draw at most `size` distinct rows in one pass over all of them, by a hash with a seed.
 
-    sample: Problem  # distinct rows, a part of all
-    chunks: ArrayChunks | DaskChunks
-    n_rows: int
-    unit: float  # of weights
-    outputs: np.ndarray  # the targets that the problem has
-    root: np.ndarray  # (p, p) triangular factor of the polynomial on all rows; empty until known
-
-    def of_outputs(self, outputs):
-        return self._replace(sample=self.sample.of_outputs(outputs), outputs=self.outputs[outputs])
-
-    def with_tail(self, degree, ridged):
-        sample = self.sample.with_tail(degree, ridged)
-        return _of_all_rows(self._replace(sample=sample, root=_UNKNOWN))
-
-    def reduce(self, function, combine, width):
-        """As `Problem.reduce`."""
-        return self.chunks.reduce(partial(self._on_block, function), combine, width)
-
-    def _on_block(self, function, X, Y, weights, start):
-        kept = weights > 0
-        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
-        tail = root * self.sample.polynomial.columns(X)
-        basis = tail
-        if tail.size and self.root.size:
-            basis = solve_triangular(self.root, tail.T, trans="T", check_finite=False).T
-        return function(Block(X, root, tail, basis, root * Y[kept][:, self.outputs], None))
-
-
-def chunked_problem(chunks, n_features, degree, size, seed, ridged=False):
-    """Set up a problem by one pass over the rows.
-
-    `size` distinct rows are held, drawn by a hash with a seed. If `ridged`, the linear part of the
-    polynomial has a ridge: that of the sample.
+    Returns the number of all rows of positive weight, their weight, the sample, and whether it
+    holds all rows.
     """
     options = {"seed": np.uint64(seed), "size": size}
-    width = 4 * n_features
-    summary = chunks.reduce(partial(_summarise, **options), partial(_join, **options), width)
-    if not summary.n_rows:
+    join = partial(_join, **options)
+    summary = chunks.reduce(partial(summarise, **options), join, 4 * n_features)
+    if not summary[0]:
         raise ValueError("Sample weights must contain at least one non-zero number.")
-    sample = prepare(summary.sample, degree, ridged)
-    if summary.complete:
-        return sample
-    n, outputs = summary.n_rows, np.arange(len(sample.spread))
-    return _of_all_rows(_Elsewhere(sample, chunks, n, summary.weight / n, outputs, _UNKNOWN))
+    return summary
 
 
-def _of_all_rows(rows):
-    """The problem of all rows, of which a sample has its polynomial already."""
-    sample, p, q = rows.sample, rows.sample.n_tail, len(rows.outputs)
-    R = triangle_of_all(rows, _tail_and_targets, p + q)
+def extend(sample, chunks, n_rows, weight, outputs):
+    """The problem of all rows, of which a sample has its polynomial, and its ridge, already.
+
+    `outputs` are the columns of all targets that the sample has.
+    """
+    p, q = sample.n_tail, len(outputs)
+    whole = sample._replace(
+        unit=weight / n_rows, n_total=n_rows, within=np.zeros(q), chunks=chunks,
+        n_elsewhere=n_rows, outputs=outputs,
+    )  # fmt: skip
+    R = triangle_of_all(whole, _tail_and_targets, p + q)
     if sample.tail_ridge:
         R = stack_triangles(R, np.pad(sample.tail_rows, ((0, 0), (0, q))))
     basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
-    spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / rows.n_rows)
+    spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / n_rows)
     # What is left of a constant by rounding is not variation.
-    spread[spread <= 1e-13 * np.sqrt(np.square(R[:, p:]).sum(axis=0) / rows.n_rows)] = 0.0
-    return sample._replace(
-        unit=rows.unit,
-        n_total=rows.n_rows,
-        within=np.zeros(q),
+    spread[spread <= 1e-13 * np.sqrt(np.square(R[:, p:]).sum(axis=0) / n_rows)] = 0.0
+    return whole._replace(
         projection=R[:p, p:],
         spread=spread,
         basis_rows=basis_rows,
         tail_dof=p - np.square(basis_rows).sum(),
-        elsewhere=rows._replace(root=R[:p, :p]),
+        tail_root=R[:p, :p],
     )
 
 

@@ -5,7 +5,6 @@ times the rank. Of a rough kernel the factor is cut.
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
@@ -44,33 +43,31 @@ class Features:
         return block.weigh(K)
 
 
-def _products(block, features, view):
+def _products(block, features, problem):
     """Inner products of features with themselves, the targets and the tail, over some rows."""
-    basis, targets = view.of(block)
     F = features(block)
-    return F.T @ F, F.T @ targets, basis.T @ F
+    return F.T @ F, F.T @ problem.about_tail(block), block.basis.T @ F
 
 
 def _add(one, other):
     return tuple(a + b for a, b in zip(one, other, strict=True))
 
 
-def _beside(block, features, view):
+def _beside(block, features, problem):
     """The tail, the features and the targets on some rows, side by side."""
-    basis, targets = view.of(block)
-    return np.hstack([basis, features(block), targets])
+    return np.hstack([block.basis, features(block), problem.about_tail(block)])
 
 
-def _projected_triangle(problem, features, view, rank):
+def _projected_triangle(problem, features, rank):
     """R of the features with the tail projected out, and the targets in Q's coordinates."""
-    p = len(view.projection)
-    columns = partial(_beside, features=features, view=view)
-    R = triangle_of_all(problem, columns, p + rank + len(view.outputs))
+    p, of = problem.n_tail, problem.varying
+    columns = partial(_beside, features=features, problem=problem)
+    R = triangle_of_all(problem, columns, p + rank + len(of))
     if p and len(problem.basis_rows):
         # The ridge of the tail: further rows of it, where the features are 0, and the targets, too.
         below = np.zeros((len(problem.basis_rows), R.shape[1]))
         below[:, :p] = problem.basis_rows
-        below[:, p + rank :] = -problem.basis_rows @ view.projection / view.scale
+        below[:, p + rank :] = -problem.basis_rows @ problem.projection[:, of] / problem.spread[of]
         R = stack_triangles(R, below)
     padded = np.zeros((R.shape[1], R.shape[1]))
     padded[: len(R)] = R
@@ -78,53 +75,64 @@ def _projected_triangle(problem, features, view, rank):
     return padded[inner, inner], padded[inner, p + rank :]
 
 
-class RadialFunctions(NamedTuple):
-    """Kernel and widths that were chosen, and the middle of the rows."""
-
-    kernel: str
-    shift: np.ndarray  # (d,)
-    length_scale: np.ndarray  # (d,)
-
-
-class Candidates(NamedTuple):
-    """Candidates as `forward_selection` takes them, and what this leaves out."""
-
-    coordinates: np.ndarray  # (n_candidates, rank)
-    target: np.ndarray  # (rank, n_outputs) of the targets' projection onto the candidates' span
-    resolution: float  # part of a candidate's length below which coordinates are not to be trusted
-    degrees_of_freedom: float  # trace of the smoother that uses all candidates
-    unseen: float  # mean part of the prior variance outside the factor, if its rank was limited
-
-
-def candidates_of(problem, view, rows, functions, alpha, max_rank, n_select=None):
+def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
     """Coordinates of candidates, the sorted indices `rows` among the problem's.
 
-    The factor of a rough kernel is cut at `max_rank`. `n_select` is the number of steps, if known.
+    The factor of a rough kernel is cut at `max_rank`. `n_select` is the number of steps, if known:
+    then plain least squares on rows in memory works with the columns themselves, where there is no
+    factor of that rank.
+
+    Returns coordinates (n_candidates, rank); the target (rank, n_outputs), the targets' projection
+    onto the candidates' span; the part of a candidate's length below which coordinates are not to
+    be trusted; the trace of the smoother that uses all candidates; and the mean part of the prior
+    variance that is outside the factor, if its rank was limited.
     """
-    kernel, shift, length_scale = functions
-    Z = (problem.X[rows] - shift) / length_scale
+    kernel, length_scale = structure.kernel, structure.length_scale
+    shift = problem.rows.X.mean(axis=0)
+    Z = (problem.rows.X[rows] - shift) / length_scale
     tol = 1e-6 if alpha == 0 else min(1e-3 * alpha, 1e-6)
     resolve = n_select if alpha == 0 else None
-    factor = pivoted_cholesky(Z, kernel, tol=tol, resolve=resolve, max_rank=max_rank)
-    unseen = 0.0
-    if not factor.complete:
-        unseen = 1 - np.einsum("ij,ij->", factor.rows, factor.rows) / len(rows)
-    root = np.asfortranarray(factor.rows[factor.pivots])
-    known = factor.rows if len(rows) == problem.n_rows else None
-    features = Features(Z[factor.pivots], shift, length_scale, kernel, root, known)
-    return Candidates(*_whiten(problem, view, factor, features, alpha), unseen)
-
-
-def _whiten(problem, view, factor, features, alpha):
-    """Coordinates, targets, resolution and degrees of freedom; the factor's rows are overwritten.
-
-    `factor` is of the candidates' kernel matrix, `features` are the same factor's on all rows.
-    """
-    rank = factor.rows.shape[1]
+    factor, pivots, residual, complete = pivoted_cholesky(
+        Z, kernel, tol=tol, resolve=resolve, max_rank=max_rank
+    )
+    known, unseen = len(rows) == problem.n_rows, 0.0
+    if not complete and alpha == 0 and known and n_select is not None:
+        return _columns(problem, Z, kernel)
+    if not complete:
+        unseen = 1 - np.einsum("ij,ij->", factor, factor) / len(rows)
+    root = np.asfortranarray(factor[pivots])
+    features = Features(Z[pivots], shift, length_scale, kernel, root, factor if known else None)
     # A factor that is complete leaves rounding, in which nothing can be told apart. What one of
     # limited rank leaves says nothing of the candidates as far as they are represented.
-    resolution = factor.residual if factor.complete else 0.0
-    function = partial(_products, features=features, view=view)
+    resolution = residual if complete else 0.0
+    return *_whiten(problem, factor, features, alpha, residual, resolution), unseen
+
+
+def _columns(problem, Z, kernel):
+    """The candidates' own columns as coordinates, where all rows of a problem are candidates."""
+    whole = problem.block(slice(None))
+    columns = whole.weigh(kernel_matrix(Z, Z, kernel))
+    # A ridge of the tail leaves more of a column than a projection would: its further rows.
+    along = whole.basis.T @ columns
+    below = -problem.basis_rows @ along if len(problem.basis_rows) else columns[:0]
+    columns -= whole.basis @ along
+    target = problem.about_tail(whole)
+    if len(below):
+        columns = np.vstack([columns, below])
+        of = problem.varying
+        further = -problem.basis_rows @ problem.projection[:, of] / problem.spread[of]
+        target = np.vstack([target, further])
+    return np.ascontiguousarray(columns.T), target, DEPENDENT, float(len(Z)), 0.0
+
+
+def _whiten(problem, rows, features, alpha, residual, resolution):
+    """Coordinates, targets, resolution and degrees of freedom; the factor's rows are overwritten.
+
+    `rows` are those of the candidates' factor, `features` are the same factor's on all rows, and
+    `residual` is what it leaves.
+    """
+    rank = rows.shape[1]
+    function = partial(_products, features=features, problem=problem)
     gram, cross, along = problem.reduce(function, _add, rank)
     gram = gram.T  # of which BLAS takes the lower triangle
     if len(along):
@@ -133,17 +141,17 @@ def _whiten(problem, view, factor, features, alpha):
     # machine epsilon; a ridge, or a coarse factor, does not ask for more.
     trusted = max(resolution, DEPENDENT_RIDGED if alpha else DEPENDENT)
     strong, root, failed = alpha > 1e-8 * gram.diagonal().max(initial=0.0), gram, True
-    if strong or factor.residual > COARSE or (alpha == 0 and resolution >= 1e-9):
+    if strong or residual > COARSE or (alpha == 0 and resolution >= 1e-9):
         trusted = max(resolution, 1e-7)
         gram[np.diag_indices(rank)] += alpha
         root, failed = lapack.dpotrf(gram, lower=1, clean=1, overwrite_a=1)
     if not failed:
         target = solve_triangular(root, cross, lower=True, check_finite=False)
     else:
-        triangle, rotated = _projected_triangle(problem, features, view, rank)
+        triangle, rotated = _projected_triangle(problem, features, rank)
         ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
         Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
         root, target = R.T, Q[:rank].T @ rotated
-    coordinates = blas.dtrmm(1.0, root, factor.rows, side=1, lower=1, overwrite_b=True)
+    coordinates = blas.dtrmm(1.0, root, rows, side=1, lower=1, overwrite_b=True)
     inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
     return coordinates, target, trusted, rank - alpha * float(np.sum(np.square(inverse)))

@@ -12,7 +12,6 @@ References
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -21,7 +20,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_raacmm.network._candidates import Features, candidates_of
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._least_squares import (
-    beside_centers,
+    first_weights,
     nested_least_squares,
     stack_triangles,
     triangle_of_all,
@@ -30,6 +29,7 @@ from sklearn_raacmm.network._least_squares import (
 from sklearn_raacmm.network._likelihood import LEAST_RIDGE
 from sklearn_raacmm.network._linear import without_constants
 from sklearn_raacmm.network._posterior import Network, covariance_factor
+from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._selection import forward_selection
 from sklearn_raacmm.utils import stage, warn_user
 
@@ -38,6 +38,8 @@ from sklearn_raacmm.utils import stage, warn_user
 MOST_ROWS = 10_000
 # Share of the error that noise causes anyway which leaving out candidates may add, about.
 TOLERANCE = 0.02
+# Share of the variance of the noise that more centres than `MODERATE` have to be worth.
+MODERATE, WORTH = 300, 0.02
 # Centres tried where their number is not given.
 MAX_CENTERS = 2000
 # Rank at which the candidates' factor is cut: 240 MB for 10 000 rows, and a step costs as much
@@ -45,8 +47,7 @@ MAX_CENTERS = 2000
 # take up. Mean part of the prior variance outside of it that is passed over in silence.
 MAX_RANK, RANK_PER_CENTER, UNSEEN = 3000, 1.5, 0.01
 # The same where the number of centres is given: in centres, and at the least, of all rows and of a
-# sample, where every row is multiplied by the factor's square. Errors over those of an exact factor
-# were 0.99 to 1.02 on two real arms, and up to 1.05 on simulated waves with widths that were found.
+# sample, where every row is multiplied by the factor's square.
 RANK_PER_GIVEN, LEAST_RANK, LEAST_RANK_OF_SAMPLE = 3.5, 1000, 256
 # Effective parameters of the process, per row, from which on all rows become centres. On 21 random
 # functions a network's fit, without the search, then took 4 to 35 times as long as that of all
@@ -65,69 +66,55 @@ NO_FUNCTION = 0.5
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
-class Fitted(NamedTuple):
-    """A network, and how its centres were found."""
-
-    network: Network
-    centers: np.ndarray  # (k,) rows of the problem
-    error_reduction: np.ndarray  # (k,) share of the variance by centre; empty if all rows are
-    path: np.ndarray  # (n_tried,) share that the objective leaves after 1, 2, ... centres
-    n_tried: int
-    stop_reason: str
-
-
 @stage("centres of the network")
-def fit_network(problem, outputs, functions, alpha, n_found, n_centers, max_centers, rng):
+def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
     """Choose the centres, or take all rows, and fit the weights.
 
-    `outputs` (q,) are the targets' columns that the problem has, `alpha` (q,) their ridges in units
-    of an observation, `n_found` the parameters of each that the data have decided on beside the
-    variances. `n_centers` is their number, or the share of the variance that they may leave, or
-    None for as many as make the network about as good as the process; `max_centers` None is the
-    default, or all rows. `rng` draws the candidates.
+    `outputs` (q,) are the targets' columns that the problem has, the ridges of the structure are in
+    units of an observation. `n_centers` is their number, or the share of the variance that they may
+    leave, or "auto" for as many as make the network about as good as the process; `max_centers`
+    None is the default, or all rows. `rng` draws the candidates.
+
+    Returns the network; the centres (k,), rows of the problem; the share of the variance by which
+    each lowered the objective, empty if all rows are centres; the share that the objective leaves
+    after 1, 2, ... centres; and why there are no more.
 
     It warns of more centres than candidates, and (ConvergenceWarning) of a limit that the user has
     not set and that decided on their number.
     """
-    if n_centers is None and max_centers is None and takes_all_rows(problem, alpha, functions):
-        sample = problem.sample
-        if sample.n_rows > MOST_ROWS:
-            rows = np.sort(rng.permutation(sample.n_rows)[:MOST_ROWS])
-            kept, sample = rows, sample.some(rows)
-        else:
-            kept = np.arange(sample.n_rows)
-        network = process_of(sample, outputs, alpha, functions, n_found)
+    n = len(problem.rows.X)
+    kept = np.arange(n) if n <= MOST_ROWS else np.sort(rng.permutation(n)[:MOST_ROWS])
+    order, stop = None, ""
+    all_rows = n_centers == "auto" and max_centers is None and takes_all_rows(problem, structure)
+    if not all_rows or len(kept) > MODERATE:
+        order, stop = choose_centers(problem, kept, structure, n_centers, max_centers, all_rows)
+    if order is None:
+        few = problem
+        if len(kept) < problem.n_rows:
+            degree = min(problem.n_tail, 2) - 1
+            rows = problem.rows.some(kept)
+            few = prepare(rows, degree, bool(problem.tail_ridge), problem.ratio)
+            structure = structure._replace(alpha=structure.alpha * problem.unit / few.unit)
         none = np.empty(0)
-        return Fitted(network, kept, none, none, len(kept), "all rows")
-    order, stop = choose_centers(problem, alpha, functions, n_centers, max_centers, rng)
-    path = fit_path(problem, order, alpha, functions)
-    varying = problem.spread > 0
-    unit = problem.spread[varying] ** 2 * problem.n_total * max(1, varying.sum())
-    left = (path.objective[:, varying] / unit).sum(axis=1)
-    k = len(order)
-    if isinstance(n_centers, float) and k:
-        share = (path.rss[1:, varying] / unit).sum(axis=1)
-        reached = np.flatnonzero(share <= n_centers)
-        k, stop = (int(reached[0]) + 1, "criterion") if len(reached) else (k, stop)
-    network = network_of(problem, outputs, path, order[:k], alpha, functions, n_found)
-    return Fitted(network, order[:k], -np.diff(left)[:k], left[1:], len(order), stop)
+        return process_of(few, outputs, structure), kept, none, none, "all rows"
+    return network_of(problem, outputs, order, structure, n_centers, stop)
 
 
-def takes_all_rows(problem, alpha, functions):
-    """Whether every row becomes a centre, because a network would need nearly as many.
+def takes_all_rows(problem, structure):
+    """Whether a network would need nearly every row as a centre to be as good as the process.
 
-    Of more than `MOST_ROWS` so many are looked at, and become centres.
+    Of more than `MOST_ROWS` so many are looked at.
     """
-    varying = problem.spread > 0
-    n = min(len(problem.X), MOST_ROWS)
-    if not np.any(varying) or alpha.min() < LEAST_RIDGE * np.square(problem.sample.root).max():
+    alpha, varying = structure.alpha, problem.varying
+    n = min(len(problem.rows.X), MOST_ROWS)
+    if not len(varying) or alpha.min() < 0.99 * LEAST_RIDGE * np.square(problem.root).max():
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))
-    return share_of_parameters(problem.sample, alpha[varying].min(), functions, n, limit) > limit
+    return share_of_parameters(problem, alpha[varying].min(), structure, n, limit) > limit
 
 
-def share_of_parameters(problem, alpha, functions, n, enough=0.0):
+def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     """Effective number of parameters of a process of n of a problem's rows, over their number.
 
     It falls with every row that comes in. So a sample whose share is not above `enough` decides
@@ -135,15 +122,15 @@ def share_of_parameters(problem, alpha, functions, n, enough=0.0):
     doubling is continued as a power of the number: with 6000 rows of three rough functions 6 to 14
     % too many.
     """
-    kernel, shift, length_scale = functions
-    Z, weights = (problem.X - shift) / length_scale, np.square(problem.root[:, 0])
+    X, weights = problem.rows.X, np.square(problem.root[:, 0])
+    Z = (X - X.mean(axis=0)) / structure.length_scale
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
     order = np.random.RandomState(0).permutation(len(Z))
     size, last = min(n, FIRST_SAMPLE), None
     while True:
         rows = np.sort(order[:size])
-        factor = covariance_factor(Z[rows], kernel, weights[rows], alpha)
-        factor[:] = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
+        factor = covariance_factor(Z[rows], structure.kernel, weights[rows], alpha)
+        factor = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
         share = 1 - alpha * np.square(factor).sum() / size
         if share <= enough or size == n:
             return share
@@ -152,120 +139,101 @@ def share_of_parameters(problem, alpha, functions, n, enough=0.0):
         size, last = min(n, 2 * size), share
 
 
-def choose_centers(problem, alpha, functions, n_centers, max_centers, rng):
-    """Indices of centres in order of how much they lower the objective, and why it ended."""
-    n = len(problem.X)
-    rows = np.arange(n) if n <= MOST_ROWS else np.sort(rng.permutation(n)[:MOST_ROWS])
-    asked = n_centers if isinstance(n_centers, int) else None
+def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
+    """Indices of centres in order of how much they lower the objective, and why it ended.
+
+    They are chosen among some `rows`. Where all of these may become centres (`or_all`) a moderate
+    number of them is tried, and returned as None if it is too small.
+    """
+    alpha, asked = structure.alpha, n_centers if isinstance(n_centers, int) else None
     if asked is not None and asked > len(rows):
         warn_user(
             f"n_centers={asked}, but there are only {len(rows)} distinct candidate rows: all of "
             "them are taken."
         )
-    most = min(asked or max_centers or MAX_CENTERS, len(rows))
-    view = problem.view()
-    if not len(view.outputs):
+    limit = MODERATE if or_all else max_centers or MAX_CENTERS
+    most, of = min(asked or limit, len(rows)), problem.varying
+    if not len(of):
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:most], "n_centers") if asked else (rows[:0], "criterion")
     if asked:
         least = LEAST_RANK if len(rows) == problem.n_rows else LEAST_RANK_OF_SAMPLE
         rank = max(least, int(RANK_PER_GIVEN * asked))
     else:
-        rank = max(MAX_RANK, int(RANK_PER_CENTER * most))
+        rank = LEAST_RANK if or_all else max(MAX_RANK, int(RANK_PER_CENTER * most))
     # Outputs that share centres see the candidates alike: as the one that needs most of them.
-    ridge = float(alpha[view.outputs].min())
-    candidates = candidates_of(problem, view, rows, functions, ridge, rank, asked)
-    units, goal, enough = 1.0, None, None
+    ridge = float(alpha[of].min())
+    coordinates, target, resolution, degrees, unseen = candidates_of(
+        problem, rows, structure, ridge, rank, asked
+    )
+    explained, total = np.square(target).sum(axis=0), float(problem.n_total)
+    # The trace of the error reduction, of targets in their own units.
+    units, enough = np.square(problem.spread[of].max() / problem.spread[of]), None
+    goal = np.zeros(len(of))
     if isinstance(n_centers, float):
-        total = view.total + view.within
-        floor = n_centers * len(total) * problem.n_total
+        floor = n_centers * np.sum(total / units)
 
-        def few_are_left(summed):
-            return np.sum(total - summed) <= floor
+        def enough(_, summed):
+            return np.sum((total - summed) / units) <= floor
 
-        enough = few_are_left
     elif asked is None:
-        units, goal = posterior_goal(problem, view, candidates)
+        # Centres are enough as soon as what further ones could still gain, summed over all samples,
+        # is below `TOLERANCE` times the noise variance times the effective number of parameters of
+        # the network that has all candidates: leaving them out then costs about this share of the
+        # error of the noise. Many of them have to be worth a share of the noise itself.
+        units = np.maximum(total - explained, 1e-14 * total) / total
+        if degrees > NO_FUNCTION:
+            goal = explained - TOLERANCE * degrees * units
 
-        def all_are_reached(summed):
-            return np.all(summed >= goal)
+        def enough(k, summed):
+            moderate = explained - WORTH * total * units if k >= MODERATE else goal
+            return np.all(summed >= np.minimum(goal, moderate))
 
-        enough = all_are_reached
-    found = forward_selection(*candidates[:3], most, units=units, enough=enough)
-    if goal is not None:
-        _warn_of_limits(found, candidates, max_centers, goal)
-    indices = found.indices
-    room = problem.n_rows - problem.n_tail
-    if alpha.min() == 0 and len(indices) > room:
-        return rows[indices[:room]], "dependent"
+    order, reduction, why = forward_selection(
+        coordinates, target, resolution, most, units=units, enough=enough
+    )
+    if or_all and why == "n_select":
+        return None, ""
+    summed = np.sum(reduction, axis=0)
+    missed = np.max((goal - summed)[goal > 0] / goal[goal > 0], initial=0.0)
+    if why == "n_select" and max_centers is None and missed > 0:
+        warn_user(
+            f"The number of centres is the default limit of {len(order)}; {100 * missed:.2g} % of "
+            "what they could explain is not reached. Give a larger max_centers, or set it to this "
+            "number if the network is good enough.",
+            ConvergenceWarning,
+        )
+    if unseen > UNSEEN and not or_all:
+        more = (
+            f"A larger max_centers raises their number, to {RANK_PER_CENTER:g} times as many."
+            if asked is None
+            else "They are not those of exact orthogonal least squares."
+        )
+        warn_user(
+            f"The widths are narrow for so many rows: {100 * unseen:.2g} % of the prior variance "
+            f"at the candidates lies outside the {coordinates.shape[1]} dimensions from which "
+            f"centres are chosen. {more}",
+            ConvergenceWarning,
+        )
+    free = problem.n_rows - problem.n_tail
+    if alpha.min() == 0 and len(order) > free:
+        return rows[order[:free]], "dependent"
     reasons = {
         "n_select": "n_centers" if asked else "max_centers",
         "enough": "criterion",
-        "dependent": "rank" if candidates.unseen > 0 else "dependent",
+        "dependent": "rank" if unseen > 0 else "dependent",
     }
-    return rows[indices], reasons[found.stop]
+    return rows[order], reasons[why]
 
 
-def posterior_goal(problem, view, candidates):
-    """Noise (q,) of every output, the unit of its gains, and the reduction (q,) that is enough.
-
-    Centres are enough as soon as what further ones could still gain, summed over all samples, is
-    below `TOLERANCE` times the noise variance times the effective number of parameters of the
-    network that has all candidates: leaving them out then costs about this share of the error of
-    the noise.
-    """
-    explained = np.square(candidates.target).sum(axis=0)
-    degrees = candidates.degrees_of_freedom
-    left = view.total + view.within - explained
-    noise = np.maximum(left, 1e-14 * problem.n_total) / problem.n_total
-    return noise, explained - TOLERANCE * degrees * noise if degrees > NO_FUNCTION else 0 * noise
-
-
-def _warn_of_limits(found, candidates, max_centers, goal):
-    """Warn where a limit that the user has not set decided on the network."""
-    if found.stop == "n_select" and max_centers is None:
-        reached = np.sum(found.reduction, axis=0)
-        share = np.max((goal - reached)[goal > 0] / goal[goal > 0], initial=0.0)
-        if share > 0:
-            warn_user(
-                f"The number of centres is the default limit of {len(found.indices)}; "
-                f"{100 * share:.2g} % of what they could explain is not reached. Give a larger "
-                "max_centers, or set it to this number if the network is good enough.",
-                ConvergenceWarning,
-            )
-    if candidates.unseen > UNSEEN:
-        rank = candidates.coordinates.shape[1]
-        warn_user(
-            f"The widths are narrow for so many rows: {100 * candidates.unseen:.2g} % of the prior "
-            f"variance at the candidates lies outside the {rank} dimensions "
-            "from which centres are chosen. A larger max_centers raises their number, to "
-            f"{RANK_PER_CENTER:g} times as many.",
-            ConvergenceWarning,
-        )
-
-
-def fit_path(problem, order, alpha, functions):
-    """Fits with the first 0, 1, ... of some rows, in order of selection, as centres."""
-    kernel, shift, length_scale = functions
-    Z = (problem.X[order] - shift) / length_scale
-    columns, p = Features(Z, shift, length_scale, kernel), problem.n_tail
-    beside = partial(beside_centers, columns)
-    R = triangle_of_all(problem, beside, p + len(order) + len(problem.spread))
-    if len(problem.tail_rows):
-        below = np.zeros((len(problem.tail_rows), R.shape[1]))
-        below[:, :p] = problem.tail_rows
-        R = stack_triangles(R, below)
-    root = psd_root(kernel_matrix(Z, Z, kernel))
-    return nested_least_squares(R, p, root, alpha, problem.within, problem.tail_dof)
-
-
-def variances(problem, alpha, objective, n_found, plain=None):
+def variances(problem, structure, objective, plain=None):
     """Variances (q,) of the noise and of the signal, by the likelihood.
 
     `objective` (q,) is the sum of squares with the penalty; `plain` (q,) the variance of the noise
     where there is no ridge.
     """
     # Without a ridge the residual, and the targets' own variance.
+    alpha, n_found = structure.alpha, structure.n_found
     ridged = alpha > 0
     # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
     free = problem.n_total - problem.n_tail + len(problem.tail_rows)
@@ -279,71 +247,96 @@ def variances(problem, alpha, objective, n_found, plain=None):
     return noise, signal
 
 
-def network_of(problem, outputs, path, centers, alpha, functions, n_found=0.0):
-    """The network of the first centres, rows of the problem, of a path."""
-    p, k = problem.n_tail, len(centers)
-    solution = path.coefficients(k)
-    plain = path.rss[k] / np.maximum(problem.n_total - path.dof[k], 1)
-    noise, signal = variances(problem, alpha, path.objective[k], n_found, plain)
-    rows = path.rows[: p + k, : p + k]
-    return Network(
-        outputs,
-        functions.kernel,
-        functions.length_scale,
-        problem.X[centers],
-        np.ascontiguousarray(solution[p:]),
-        problem.tail_map.T @ solution[:p],
-        alpha,
-        float(problem.unit),
-        noise,
-        signal,
-        problem.tail_map,
-        float(problem.ratio),
-        # One triangle, packed, from which those of all outputs follow.
-        rows[np.triu_indices(len(rows), m=p + k)],
+def beside_centers(columns, block):
+    """The tail, the centres' columns and the targets on some rows, side by side."""
+    return np.hstack([block.tail, columns(block), block.targets])
+
+
+def network_of(problem, outputs, order, structure, n_centers, stop):
+    """The network of some rows, in order of selection, as centres; of the first that are enough.
+
+    Returns what `fit_network` does.
+    """
+    p, shift = problem.n_tail, problem.rows.X.mean(axis=0)
+    Z = (problem.rows.X[order] - shift) / structure.length_scale
+    columns = Features(Z, shift, structure.length_scale, structure.kernel)
+    width = p + len(order) + len(problem.spread)
+    R = triangle_of_all(problem, partial(beside_centers, columns), width)
+    if len(problem.tail_rows):
+        R = stack_triangles(R, np.pad(problem.tail_rows, ((0, 0), (0, width - p))))
+    root = psd_root(kernel_matrix(Z, Z, structure.kernel))
+    rss, objective, dof, rotated, triangles = nested_least_squares(
+        R, p, root, structure.alpha, problem.within, problem.tail_dof
     )
+    of = problem.varying
+    unit = np.sum(np.square(problem.spread[of])) * problem.n_total if len(of) else 1.0
+    left, k = objective[:, of].sum(axis=1) / unit, len(order)
+    if isinstance(n_centers, float) and k:
+        reached = np.flatnonzero(rss[1:, of].sum(axis=1) / unit <= n_centers)
+        k, stop = (int(reached[0]) + 1, "criterion") if len(reached) else (k, stop)
+    solution = first_weights(rotated, triangles, p + k)
+    plain = rss[k] / np.maximum(problem.n_total - dof[k], 1)
+    noise, signal = variances(problem, structure, objective[k], plain)
+    rows = R[: p + k, : p + k]
+    network = Network(
+        outputs=outputs,
+        kernel=structure.kernel,
+        length_scale=structure.length_scale,
+        centers=problem.rows.X[order[:k]],
+        coef=np.ascontiguousarray(solution[p:]),
+        polynomial=problem.polynomial.coefficients.T @ solution[:p],
+        alpha=structure.alpha,
+        weight_unit=float(problem.unit),
+        noise_variance=noise,
+        signal_variance=signal,
+        tail_map=problem.polynomial.coefficients,
+        ratio=float(problem.ratio),
+        # One triangle, packed, from which those of all outputs follow.
+        triangle=rows[np.triu_indices(len(rows), m=p + k)],
+    )
+    return network, order[:k], -np.diff(left)[:k], left[1:], stop
 
 
-def process_of(problem, outputs, alpha, functions, n_found=0.0):
+def process_of(problem, outputs, structure):
     """The network with a centre at every row: the process itself."""
-    kernel, shift, length_scale = functions
-    Z, weights = (problem.X - shift) / length_scale, np.square(problem.root[:, 0])
-    constants = problem.codes, problem.ratio
+    rows, alpha = problem.rows, structure.alpha
+    Z = (rows.X - rows.X.mean(axis=0)) / structure.length_scale
+    weights = np.square(problem.root[:, 0])
     (n, p), q = problem.tail.shape, problem.targets.shape[1]
     coef, polynomial, objective = np.empty((n, q)), np.empty((p, q)), np.empty(q)
     for one in np.unique(alpha):
         of = np.flatnonzero(alpha == one)
-        factor = covariance_factor(Z, kernel, weights, one, *constants)
+        factor = covariance_factor(Z, structure.kernel, weights, one, rows.codes, problem.ratio)
         both = np.hstack([problem.tail, problem.targets[:, of]])
         both = solve_triangular(factor, both, lower=True, check_finite=False)
         # In units of the noise, the ridge of the polynomial as further rows.
-        rows = np.zeros((n + len(problem.tail_rows), p + len(of)))
-        rows[:n], rows[n:, :p] = np.sqrt(one) * both, problem.tail_rows
-        R = triangular_factor(rows)
+        stacked = np.zeros((n + len(problem.tail_rows), p + len(of)))
+        stacked[:n], stacked[n:, :p] = np.sqrt(one) * both, problem.tail_rows
+        R = triangular_factor(stacked)
         polynomial[:, of] = solve_triangular(R[:p, :p], R[:p, p:], check_finite=False)
         objective[of] = np.square(R[p:, p:]).sum(axis=0)
         left = both[:, p:] - both[:, :p] @ polynomial[:, of]
         solved = solve_triangular(factor, left, lower=True, trans="T", check_finite=False)
         # The matrix that whitens rows times their root is symmetric.
         coef[:, of] = weights[:, None] * without_constants(
-            solved / problem.root, problem.codes, weights, problem.ratio
+            solved / problem.root, rows.codes, weights, problem.ratio
         )
         del factor  # two would not fit
-    noise, signal = variances(problem, alpha, objective + problem.within, n_found)
+    noise, signal = variances(problem, structure, objective + problem.within)
     return Network(
-        outputs,
-        kernel,
-        length_scale,
-        problem.X,
-        coef,
-        problem.tail_map.T @ polynomial,
-        alpha,
-        float(problem.unit),
-        noise,
-        signal,
-        problem.tail_map,
-        float(problem.ratio),
+        outputs=outputs,
+        kernel=structure.kernel,
+        length_scale=structure.length_scale,
+        centers=rows.X,
+        coef=coef,
+        polynomial=problem.polynomial.coefficients.T @ polynomial,
+        alpha=alpha,
+        weight_unit=float(problem.unit),
+        noise_variance=noise,
+        signal_variance=signal,
+        tail_map=problem.polynomial.coefficients,
+        ratio=float(problem.ratio),
         weights=weights,
-        codes=problem.codes,
+        codes=rows.codes,
         tail_ridge=float(problem.tail_ridge),
     )

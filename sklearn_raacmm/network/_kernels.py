@@ -6,7 +6,6 @@ gradient with respect to any width needs: no square root, hence no division by a
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -20,16 +19,12 @@ _FARTHEST = 1414.0
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
 
-def _gaussian(s):
+def _gaussian(s, slope=False):
     # Below 1e-307 an exponential takes a hundred times as long.
     np.minimum(s, _FARTHEST, out=s)
     s *= -0.5
-    return np.exp(s, out=s)
-
-
-def _gaussian_with_slope(s):
-    K = _gaussian(s)
-    return K, -0.5 * K
+    K = np.exp(s, out=s)
+    return (K, -0.5 * K) if slope else K
 
 
 def _distance(s, factor):
@@ -40,16 +35,18 @@ def _distance(s, factor):
     return d
 
 
-def _matern32_with_slope(s):
+def _matern32(s, slope=False):
     d = _distance(s, _SQRT3)
     decay = np.exp(np.negative(d, out=s), out=s)
     d += 1
     d *= decay
+    if not slope:
+        return d
     decay *= -1.5
     return d, decay
 
 
-def _matern52_with_slope(s):
+def _matern52(s, slope=False):
     d = _distance(s, _SQRT5)
     decay, once = np.negative(d), d
     np.exp(decay, out=decay)
@@ -57,38 +54,19 @@ def _matern52_with_slope(s):
     s *= 5 / 3
     s += once
     s *= decay
+    if not slope:
+        return s
     once *= decay
     once *= -5 / 6
     return s, once
 
 
-def _rational_quadratic_with_slope(s):
-    K = 1 / (1 + 0.5 * s)
-    return K, -0.5 * K * K
-
-
-def _inverse_multiquadric_with_slope(s):
-    K = 1 / np.sqrt(1 + s)
-    return K, -0.5 * K**3
-
-
-class Kernel(NamedTuple):
-    """A radial function of the scaled squared distance, 1 at distance 0; may overwrite it."""
-
-    with_slope: Callable  # values, and their derivative with respect to the squared distance
-    alone: Callable | None = None  # values, where the derivative takes much longer
-
-    def function(self, s: np.ndarray) -> np.ndarray:
-        """Values alone."""
-        return self.with_slope(s)[0] if self.alone is None else self.alone(s)
-
-
-KERNELS = {
-    "gaussian": Kernel(_gaussian_with_slope, _gaussian),
-    "matern32": Kernel(_matern32_with_slope),
-    "matern52": Kernel(_matern52_with_slope),
-    "rational_quadratic": Kernel(_rational_quadratic_with_slope),
-    "inverse_multiquadric": Kernel(_inverse_multiquadric_with_slope),
+# Functions of the scaled squared distances, 1 at distance 0, which they may overwrite; if asked
+# for, with the derivative by the squared distance.
+KERNELS: dict[str, Callable] = {
+    "gaussian": _gaussian,
+    "matern32": _matern32,
+    "matern52": _matern52,
 }
 
 
@@ -113,7 +91,7 @@ def kernel_matrix(
     A: np.ndarray, B: np.ndarray, kernel: str, out: np.ndarray | None = None
 ) -> np.ndarray:
     """Kernel values (n, m) between scaled rows A (n, d) and B (m, d); in `out`, if it is given."""
-    values = KERNELS[kernel].function(squared_distances(A, B, out))
+    values = KERNELS[kernel](squared_distances(A, B, out))
     if out is None or values is out:
         return values
     out[:] = values
@@ -130,21 +108,12 @@ def rounding(Z):
     return max(1e-13, 4 * np.finfo(float).eps * largest)
 
 
-class LowRankFactor(NamedTuple):
-    """``kernel_matrix(Z, Z) ~ rows @ rows.T``, exact on the pivot rows."""
-
-    rows: np.ndarray  # (n, rank)
-    pivots: np.ndarray  # (rank,)
-    residual: float  # largest diagonal entry of what the factor leaves
-    tol: float  # the tolerance that was aimed at
-
-    @property
-    def complete(self):
-        return self.residual <= self.tol
-
-
 def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_size=96):
     """Low-rank factor of a positive definite kernel matrix by blocked, diagonally pivoted Cholesky.
+
+    Returns rows (n, rank) with ``kernel_matrix(Z, Z) ~ rows @ rows.T``, exact on the pivot rows;
+    the pivots (rank,); the largest diagonal entry of what is left; and whether that is as little as
+    was aimed at.
 
     Each round looks at the `block_size` rows of Z (n, d) that the factor explains least, takes
     those of them that the others do not explain, and updates with matrix products: several times as
@@ -172,7 +141,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
     while rank < max_rank:
         if resolve is not None and rank >= resolve:
             tol, resolve = min(aim, max(1e-5 * diagonal.max(), least)), None
-        top = largest(diagonal, min(n, block_size))
+        top = _largest(diagonal, min(n, block_size))
         top = top[diagonal[top] > tol]
         if not len(top):
             break
@@ -202,10 +171,10 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
         diagonal[pivots[:need]] = 0.0
         rank = need
     residual = float(max(diagonal.max(), 0.0))
-    return LowRankFactor(factor[:rank].T, pivots[:rank].copy(), residual, tol)
+    return factor[:rank].T, pivots[:rank].copy(), residual, residual <= tol
 
 
-def largest(values, size):
+def _largest(values, size):
     """Indices of the `size` largest values, largest first, the lower index first among equals."""
     if size == 0:
         return np.empty(0, dtype=int)

@@ -1,32 +1,12 @@
 """Penalised least squares on nested subsets, from one QR of the true columns."""
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
 # Columns that a triangular factorisation works on together; 16 and 64 were slower by a tenth.
 _PANEL = 32
-
-
-class NestedFits(NamedTuple):
-    """Fits with the first 0, 1, ... k members: row m has m of them."""
-
-    rss: np.ndarray  # (k + 1, n_outputs) sum of squared residuals
-    objective: np.ndarray  # (k + 1, n_outputs) the same with the penalty
-    dof: np.ndarray  # (k + 1, n_outputs) trace of the smoother, tail included
-    rows: np.ndarray  # (<= p + k, p + k) triangular factor of the rows alone, tail columns first
-    triangles: list  # of (p + k, p + k) for each output, with its penalty
-    rotated: np.ndarray  # (p + k, n_outputs) targets in their coordinates
-
-    def coefficients(self, m):
-        """Weights of the tail and of the first m members, (p + m, n_outputs)."""
-        size = len(self.rotated) - len(self.dof) + 1 + m
-        solution = self.rotated[:size].copy()
-        for i, R in enumerate(self.triangles if size else ()):
-            solution[:, i] = solve_triangular(R[:size, :size], solution[:, i], check_finite=False)
-        return solution
 
 
 def triangular_factor(rows):
@@ -45,11 +25,6 @@ def _stacked(upper, lower, n_triangular):
     """
     block = min(_PANEL, len(upper))
     return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
-
-
-def beside_centers(columns, block):
-    """The tail, the centres' columns and the targets on some rows, side by side."""
-    return np.hstack([block.tail, columns(block), block.targets])
 
 
 def stack_triangles(upper, lower):
@@ -79,6 +54,10 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None)
     its rows. The penalty's matrix is ``penalty_root.T @ penalty_root`` (k, k) times `alphas` (q,).
     `within` (q,) is what merging repeated rows took out, `tail_dof` the effective number of the
     tail's columns.
+
+    Returns of the first 0, 1, ... k members the sum of squared residuals, the same with the
+    penalty, and the trace of the smoother, tail included, (k + 1, q); and for `first_weights` the
+    targets in the coordinates of the columns (p + k, q) and a triangle for each output.
     """
     q, p, k = len(alphas), n_tail, penalty_root.shape[1]
     columns, targets = R[: p + k, : p + k], R[:, p + k :]
@@ -108,7 +87,15 @@ def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None)
             triangles[i] = triangle
     # A difference of large numbers: the objective is never below its own first part.
     objective = np.maximum(objective, rss)
-    return NestedFits(rss + within, objective + within, dof, columns, triangles, rotated)
+    return rss + within, objective + within, dof, rotated, triangles
+
+
+def first_weights(rotated, triangles, size):
+    """Weights (size, q) of the first columns, the tail's and some members', see above."""
+    solution = rotated[:size].copy()
+    for i, R in enumerate(triangles if size else ()):
+        solution[:, i] = solve_triangular(R[:size, :size], solution[:, i], check_finite=False)
+    return solution
 
 
 def penalise(rows, n_tail, penalty_root, alpha):

@@ -12,20 +12,17 @@ References
    2006, sections 5.4 and 8.3.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
-from sklearn_raacmm.network._linear import without_constants
-from sklearn_raacmm.utils import group_sums
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
 LEAST_RIDGE = 1e-9
-# Outputs from which one eigenvector decomposition (9 n^3) is cheaper than n^3 for each of them.
-MANY_OUTPUTS = 8
 TINY = np.finfo(float).tiny
 
 
@@ -70,27 +67,21 @@ class Data(NamedTuple):
         rows[-1] = random_state.permutation(rows[-1])[: size - sum(map(len, rows[:-1]))]
         return np.sort(np.concatenate(rows))
 
-    def whiten(self, columns, ratio):
-        """Columns times root weights, without groups' constants: a symmetric matrix's product."""
-        if self.codes is None or not ratio:
-            return columns
-        root = np.sqrt(self.weights)[:, None]
-        return root * without_constants(columns / root, self.codes, self.weights, ratio)
+    def noise(self, ratio):
+        """Covariance (n, n) of the noise, times root weights: 1, and r within groups."""
+        matrix = np.eye(len(self.X))
+        if self.codes is not None and ratio:
+            root = np.sqrt(ratio * self.weights)
+            for rows in self.groups:
+                matrix[rows, rows] += np.outer(root[rows], root[rows])
+        return matrix
 
-    def log_det(self, ratio):
-        """Logarithm of the determinant of this matrix, times -2."""
-        if self.codes is None or not ratio:
-            return 0.0
-        return np.log1p(ratio * np.bincount(self.codes, self.weights)).sum()
-
-
-class Likelihood(NamedTuple):
-    """Value and gradient; gradients are by (log_width, log_alpha, log_ratio), (d + q + 1,)."""
-
-    value: float  # negative log marginal likelihood, up to a constant
-    gradient: np.ndarray
-    signal: np.ndarray  # (q,) signal variance of every output
-    signal_gradient: np.ndarray  # (q, d + q + 1)
+    @property
+    def groups(self):
+        """Slices of the rows that are left out together."""
+        codes = np.arange(len(self.X)) if self.codes is None else self.codes
+        ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
+        return [slice(*pair) for pair in pairwise(ends)]
 
 
 def log_likelihood(data, value):
@@ -100,11 +91,10 @@ def log_likelihood(data, value):
     return -value - data.Y.shape[1] * constant
 
 
-def noise_likelihood(data, ratio=0.0):
+def noise_likelihood(data):
     """Negative log marginal likelihood where all is noise: the limit of an infinite ridge."""
-    total = np.square(data.whiten(data.targets, ratio)).sum(axis=0) + data.within
-    value = data.n_total * np.log(np.maximum(total, TINY)) + data.log_det(ratio)
-    return 0.5 * value.sum()
+    total = np.square(data.targets).sum(axis=0) + data.within
+    return 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
 
 
 def noise_density(data):
@@ -114,141 +104,98 @@ def noise_density(data):
     return 0.5 * (np.sum(square / variance) + len(data.X) * np.sum(np.log(variance)))
 
 
-def covariance(data, kernel, log_width, ratio=0.0):
-    """Kernel matrix of the whitened rows, and its derivative by squared distances, not whitened."""
+def covariance(data, kernel, log_width):
+    """Kernel matrix, its derivative by squared distances, and the scaled rows.
+
+    Both matrices are times the root of the weights from both sides.
+    """
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
-    K, slope = KERNELS[kernel].with_slope(squared_distances(Xs, Xs))
+    K, slope = KERNELS[kernel](squared_distances(Xs, Xs), slope=True)
     for matrix in (K, slope) if np.any(root != 1.0) else ():
         matrix *= root[:, None]
         matrix *= root
-    return data.whiten(data.whiten(K, ratio).T, ratio), slope, Xs
+    return K, slope, Xs
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Negative log marginal likelihood of the process, with its gradient.
+    """Negative log marginal likelihood of the process, up to a constant, with its gradient.
 
     The logarithms are of widths (d,) and ridges (q,); `ratio` is the variance of groups' constants
-    over that of the noise.
+    over that of the noise. Returns the value; its gradient by log_width, log_alpha and the
+    logarithm of the ratio, (d + q + 1,); the signal variance (q,) of every output; and the gradient
+    of that, (q, d + q + 1).
     """
-    n, n_total, within = len(data.X), data.n_total, data.within
-    if ratio and len(log_alpha) > 1:
-        return _of_each_output(data, kernel, log_width, log_alpha, ratio)
-    alphas = np.exp(log_alpha)
-    Y = data.whiten(data.targets, ratio)
-    K, slope, Xs = covariance(data, kernel, log_width, ratio)
-    solved, log_det, trace, half = inverses(K, Y, alphas)
-    by_ratio, form_by_ratio = 0.0, np.zeros(len(alphas))
-    if data.codes is not None and ratio:
-        by_ratio, form_by_ratio = _of_constants(data, ratio, alphas, solved, half)
-        half = np.asfortranarray(data.whiten(data.whiten(half, ratio).T, ratio))
-    of_noise = within / alphas
-    quadratic = np.maximum((Y * solved).sum(axis=0) + of_noise, TINY)
-    value = log_det + (n_total - n) * log_alpha + n_total * np.log(quadratic)
-    value += data.log_det(ratio)
-    # Derivatives of the quadratic form: a'K'a, the weights a being the solution.
-    d_quadratic = -alphas * np.square(solved).sum(axis=0) - of_noise
-    d_alpha = 0.5 * (alphas * trace + n_total - n + n_total * d_quadratic / quadratic)
-    # Both are symmetric, and the half is in Fortran's order.
-    half *= slope.T
-    d_width = width_gradient(half, Xs)
-    weights = data.whiten(solved, ratio)
-    d_form = -np.array([rank_one_gradient(slope, a, Xs) for a in weights.T])
-    d_width += 0.5 * n_total * (d_form / quadratic[:, None]).sum(axis=0)
-    by_ratio += 0.5 * n_total * np.sum(form_by_ratio / quadratic)
-    return Likelihood(
-        0.5 * value.sum(),
-        np.concatenate([d_width, d_alpha, [by_ratio]]),
-        quadratic / n_total,
-        np.hstack([d_form, np.diag(d_quadratic), form_by_ratio[:, None]]) / n_total,
-    )
+    (n, d), q = data.X.shape, len(log_alpha)
+    n_total, Y, noise = data.n_total, data.targets, data.noise(ratio)
+    K, slope, Xs = covariance(data, kernel, log_width)
+    value, gradient, signal = 0.0, np.zeros(d + q + 1), np.empty(q)
+    by_theta = np.zeros((q, d + q + 1))
+    for i, alpha in enumerate(np.exp(log_alpha)):
+        solved, log_det, half = solve_and_invert(K + alpha * noise, Y[:, i])
+        of_noise = data.within[i] / alpha
+        quadratic = max(Y[:, i] @ solved + of_noise, TINY)
+        value += log_det + (n_total - n) * log_alpha[i] + n_total * np.log(quadratic)
+        # Traces of the inverse, which is the half and its transpose, times parts of the noise.
+        trace, square, alone = 2 * np.vdot(half, noise), solved @ noise @ solved, solved @ solved
+        gradient[d + i] = 0.5 * (alpha * trace + n_total - n)
+        gradient[-1] += 0.5 * alpha * (trace - 2 * np.trace(half))
+        by_theta[i, d + i] = -alpha * square - of_noise
+        by_theta[i, -1] = -alpha * (square - alone)
+        half *= slope.T  # symmetric, and the half is in Fortran's order
+        gradient[:d] += width_gradient(half, Xs)
+        # Of the quadratic form: a'K'a, the weights a being the solution.
+        by_theta[i, :d] = -rank_one_gradient(slope, solved, Xs)
+        gradient += 0.5 * n_total * by_theta[i] / quadratic
+        signal[i] = quadratic / n_total
+    return 0.5 * value, gradient, signal, by_theta / n_total
 
 
-def _of_constants(data, ratio, alphas, solved, half):
-    """Derivatives by the logarithm of `ratio`: of half the log determinant, and of the form."""
-    total = np.bincount(data.codes, data.weights)
-    # The constants' columns, whitened.
-    along = np.sqrt(data.weights) / np.sqrt(1 + ratio * total)[data.codes]
-    inside = group_sums(half, data.codes, along).T
-    inside = group_sums(inside, data.codes, along)
-    trace = 2 * np.trace(inside)  # the inverse is the half and its transpose
-    forms = -ratio * alphas * np.square(group_sums(solved, data.codes, along)).sum(axis=0)
-    return 0.5 * ratio * alphas[0] * trace, forms
+def solve_and_invert(C, y):
+    """Solve C x = y of a symmetric C, with the log determinant.
 
-
-def _of_each_output(data, kernel, log_width, log_alpha, ratio):
-    """The likelihood of several outputs with constants as the sum of one of each."""
-    d, q = data.X.shape[1], len(log_alpha)
-    gradient, signal, by_theta = np.zeros(d + q + 1), np.empty(q), np.zeros((q, d + q + 1))
-    value = 0.0
-    for i in range(q):
-        own = data._replace(Y=data.Y[:, i : i + 1], within=data.within[i : i + 1])
-        found = exact_likelihood(own, kernel, log_width, log_alpha[i : i + 1], ratio)
-        at = np.append(np.arange(d), [d + i, d + q])
-        value, signal[i] = value + found.value, found.signal[0]
-        gradient[at] += found.gradient
-        by_theta[i, at] = found.signal_gradient[0]
-    return Likelihood(value, gradient, signal, by_theta)
-
-
-def inverses(K, Y, alphas):
-    """Solve with every K + alpha_i I, K (n, n) and Y (n, q).
-
-    Returns the solutions (n, q); of each matrix the log determinant and the trace of the inverse,
-    (q,); and a matrix (n, n) in Fortran's order that with its transpose is the sum of the inverses.
+    The third is a matrix (n, n) in Fortran's order that with its transpose is the inverse.
     """
-    n, q = Y.shape
-    if alphas.min() < LEAST_RIDGE or q >= MANY_OUTPUTS:
-        values, vectors = np.linalg.eigh(K)
-        inverses = 1 / (np.maximum(values, 0.0)[:, None] + alphas)
-        solved = vectors @ (inverses * (vectors.T @ Y))
-        half = (vectors @ (0.5 * vectors * inverses.sum(axis=1)).T).T
-        return solved, -np.log(inverses).sum(axis=0), inverses.sum(axis=0), half
-    solved, log_det, trace = np.empty((n, q)), np.empty(q), np.empty(q)
-    half = np.empty((n, n), order="F")
-    for i, alpha in enumerate(alphas):
-        C = K.T.copy(order="F")
-        C[np.diag_indices(n)] += alpha
-        factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
-        if failed:
-            raise LinAlgError("kernel matrix is not positive definite to working precision")
-        log_det[i] = 2 * np.log(factor.diagonal()).sum()
-        solved[:, i] = lapack.dpotrs(factor, Y[:, i], lower=1)[0]
-        factor[:] = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        one = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # its lower triangle
-        trace[i] = np.trace(one)
-        half = np.add(half, one, out=half) if i else one
-    half[np.diag_indices(n)] *= 0.5
-    return solved, log_det, trace, half
+    factor, failed = lapack.dpotrf(C.T, lower=1, clean=1)
+    if failed:
+        raise LinAlgError("kernel matrix is not positive definite to working precision")
+    log_det = 2 * np.log(factor.diagonal()).sum()
+    solved = lapack.dpotrs(factor, y, lower=1)[0]
+    factor = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
+    half = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]  # the lower triangle of the inverse
+    half[np.diag_indices(len(C))] *= 0.5
+    return solved, log_det, half
 
 
-class LeaveOneOut(NamedTuple):
-    """What the process predicts for every row from all others."""
-
-    squared_error: float  # weighted sum of squares, over rows and outputs
-    negative_log_density: float  # of the targets, summed, up to a constant
-
-
-def leave_one_out(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Leave-one-out predictions in closed form (section 5.4.2 of the reference)."""
-    return left_out(data, covariance(data, kernel, log_width, ratio)[0], np.exp(log_alpha), ratio)
+def leave_out(data, kernel, log_width, log_alpha, ratio=0.0):
+    """Predictions of what is left out in closed form (section 5.4.2 of the reference)."""
+    return left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
 
 
 def left_out(data, K, alphas, ratio=0.0):
-    """The same, of a kernel matrix of whitened rows."""
-    Y = data.whiten(data.targets, ratio)
-    error, density = 0.0, 0.0
-    for i, alpha in enumerate(alphas):
-        y, one = Y[:, i : i + 1], alphas[i : i + 1]
-        solved, _, _, half = inverses(K, y, one)
-        signal = ((y * solved).sum() + data.within[i] / alpha) / data.n_total
-        if data.codes is not None and ratio:
-            half = data.whiten(data.whiten(half + half.T, ratio).T, ratio) / 2
-        share = 2 * half.diagonal()
-        residual = data.whiten(solved, ratio)[:, 0] / share
-        variance = np.maximum(signal / share, TINY)
-        error += np.sum(np.square(residual))
-        density += 0.5 * np.sum(np.square(residual) / variance + np.log(variance))
-    return LeaveOneOut(error, density)
+    """The same, of a kernel matrix.
+
+    Left out is every row in turn, or every group of rows whose targets have a common constant: rows
+    of one group are no judges of each other. Returns the weighted sum of squared errors, over rows
+    and outputs, and the negative logarithm of the density of the targets, up to a constant.
+    """
+    error, density, n, noise = 0.0, 0.0, len(K), data.noise(ratio)
+    for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):
+        solved, _, half = solve_and_invert(K + alpha * noise, y)
+        signal = max((y @ solved + within / alpha) / data.n_total, TINY)
+        if data.codes is None:
+            share = 2 * half.diagonal()
+            square, log_det = np.sum(np.square(solved) / share), np.log(share).sum()
+            error += np.sum(np.square(solved / share))
+        else:
+            square = log_det = 0.0
+            for rows in data.groups:
+                root = np.linalg.cholesky(half[rows, rows] + half[rows, rows].T)
+                along = np.linalg.solve(root, solved[rows])
+                square += along @ along
+                log_det += 2 * np.log(root.diagonal()).sum()
+                error += np.square(np.linalg.solve(root.T, along)).sum()
+        density += 0.5 * (square / signal - log_det + n * np.log(signal))
+    return error, density
 
 
 def width_gradient(G, A):

@@ -68,16 +68,12 @@ def without_constants(columns, codes, weights, ratio):
     return columns - (share[:, None] * group_means(columns, codes, weights))[codes]
 
 
-class LinearEvidence(NamedTuple):
-    """Evidence of a linear model whose coefficients have a ridge."""
-
-    ridge: float  # in units of an observation; 0 where there is nothing to be found
-    objective: float  # as `_objective` has it, without the price of features
-    value: float  # negative log likelihood, as `_likelihood` has it
-
-
 def linear_evidence(columns, targets, within, n_free, n_total):
     """Ridge of a linear model, the same for all features and outputs, by its likelihood.
+
+    Returns the ridge, in units of an observation, 0 where there is nothing to be found; the
+    objective as `_objective` has it, without the price of features; and the negative log likelihood
+    as `_likelihood` has it.
 
     The coefficients of an output have independent normal priors of one variance, the noise variance
     over the ridge; the noise variance is at its optimum for every output (MacKay, Neural Comput. 4,
@@ -88,7 +84,7 @@ def linear_evidence(columns, targets, within, n_free, n_total):
     `n_free` of `n_total` observations, less one where the mean was taken out: as many features as
     rows would otherwise have no ridge, whatever the noise.
     """
-    nothing = LinearEvidence(0.0, np.inf, np.inf)
+    nothing = 0.0, np.inf, np.inf
     if not columns.size:
         return nothing
     U, d, _ = np.linalg.svd(columns, full_matrices=False)
@@ -109,4 +105,4 @@ def linear_evidence(columns, targets, within, n_free, n_total):
 
     ridge = min(RIDGES, key=lambda ridge: sum(likelihood(ridge, n_free)))
     value, doubt = likelihood(ridge, n_total)
-    return LinearEvidence(ridge, value + doubt, value)
+    return ridge, value + doubt, value

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.optimize import minimize
 
-from sklearn_raacmm.network._likelihood import Data, exact_likelihood
+from sklearn_raacmm.network._likelihood import LEAST_RIDGE, Data, exact_likelihood
 from sklearn_raacmm.network._linear import DOUBT, SILENT
 
-ALPHA_BOUNDS = (1e-12, 1e6)
+ALPHA_BOUNDS = (LEAST_RIDGE, 1e6)
 # In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
 WIDTH_BOUNDS = (1e-2, 1e3)
 # Variance of groups' constants over that of an observation's noise: below, they are none; above,
@@ -29,11 +29,11 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 # Relative error of a standard deviation of the constants that is given.
 GIVEN_TO = 0.05
-# The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
-# inverse width at which further narrowness is penalised. The likelihood weighs the size of the data
+# The penalty: size of A; kappa, in standard errors of a slope; inverse width at which further
+# narrowness is penalised. The likelihood weighs the size of the data
 # by itself; what it does not know is from how many features one was picked. A price that grows with
 # the rows gave up a weak interaction (benchmarks/bench_noise.py).
-PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 0.3
+PRICE, KAPPA, NARROW = 0.9, 2.0, 0.3
 
 
 class Task(NamedTuple):
@@ -98,31 +98,24 @@ class Task(NamedTuple):
         return np.concatenate([by_width[: self.n_widths], by_alpha, by_ratio])
 
 
-class End(NamedTuple):
-    """Where a search has ended."""
-
-    kernel: str
-    task: Task
-    theta: np.ndarray
-    value: float  # objective, nats
-
-
-def objective(task, theta, data, kernel, kappa=KAPPA):
+def objective(task, theta, data, kernel):
     """Negative log likelihood with the penalty, in nats, and its gradient by theta."""
     log_width, log_alpha, ratio = task.unpack(theta)
     try:
-        found = exact_likelihood(data, kernel, log_width, log_alpha, ratio)
+        value, gradient, signals, of_signals = exact_likelihood(
+            data, kernel, log_width, log_alpha, ratio
+        )
     except LinAlgError:
         return np.inf, np.zeros(len(theta))
-    gradient = task.reduce(found.gradient)
-    of_signal = np.array([task.reduce(row) for row in found.signal_gradient])
+    gradient = task.reduce(gradient)
+    of_signals = np.array([task.reduce(row) for row in of_signals])
     # The signal variance in units of an output's variance, on average over outputs.
-    signal, widths = found.signal.mean(), theta[: task.n_widths]
-    penalty, of_penalty = _penalty(widths, signal, of_signal.mean(axis=0), data.n_total, kappa)
-    value, alphas = found.value + penalty, slice(task.n_widths, task.n_widths + task.n_alphas)
+    widths, alphas = theta[: task.n_widths], slice(task.n_widths, task.n_widths + task.n_alphas)
+    penalty, of_penalty = _penalty(widths, signals.mean(), of_signals.mean(axis=0), data.n_total)
+    value += penalty
     gradient += of_penalty
-    noise = found.signal * np.exp(log_alpha)
-    of_log_noise = of_signal / found.signal[:, None]
+    noise = signals * np.exp(log_alpha)
+    of_log_noise = of_signals / signals[:, None]
     of_log_noise[:, alphas] += np.eye(len(noise))[:, : task.n_alphas]
     if task.n_alphas:
         # Noise below a part of the targets' variance has to be shown.
@@ -137,10 +130,10 @@ def objective(task, theta, data, kernel, kappa=KAPPA):
     return value, gradient
 
 
-def _penalty(log_width, signal, of_signal, n_total, kappa):
+def _penalty(log_width, signal, of_signal, n_total):
     rho2 = np.exp(-2 * log_width)
     price = PRICE * np.log1p(len(log_width))
-    floor = kappa**2 / n_total
+    floor = KAPPA**2 / n_total
     slope = signal * rho2
     used = slope / (slope + floor)  # of every feature, between 0 and 1
     narrow = rho2 / NARROW**2
@@ -151,29 +144,22 @@ def _penalty(log_width, signal, of_signal, n_total, kappa):
     return value, gradient
 
 
-def used_share(end, data):
-    """How far every free width is paid for, between 0 (no slope) and 1, (n_widths,)."""
-    signal = exact_likelihood(data, end.kernel, *end.task.unpack(end.theta)).signal
-    slope = signal.mean() * np.exp(-2 * end.theta[: end.task.n_widths])
-    return slope / (slope + KAPPA**2 / data.n_total)
-
-
-def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA, nats=None):
-    """Search from a start to about so many nats; never worse than it."""
+def minimise(task, theta, data: Data, kernel, steps):
+    """Search from a start; returns where it ends, never worse, and the objective there, nats."""
     unit = data.n_total * data.Y.shape[1]
     # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
     # cost of a step allows.
-    nats = nats or np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
+    nats = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
 
     def per_observation(theta):
-        value, gradient = objective(task, theta, data, kernel, kappa)
+        value, gradient = objective(task, theta, data, kernel)
         return value / unit, gradient / unit
 
     theta = np.clip(theta, *task.bounds.T)
     if not len(theta):
-        return End(kernel, task, theta, per_observation(theta)[0] * unit)
+        return theta, per_observation(theta)[0] * unit
     options = {"maxiter": steps, "ftol": nats / unit}
     found = minimize(
         per_observation, theta, method="L-BFGS-B", jac=True, bounds=task.bounds, options=options
     )
-    return End(kernel, task, found.x, found.fun * unit)
+    return found.x, found.fun * unit

@@ -177,25 +177,21 @@ class Network:
         for alpha, (A, B) in self._roots.items():
             yield np.flatnonzero(self.alpha == alpha), A, B, K @ A.T, columns @ B.T
 
-    def predict(
-        self, X: np.ndarray, return_std: bool = False, with_noise: bool = True
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Mean (n, q) at rows (n, d), and if asked for standard deviation, with noise or not."""
-        n, k = len(X), len(self.centers)
-        mean = np.tile(self.polynomial[0], (n, 1))
-        if np.any(self.polynomial[1:]):
-            mean += X @ self.polynomial[1:]
-        variance = np.empty_like(mean)
-        size = _CHUNK_OF_STD if return_std and self.all_rows else _CHUNK
-        for part in chunks(n, size // max(k, 1)):
-            K = self.radial(X[part])
-            mean[part] += K @ self.coef
-            for of, _, _, inside, solved in self._seen(X[part], K) if return_std else ():
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        """Mean (n, q) at rows (n, d)."""
+        return predict_mean(pack([self]), X)
+
+    def std(self, X: np.ndarray, with_noise: bool = True) -> np.ndarray:
+        """Standard deviation (n, q) at rows (n, d), with noise or not."""
+        variance = np.empty((len(X), len(self.alpha)))
+        size = _CHUNK_OF_STD if self.all_rows else _CHUNK
+        for part in chunks(len(X), size // max(len(self.centers), 1)):
+            for of, _, _, inside, solved in self._seen(X[part], self.radial(X[part])):
                 outside = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
                 of_weights = np.square(solved).sum(axis=1) + float(with_noise)
                 variance[part, of] = np.outer(outside, self.signal_variance[of])
                 variance[part, of] += np.outer(of_weights, self.noise_variance[of])
-        return mean, np.sqrt(variance) if return_std else None
+        return np.sqrt(variance)
 
     def covariance(self, X: np.ndarray, with_noise: bool = True) -> np.ndarray:
         """Covariance (n, n, q) of predictions at some rows, with noise on its diagonal or not."""
@@ -219,7 +215,7 @@ class Network:
         if not np.all(np.isfinite(self.noise_variance)):
             raise ValueError("The noise variance is infinite: there is nothing to draw from.")
         covariance = self.covariance(X, with_noise=False)
-        mean = self.predict(X)[0]
+        mean = self.predict(X)
         draws = np.empty((*mean.shape, n_samples))
         for i in range(mean.shape[1]):
             values, vectors = np.linalg.eigh(covariance[:, :, i])
@@ -241,9 +237,8 @@ class Network:
         found = np.empty_like(of_mean)
         for part in chunks(n, _CHUNK // max(k, 1)):
             Z = self.scaled(X[part])
-            K, slope = KERNELS[self.kernel].with_slope(
-                squared_distances(Z, self._scaled_centers[1])
-            )
+            s = squared_distances(Z, self._scaled_centers[1])
+            K, slope = KERNELS[self.kernel](s, slope=True)
             for i in range(q):
                 of_mean[part, i] = self.polynomial[1:, i] + self._along(Z, slope * self.coef[:, i])
             if of_variance:
@@ -268,6 +263,58 @@ class Network:
                 found[:, i] = self._along(Z, by_kernel * slope)
                 found[:, i] += by_columns[:, :p] @ self.tail_map[:, 1:]
         return found
+
+
+def pack(networks):
+    """What the means of some networks need, as few arrays.
+
+    Returns the middle of all centres; a matrix (k, 2 d + 1) whose product with (x^2, x, 1) are the
+    squared distances of a row x about the middle from the centres, each in its own widths; the
+    kernel of each run of centres; their weights (q, k); and the polynomial (1 + d, q). Outputs are
+    in the order of the networks' targets.
+    """
+    networks = sorted(networks, key=lambda network: network.kernel)
+    outputs = np.sort(np.concatenate([network.outputs for network in networks]))
+    centers = np.concatenate([network.centers for network in networks])
+    shift = centers.mean(axis=0) if len(centers) else np.zeros(centers.shape[1])
+    sizes = [len(network.centers) for network in networks]
+    inverse = np.repeat([1 / network.length_scale for network in networks], sizes, axis=0)
+    Z = (centers - shift) * inverse
+    by_row = np.hstack([inverse**2, -2 * Z * inverse, np.square(Z).sum(axis=1, keepdims=True)])
+    coef = np.zeros((len(outputs), len(centers)))
+    polynomial = np.empty((1 + centers.shape[1], len(outputs)))
+    kernels: dict[str, slice] = {}
+    end = 0
+    for network, size in zip(networks, sizes, strict=True):
+        own, start, end = np.searchsorted(outputs, network.outputs), end, end + size
+        coef[own, start:end], polynomial[:, own] = network.coef.T, network.polynomial
+        kernels[network.kernel] = slice(kernels.get(network.kernel, slice(start, 0)).start, end)
+    return shift, by_row, tuple(kernels.items()), coef, polynomial
+
+
+def predict_mean(packed, X):
+    """Means (n, q) of packed networks at rows (n, d)."""
+    shift, by_row, kernels, coef, polynomial = packed
+    mean = np.empty((len(X), len(coef)))
+    mean[:] = polynomial[0]
+    if np.any(polynomial[1:]):
+        mean += X @ polynomial[1:]
+    d, k = X.shape[1], coef.shape[1]
+    size = _CHUNK // max(k, 1)
+    columns, room = np.ones((2 * d + 1, 0)), np.empty((k, 0))
+    for part in chunks(len(X), size) if k else ():
+        rows = X[part]
+        if columns.shape[1] != len(rows):
+            columns, room = np.ones((2 * d + 1, len(rows))), np.empty((k, len(rows)))
+        np.subtract(rows.T, shift[:, None], out=columns[d:-1])
+        np.square(columns[d:-1], out=columns[:d])
+        s = np.matmul(by_row, columns, out=room)
+        for kernel, own in kernels:
+            values = KERNELS[kernel](s[own])
+            if values.base is not room:
+                s[own] = values
+        mean[part] += (coef @ s).T
+    return mean
 
 
 def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):

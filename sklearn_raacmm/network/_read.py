@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sklearn_raacmm.network._blocks import ArrayChunks, chunked_problem, dask_chunks, is_dask
+from sklearn_raacmm.network._blocks import ArrayChunks, dask_chunks, draw_rows, is_dask
 from sklearn_raacmm.network._kernels import KERNELS
-from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
     LARGEST,
     are_deviations,
@@ -25,16 +25,14 @@ _MAX_SPREADS = 3e6
 _MAX_WIDTH = 1e7
 
 
-def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
-    """The data, checked: in memory, or in blocks where they are many or elsewhere.
+def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
+    """The data, checked, as distinct rows; a sample of them where they are many or elsewhere.
 
     Notes on the estimator the number of features, and as `_flat` whether y has one dimension.
     `labelled` says whether groups have constants; None: where their mean targets are small. `rng`
-    draws the rows that may become centres.
+    draws the rows that may become centres. Returns the rows; and of a sample the chunks of all
+    rows, their number and weight, otherwise None.
     """
-    # A linear part that the data have to ask for is added once they have.
-    degree = 0 if estimator.degree == "auto" else estimator.degree
-    ridged = isinstance(estimator.alpha, str)
 
     def in_blocks(chunks, n_features):
         if groups is not None:
@@ -42,7 +40,8 @@ def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
                 f"groups are for at most {IN_MEMORY_ROWS} rows, which are held in memory; there "
                 f"are {len(chunks)}."
             )
-        return chunked_problem(chunks, n_features, degree, HELD_ROWS, rng.randint(2**31), ridged)
+        n, weight, sample, complete = draw_rows(chunks, n_features, HELD_ROWS, rng.randint(2**31))
+        return sample, None if complete else (chunks, n, weight)
 
     if is_dask(X):
         chunks = dask_chunks(X, y, sample_weight)
@@ -63,7 +62,7 @@ def read_problem(estimator, X, y, sample_weight, groups, labelled, rng):
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if labelled is None and codes is not None:
         labelled = are_deviations(Y, codes, weights)
-    return prepare(merge(X, Y, weights, codes=codes if labelled else None), degree, ridged)
+    return merge(X, Y, weights, codes=codes if labelled else None), None
 
 
 def _refuse_tiny(name, array):

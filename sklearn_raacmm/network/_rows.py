@@ -13,11 +13,11 @@ is no constants, an infinite one takes the whole mean out.
 """
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg import qr, solve_triangular
 
 from sklearn_raacmm.network._linear import (
     Polynomial,
@@ -31,7 +31,6 @@ from sklearn_raacmm.utils import chunk_size, chunks
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
 SMALL_BLOCK, BLOCK = 2**19, 2**23
-_LATER = np.empty((0, 0))
 
 
 def block_rows(width):
@@ -59,65 +58,61 @@ class Block(NamedTuple):
         return columns
 
 
-class View(NamedTuple):
-    """Targets as a selection wants to see them: about the polynomial, in units of their spread."""
+class Rows(NamedTuple):
+    """Distinct rows in sorted order: of their groups, if there are any, and then of X."""
 
-    outputs: np.ndarray  # those that vary
-    projection: np.ndarray  # (p, q) to project the polynomial out
-    scale: np.ndarray  # (q,) by which they are divided
-    within: np.ndarray  # (q,) sum of squares in these units that no model can explain
-    total: np.ndarray  # (q,) sum of squares in these units, without the former
+    X: np.ndarray  # (n, d)
+    Y: np.ndarray  # (n, q) weighted mean targets
+    first: np.ndarray  # (n,) where each was first seen
+    weights: np.ndarray  # (n,) summed
+    within: np.ndarray  # (n, q) weighted sum of squares of the targets about these means
+    observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
+    codes: np.ndarray | None = None  # (n,) group of each row, from 0, where groups have constants
 
-    def of(self, block):
-        """Orthonormal basis of the polynomial, and targets."""
-        targets = block.targets[:, self.outputs]
-        return block.basis, (targets - block.basis @ self.projection) / self.scale
+    def some(self, kept: np.ndarray) -> Self:
+        """Some of them."""
+        codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
+        return Rows(*(array[kept] for array in self[:6]), codes)
+
+    def of_outputs(self, outputs: np.ndarray) -> Self:
+        """The same rows with some of the outputs."""
+        # In the order of memory that they have where these outputs are all there are.
+        Y, within = (np.ascontiguousarray(a[:, outputs]) for a in (self.Y, self.within))
+        return self._replace(Y=Y, within=within)
 
 
 class Problem(NamedTuple):
-    """Distinct rows in sorted order, with everything multiplied by the root of its weight."""
+    """A polynomial and targets at distinct rows, all times the root of the rows' weights."""
 
-    X: np.ndarray  # (n, d) rows as given
-    Y: np.ndarray  # (n, q) mean targets
-    first: np.ndarray  # (n,) where each was first seen
+    rows: Rows
     root: np.ndarray  # (n, 1) root of the weights, in units of `unit`
     unit: float  # mean weight of an observation
     n_total: float  # number of observations, the sum of the weights in these units
     within: np.ndarray  # (q,) sum of squares lost by taking means
-    codes: np.ndarray | None  # (n,) group of each row, sorted, where groups have constants
-    ratio: float = 0.0  # variance of these over that of an observation's noise
-    # What `with_tail` adds.
-    targets: np.ndarray = _LATER  # (n, q) targets times root
-    tail: np.ndarray = _LATER  # (n, p) polynomial times root
-    basis: np.ndarray = _LATER  # (n, p) orthonormal basis of it, together with `basis_rows`
-    polynomial: Polynomial = Polynomial(None, _LATER, _LATER)
-    projection: np.ndarray = _LATER  # (p, q) targets along the basis
-    spread: np.ndarray = _LATER  # (q,) root mean square of targets about the tail, 0 for a constant
-    tail_ridge: float = 0.0  # of the tail's linear part, in units of an observation
-    basis_rows: np.ndarray = _LATER  # (p - 1, p) the ridge as further rows of the basis, if any
-    tail_dof: float = 0.0  # effective number of the tail's columns
-    # Where not all rows are held: `_blocks._Elsewhere`, of which those above are a sample.
-    elsewhere: Any = None
-
-    def view(self) -> View:
-        """Targets that vary, about the polynomial and in units of their spread."""
-        outputs = np.flatnonzero(self.spread > 0)
-        scale = self.spread[outputs]
-        within = self.within[outputs] / scale**2
-        return View(outputs, self.projection[:, outputs], scale, within, self.n_total - within)
+    ratio: float  # variance of groups' constants over that of an observation's noise
+    polynomial: Polynomial
+    targets: np.ndarray  # (n, q) targets times root
+    tail: np.ndarray  # (n, p) polynomial times root
+    basis: np.ndarray  # (n, p) orthonormal basis of it, together with `basis_rows`
+    projection: np.ndarray  # (p, q) targets along the basis
+    spread: np.ndarray  # (q,) root mean square of targets about the tail, 0 for a constant
+    tail_ridge: float  # of the tail's linear part, in units of an observation
+    basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis, if any
+    tail_dof: float  # effective number of the tail's columns
+    # Where not all rows are held, of which those above are a sample: all of them, their number,
+    # which of their targets these are, and the triangular factor of the polynomial on them.
+    chunks: Any = None
+    n_elsewhere: int = 0
+    outputs: np.ndarray | None = None
+    tail_root: np.ndarray | None = None
 
     @property
     def n_rows(self) -> int:
-        return len(self.X) if self.elsewhere is None else self.elsewhere.n_rows
+        return len(self.root) if self.chunks is None else self.n_elsewhere
 
     @property
     def n_tail(self) -> int:
         return self.tail.shape[1]
-
-    @property
-    def tail_map(self) -> np.ndarray:
-        """From coefficients of the polynomial's columns to those of (1, x), (p, d + 1)."""
-        return self.polynomial.coefficients
 
     @property
     def tail_rows(self) -> np.ndarray:
@@ -125,92 +120,45 @@ class Problem(NamedTuple):
         return ridge_rows(self.n_tail, self.tail_ridge)
 
     @property
-    def sample(self) -> Self:
-        """Rows in memory that stand for all."""
-        return self if self.elsewhere is None else self.elsewhere.sample
+    def varying(self) -> np.ndarray:
+        """The targets' columns that are no constants."""
+        return np.flatnonzero(self.spread > 0)
 
-    def of_outputs(self, outputs: np.ndarray) -> Self:
-        """The same rows with some of the outputs."""
-        own = {name: getattr(self, name)[..., outputs] for name in ("within", "spread")}
-        wide = ("Y", "targets", "projection")
-        # In the order that they have where these outputs are all there are.
-        own |= {name: np.ascontiguousarray(getattr(self, name)[:, outputs]) for name in wide}
-        if self.elsewhere is not None:
-            own["elsewhere"] = self.elsewhere.of_outputs(outputs)
-        return self._replace(**own)
+    @property
+    def left_within(self) -> np.ndarray:
+        """What no model can explain of the targets that vary, in squares of their spreads."""
+        return self.within[self.varying] / self.spread[self.varying] ** 2
 
-    def with_tail(self, degree: int, ridged: bool = False, ratio: float | None = None) -> Self:
-        """The same rows with a polynomial of a degree, in place of the one they have.
-
-        If `ridged`, its linear part has a ridge, found by the likelihood.
-        """
-        if self.elsewhere is not None:
-            return self.elsewhere.with_tail(degree, ridged)
-        ratio = self.ratio if ratio is None else ratio
-        X, root, n_total = self.X, self.root, self.n_total
-        weights = root[:, 0] ** 2
-        polynomial = polynomial_of(X, weights, degree, ridged)
-
-        def weigh(columns):
-            return root * without_constants(columns, self.codes, weights, ratio)
-
-        tail, targets, ridge = weigh(polynomial.columns(X)), weigh(self.Y), 0.0
-        if ridged and degree == 1:
-            about = weigh(self.Y - np.average(self.Y, axis=0, weights=weights))
-            ridge = linear_evidence(tail[:, 1:], about, self.within, n_total - 1, n_total).ridge
-            if not ridge:
-                return self.with_tail(degree, ratio=ratio)
-        basis = basis_rows = tail
-        if tail.size:
-            stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
-            basis = qr(stacked, mode="economic", check_finite=False)[0]
-            basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
-        projection = basis.T @ targets
-        left = np.square(targets - basis @ projection).sum(axis=0)
-        if ridge:
-            left += np.square(basis_rows @ projection).sum(axis=0)
-        spread = np.sqrt((left + self.within) / n_total)
-        # What is left of a constant by rounding is not variation.
-        spread[spread <= 1e-13 * np.abs(self.Y).max(axis=0)] = 0.0
-        return self._replace(
-            ratio=ratio,
-            targets=targets,
-            tail=tail,
-            basis=basis,
-            polynomial=polynomial,
-            projection=projection,
-            spread=spread,
-            tail_ridge=ridge,
-            basis_rows=basis_rows,
-            tail_dof=float(np.square(basis).sum()) if ridge else tail.shape[1],
-        )
-
-    def some(self, rows: np.ndarray) -> Self:
-        """The problem of some rows, of which those left out say nothing."""
-        names = ("X", "Y", "first", "root")
-        arrays = {name: getattr(self, name)[rows] for name in names}
-        n_total = np.square(arrays["root"]).sum()
-        codes = None if self.codes is None else np.unique(self.codes[rows], return_inverse=True)[1]
-        share = n_total / self.n_total
-        bare = self._replace(**arrays, n_total=n_total, within=share * self.within, codes=codes)
-        degree = -1 if not self.n_tail else int(self.n_tail > 1)
-        return bare.with_tail(degree, bool(self.tail_ridge))
+    def about_tail(self, block: Block) -> np.ndarray:
+        """Targets that vary, about the polynomial and in units of their spread."""
+        of = self.varying
+        return (block.targets[:, of] - block.basis @ self.projection[:, of]) / self.spread[of]
 
     def block(self, part: slice) -> Block:
         """Some rows, of whole groups."""
-        codes = None if self.codes is None else self.codes[part] - self.codes[part][0]
-        rows = {name: getattr(self, name)[part] for name in ("X", "root", "tail", "basis")}
-        targets = self.targets[part]
-        return Block(**rows, targets=targets, part=part, codes=codes, ratio=self.ratio)
+        codes = self.rows.codes
+        codes = None if codes is None else codes[part] - codes[part][0]
+        held = (a[part] for a in (self.rows.X, self.root, self.tail, self.basis, self.targets))
+        return Block(*held, part, codes, self.ratio)
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.elsewhere is not None:
-            return self.elsewhere.reduce(function, combine, width)
-        parts = chunks(len(self.X), block_rows(width))
-        if self.codes is not None:
-            parts = _whole_groups(parts, self.codes)
+        if self.chunks is not None:
+            return self.chunks.reduce(partial(self._on_block, function), combine, width)
+        parts = chunks(len(self.root), block_rows(width))
+        if self.rows.codes is not None:
+            parts = _whole_groups(parts, self.rows.codes)
         return reduce(combine, (function(self.block(part)) for part in parts))
+
+    def _on_block(self, function, X, Y, weights, start):
+        """The function of rows that are not held."""
+        kept = weights > 0
+        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
+        tail = root * self.polynomial.columns(X)
+        basis = tail
+        if tail.size and self.tail_root is not None:
+            basis = solve_triangular(self.tail_root, tail.T, trans="T", check_finite=False).T
+        return function(Block(X, root, tail, basis, root * Y[kept][:, self.outputs], None))
 
 
 def _whole_groups(parts, codes):
@@ -221,18 +169,6 @@ def _whole_groups(parts, codes):
         if stop > start:
             yield slice(start, stop)
         start = max(start, stop)
-
-
-class Merged(NamedTuple):
-    """Distinct rows in sorted order: of their groups, if there are any, and then of X."""
-
-    X: np.ndarray  # (n, d)
-    first: np.ndarray  # (n,) where each was first seen
-    weights: np.ndarray  # (n,) summed
-    Y: np.ndarray  # (n, q) weighted means
-    within: np.ndarray  # (n, q) weighted sum of squares about them
-    observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
-    codes: np.ndarray | None = None  # (n,) group of each row, from 0
 
 
 def merge(X, Y, weights, within=None, count=None, codes=None):
@@ -270,14 +206,54 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
         observed = np.where(alike, 1.0, summed(count[kept]))
     if codes is not None:
         codes = np.unique(codes[kept][first], return_inverse=True)[1]  # without groups of weight 0
-    return Merged(distinct, kept[first], total, mean, within, observed, codes)
+    return Rows(distinct, mean, kept[first], total, within, observed, codes)
 
 
-def prepare(merged, degree, ridged=False):
-    """Set up the polynomial of merged rows, with a ridge for its linear part if `ridged`."""
-    X, first, weights, Y, within, count, codes = merged
-    unit = weights.sum() / count.sum()
-    weights, within = weights / unit, within.sum(axis=0) / unit
-    root = np.sqrt(weights)[:, None]
-    bare = Problem(X, Y, first, root, unit, count.sum(), within, codes)
-    return bare.with_tail(degree, ridged)
+def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -> Problem:
+    """Set up the polynomial of a degree at distinct rows.
+
+    If `ridged`, its linear part has a ridge, found by the likelihood. `ratio` is the variance of
+    groups' constants over that of the noise of an observation.
+    """
+    unit, n_total = rows.weights.sum() / rows.observed.sum(), rows.observed.sum()
+    weights, within = rows.weights / unit, rows.within.sum(axis=0) / unit
+    root, polynomial = np.sqrt(weights)[:, None], polynomial_of(rows.X, weights, degree, ridged)
+
+    def weigh(columns):
+        return root * without_constants(columns, rows.codes, weights, ratio)
+
+    tail, targets, ridge = weigh(polynomial.columns(rows.X)), weigh(rows.Y), 0.0
+    if ridged and degree == 1:
+        about = weigh(rows.Y - np.average(rows.Y, axis=0, weights=weights))
+        ridge = linear_evidence(tail[:, 1:], about, within, n_total - 1, n_total)[0]
+        if not ridge:
+            return prepare(rows, degree, ratio=ratio)
+    basis = basis_rows = tail
+    if tail.size:
+        stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
+        basis = qr(stacked, mode="economic", check_finite=False)[0]
+        basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
+    projection = basis.T @ targets
+    left = np.square(targets - basis @ projection).sum(axis=0) + within
+    if ridge:
+        left += np.square(basis_rows @ projection).sum(axis=0)
+    spread = np.sqrt(left / n_total)
+    # What is left of a constant by rounding is not variation.
+    spread[spread <= 1e-13 * np.abs(rows.Y).max(axis=0)] = 0.0
+    return Problem(
+        rows,
+        root,
+        unit,
+        n_total,
+        within,
+        ratio,
+        polynomial,
+        targets,
+        tail,
+        basis,
+        projection,
+        spread,
+        ridge,
+        basis_rows,
+        float(np.square(basis).sum()) if ridge else tail.shape[1],
+    )

@@ -15,39 +15,41 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import (
     Data,
+    covariance,
     exact_likelihood,
-    leave_one_out,
+    leave_out,
     left_out,
     log_likelihood,
     noise_density,
     noise_likelihood,
+    solve_and_invert,
 )
-from sklearn_raacmm.network._linear import linear_evidence, polynomial_of
+from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
 from sklearn_raacmm.network._objective import (
     ALPHA_BOUNDS,
-    LOOSE_KAPPA,
     WIDTH_BOUNDS,
     Task,
     minimise,
     objective,
-    used_share,
 )
 from sklearn_raacmm.utils import stage
 
 # Kernels that `kernel="auto"` chooses from.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 # Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
-# all: there the second would take as long as that costs (benchmarks/bench_cliffs.py).
+# all: there the second would take as long as that costs (benchmarks/bench_rows.py --cliffs).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
 # sqrt(d) spreads away; and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
+# Width from which on a start is that of a smooth function.
+WIDE = 0.7
+# Nats for each observation by which the start of a search may trail.
+HOPELESS = 0.3
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
@@ -58,18 +60,22 @@ TRAILING = 20.0
 # none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
 # than 2 % (benchmarks/bench_noise.py --margins).
 KERNEL_MARGIN = 10.0
-# Observations a feature below which one width for all features may be the better process, and
-# below which leave-one-out densities count in part: the widths have been chosen on the same rows.
-FEW, TRUSTED = 20, 10
+# And for each observation: rougher kernels take centres by the hundred, which 1 % of the error in
+# evidence and in what is left out, 0.02 nats, is not worth.
+KERNEL_MARGIN_OF_ROW = 0.02
+# Rows of a last stage, and its steps, where so many parameters a row show a rough function.
+FINE_ROWS, FINE_STEPS, ROUGH = 2000, 12, 0.25
+# Nats by which constants of groups have to lead, lest few groups seem to have them.
+CONSTANTS_MARGIN = 20.0
+# Observations a feature below which leave-one-out densities count in part: the widths have been
+# chosen on the same rows.
+TRUSTED = 10
 # Nats by which a linear model has to be better than what else was found, for being one candidate
 # more. On 45 simulated functions with 5 to 250 rows, 1 gained more on linear ones and lost up to
 # 7 % of the error on average over smooth ones with 8 to 12 rows, where 2 lost 1 %.
 LINEAR_MARGIN = 2.0
 # Variances of groups' constants over that of the noise that are tried beside a linear part.
 RATIOS = np.append(0.0, 4.0 ** np.arange(-6, 5))
-# Share of its price that a feature pays below which it is left out, if that costs at most so many
-# nats; ends of a loose search that are the same, and to how many nats they are found.
-UNUSED, NEGLIGIBLE, SAME, LOOSE = 0.01, 0.5, 0.5, 0.05
 # For a feature's spread: quantiles, and the multiple of their distance that is far outside of them.
 TENTHS, OUTLYING = (0.1, 0.9), 3.0
 
@@ -118,26 +124,42 @@ def search(
     task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
     sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
-    ends = _coarse(task, kernels, few)
+    first, *others = kernels
+    theta = _coarse(task, first, few)
+    if constants and constant_std is None:
+        # Constants explain what a function does between groups, too, and need not be there.
+        plain = task._replace(constants=False)
+        other = _coarse(plain, first, few)
+        lead = score(plain, first, other, few) - score(task, first, theta, few)
+        if lead < CONSTANTS_MARGIN:
+            task, theta = plain, other
+    ends = {first: theta}
+    ends |= {name: minimise(task, theta, few, name, COARSE_STEPS)[0] for name in others}
     if len(many.X) > len(few.X):
-        ends = _refine(ends, many)
-    end = min(ends, key=lambda end: score(end, many) + KERNEL_MARGIN * (end.kernel != kernels[0]))
-    found = _choose(end, many, may_be_linear)
-    if isinstance(found, Structure):
-        return found
-    end = _leave_out(found, many)
-    log_width, log_alpha, ratio = end.task.unpack(end.theta)
+        ends = _refine(task, ends, many)
+    scores = {name: score(task, name, theta, many) for name, theta in ends.items()}
+    margin = KERNEL_MARGIN + KERNEL_MARGIN_OF_ROW * many.n_total * q
+    kernel = min(scores, key=lambda name: scores[name] + margin * (name != kernels[0]))
+    theta = ends[kernel]
+    if task.n_alphas and task.n_widths:
+        simple = _simpler(task, kernel, theta, scores[kernel], many, may_be_linear)
+        if simple is not None:
+            return simple
+    if len(data.X) > len(many.X) and parameters(task, kernel, theta, many) > ROUGH * len(many.X):
+        more = data.rows(data.draw(FINE_ROWS, random_state))
+        theta = minimise(task, theta, more, kernel, FINE_STEPS)[0]
+    log_width, log_alpha, ratio = task.unpack(theta)
     width = np.exp(log_width)
-    narrow = end.task.n_widths and width < 1.01 * WIDTH_BOUNDS[0] * spread
-    value = exact_likelihood(many, end.kernel, log_width, log_alpha, ratio).value
+    narrow = task.n_widths and width < 1.01 * WIDTH_BOUNDS[0] * spread
+    value = exact_likelihood(many, kernel, log_width, log_alpha, ratio)[0]
     return Structure(
-        end.kernel,
+        kernel,
         width,
         np.exp(log_alpha),
         ratio,
         log_likelihood=log_likelihood(many, value),
         n_observations=many.n_total,
-        n_found=parameters_found(end.task, d),
+        n_found=parameters_found(task, d),
         at_bound=np.flatnonzero(narrow),
     )
 
@@ -160,145 +182,117 @@ def silent_widths(spread, used):
     return np.where(used, spread * np.sqrt(max(used.sum(), 1)), np.inf)
 
 
-def score(end, data):
+def score(task, kernel, theta, data):
     """Nats by which ends are compared: evidence, and leave-one-out density.
 
     Evidence alone believes a wrong process too long, leave-one-out predictions alone are noisy.
     """
-    value = objective(end.task, end.theta, data, end.kernel)[0]
-    return value + _left_out(end, data).negative_log_density if np.isfinite(value) else np.inf
+    value = objective(task, theta, data, kernel)[0]
+    if not np.isfinite(value):
+        return np.inf
+    return value + leave_out(data, kernel, *task.unpack(theta))[1]
 
 
-def _left_out(end, data):
-    return leave_one_out(data, end.kernel, *end.task.unpack(end.theta))
-
-
-def _coarse(task, kernels, data):
-    """One end for each kernel, from several starts on few rows."""
-    first = kernels[0]
+def _coarse(task, kernel, data):
+    """Where the search for one kernel ends, from several starts on few rows."""
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
-    starts.sort(key=lambda theta: objective(task, theta, data, first)[0])
-    # The likelihood may have several peaks: from the two best starts that differ in width.
-    second = [t for t in starts if task.n_widths and t[0] != starts[0][0]][:1]
-    found = [
-        minimise(task, t, data, first, COARSE_STEPS, kappa=LOOSE_KAPPA, nats=LOOSE)
-        for t in (starts[0], *second)
-    ]
-    if len(found) > 1 and abs(found[1].value - found[0].value) < SAME:
-        found = found[:1]
-    ends = [minimise(task, end.theta, data, first, COARSE_STEPS) for end in found]
-    if task.n_outputs > 1 and len(ends) > 1:
-        # The likelihood may give up one output for the others' sake; the error of prediction,
-        # averaged over outputs, does not.
-        ends.sort(key=lambda end: _left_out(end, data).squared_error)
-    else:
-        ends.sort(key=lambda end: end.value)
-    others = [minimise(task, ends[0].theta, data, k, COARSE_STEPS) for k in kernels[1:]]
-    return [ends[0], *others]
+    values = [objective(task, theta, data, kernel)[0] for theta in starts]
+    # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
+    # ones with more noise: what is left out decides, too.
+    middle = task.start(WIDE, 1.0)[:1] if task.n_widths else np.inf
+    limit = min(values) + HOPELESS * data.n_total * task.n_outputs
+    best = {}
+    for value, theta in sorted(zip(values, starts, strict=True), key=lambda pair: pair[0]):
+        if value <= limit:
+            best.setdefault(bool(theta[:1] < middle), theta)
+    ends = [minimise(task, start, data, kernel, COARSE_STEPS)[0] for start in best.values()]
+    return min(ends, key=lambda theta: score(task, kernel, theta, data)) if ends[1:] else ends[0]
 
 
-def _refine(ends, many):
+def _refine(task, ends, many):
     """The ends of the kernels that may be the best, on more rows."""
-    scores = [score(end, many) for end in ends] if len(ends) > 1 else [0.0]
-    refined = []
-    for end, value in zip(ends, scores, strict=True):
-        if value > min(scores) + TRAILING:
+    scores = {name: score(task, name, theta, many) for name, theta in ends.items()}
+    refined = {}
+    for name, theta in ends.items():
+        if scores[name] > min(scores.values()) + TRAILING:
             continue
-        theta, task = end.theta.copy(), end.task
         cap = np.log(REVIVED * np.sqrt(task.used.sum()))
-        theta[: task.n_widths] = np.minimum(theta[: task.n_widths], cap)
-        refined.append(minimise(task, theta, many, end.kernel, EXACT_STEPS))
+        start = theta.copy()
+        start[: task.n_widths] = np.minimum(start[: task.n_widths], cap)
+        refined[name] = minimise(task, start, many, name, EXACT_STEPS)[0]
     return refined
 
 
-def _choose(end, data, may_be_linear):
-    """The radial functions of an end, the better of them and one width; or a simpler structure."""
-    task, d = end.task, data.X.shape[1]
-    free = bool(task.n_alphas and task.n_widths)
-    value = score(end, data)
-    if free and task.n_widths > 1 and data.n_total < FEW * task.n_widths:
-        alike = _coarse(task._replace(isotropic=True), [end.kernel], data)[0]
-        if score(alike, data) < value:
-            end, task, value = alike, alike.task, score(alike, data)
-    if not free:
-        return end
-    noise = noise_likelihood(data)
+def parameters(task, kernel, theta, data):
+    """Effective number of parameters of a process, of the output that needs most of them."""
+    log_width, log_alpha, ratio = task.unpack(theta)
+    K, alpha = covariance(data, kernel, log_width)[0], np.exp(log_alpha.min())
+    half = solve_and_invert(K + alpha * data.noise(ratio), data.targets[:, 0])[2]
+    return len(K) - 2 * alpha * np.trace(half)
+
+
+def _simpler(task, kernel, theta, value, data, may_be_linear):
+    """Noise alone or a linear model, where that is better than radial functions; or None."""
+    d, q = data.X.shape[1], task.n_outputs
+    own, noise = objective(task, theta, data, kernel)[0], noise_likelihood(data)
     # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
-    is_noise = noise + noise_density(data) < value or noise < end.value
-    # A kernel that links no row to another is noise by another name.
-    is_noise = is_noise or _links_nothing(data.X, end)
+    is_noise = noise + noise_density(data) < value or noise < own
     silent = Structure(
-        end.kernel, silent_widths(task.spread, task.used), np.full(task.n_outputs, ALPHA_BOUNDS[1])
-    )
-    silent = silent._replace(n_observations=data.n_total)
+        kernel, silent_widths(task.spread, task.used), np.full(q, ALPHA_BOUNDS[1])
+    )._replace(n_observations=data.n_total)
     if may_be_linear:
-        other = noise if is_noise else end.value
-        density = noise_density(data) if is_noise else value - end.value
-        linear = _linear(data, other, density, None if is_noise else end)
+        other, density = (noise, noise_density(data)) if is_noise else (own, value - own)
+        log_width, log_alpha, ratio = task.unpack(theta)
+        error = 0.0
+        if not is_noise and log_alpha.min() < np.log(ALPHA_BOUNDS[0]) + 1:
+            # Where radial functions seem to have no noise at all, evidence is not to be trusted:
+            # then a linear part has to lead in the error of what is left out.
+            error = leave_out(data, kernel, log_width, log_alpha, ratio)[0]
+        linear = _linear(data, other, density, error)
         if linear is not None:
             ratio, evidence = linear
             # The ridge of the linear part is shared by all outputs. Ten rows of 20 features held
             # 74 % in the 95 % intervals where it alone counts, as if nothing had been chosen.
-            n_found = (1 + np.log1p(d) + task.constants) / task.n_outputs
+            n_found = (1 + np.log1p(d) + task.constants) / q
             value = log_likelihood(data, evidence)
             return silent._replace(ratio=ratio, linear=True, log_likelihood=value, n_found=n_found)
     if is_noise:
-        n_found = np.log1p(d) / task.n_outputs
-        return silent._replace(log_likelihood=log_likelihood(data, noise), n_found=n_found)
-    return end
+        value = log_likelihood(data, noise)
+        return silent._replace(log_likelihood=value, n_found=np.log1p(d) / q)
+    return None
 
 
-def _linear(data, value, density, end):
+def _linear(data, value, density, error):
     """Ratio and evidence of a linear model, where it is better than what else there is; or None.
 
-    It has to lead in evidence, and in evidence and leave-one-out density together. Where radial
-    functions are said to have no noise at all, evidence is not to be trusted: then it has to lead
-    in the error of what is left out.
+    It has to lead in evidence, and in evidence and leave-one-out density together; or in the
+    squared error of what is left out, where the others' `error` is to decide.
     """
     columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
     columns = np.sqrt(data.weights)[:, None] * columns
 
+    root, weights = np.sqrt(data.weights)[:, None], data.weights
+
     def at(ratio):
-        rows = data.whiten(columns, ratio), data.whiten(data.targets, ratio)
-        found = linear_evidence(*rows, data.within, data.n_total - 1, data.n_total)
-        extra = 0.5 * data.Y.shape[1] * data.log_det(ratio)
-        return found._replace(objective=found.objective + extra, value=found.value + extra)
+        whitened = (
+            root * without_constants(a / root, data.codes, weights, ratio)
+            for a in (columns, data.targets)
+        )
+        found = linear_evidence(*whitened, data.within, data.n_total - 1, data.n_total)
+        extra = 0.0
+        if ratio:
+            extra = np.log1p(ratio * np.bincount(data.codes, weights)).sum() * data.Y.shape[1] / 2
+        return found[1] + extra, float(ratio), found[0], found[2] + extra
 
-    ratio = min(RATIOS if data.codes is not None else RATIOS[:1], key=lambda r: at(r).objective)
-    found = at(ratio)
-    if not found.ridge:
+    goal, ratio, ridge, evidence = min(map(at, RATIOS if data.codes is not None else RATIOS[:1]))
+    if not ridge:
         return None
-    K = data.whiten(columns, ratio)
-    left = left_out(data, K @ K.T / found.ridge, np.ones(data.Y.shape[1]), ratio)
-    lead = value - found.objective
+    K = columns @ columns.T / ridge
+    own_error, own_density = left_out(data, K, np.ones(data.Y.shape[1]), ratio)
+    lead = value - goal
     share = min(1.0, data.n_total / (TRUSTED * data.X.shape[1]))
-    together = lead + share * (density - left.negative_log_density)
-    if min(lead, together) > LINEAR_MARGIN:
-        return float(ratio), found.value
-    if end is not None:
-        _, log_alpha, _ = end.task.unpack(end.theta)
-        floor = log_alpha.min() < np.log(ALPHA_BOUNDS[0]) + 1
-        if floor and left.squared_error < _left_out(end, data).squared_error:
-            return float(ratio), found.value
-    return None
-
-
-def _leave_out(end, data):
-    """Features whose slope cannot be told from 0 are left out: their width becomes infinite."""
-    task = end.task
-    if not task.n_widths or task.isotropic:
-        return end
-    # A feature in which the function is linear may be as wide, but has a slope.
-    out = used_share(end, data) < UNUSED
-    if not np.any(out) or np.all(out):
-        return end
-    used = task.used.copy()
-    used[np.flatnonzero(used)[out]] = False
-    kept = np.append(~out, np.ones(len(end.theta) - len(out), dtype=bool))
-    other = end._replace(task=task._replace(used=used), theta=end.theta[kept])
-    value = objective(other.task, other.theta, data, end.kernel)[0]
-    before = objective(task, end.theta, data, end.kernel)[0]
-    return end if value > before + NEGLIGIBLE else other._replace(value=value)
+    together = lead + share * (density - own_density)
+    return (ratio, evidence) if min(lead, together) > LINEAR_MARGIN or own_error < error else None
 
 
 def robust_spread(X, weights):
@@ -314,13 +308,3 @@ def robust_spread(X, weights):
     spread = np.sqrt(np.average((inside - mean) ** 2, axis=0, weights=weights))
     spread[spread <= 1e-13 * np.abs(inside).max(axis=0, initial=0.0)] = 0.0
     return spread
-
-
-def _links_nothing(X, end):
-    """Whether the kernel is all but 0 between most rows and their nearest neighbours."""
-    if len(X) < 2:
-        return False
-    Z = X * np.exp(-end.task.unpack(end.theta)[0])
-    some = Z[:: max(1, len(Z) // 1000)]
-    nearest = cKDTree(Z).query(some, k=2)[0][:, 1]
-    return bool(np.median(KERNELS[end.kernel].function(nearest**2)) < 1e-3)

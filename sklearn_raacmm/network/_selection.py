@@ -20,21 +20,15 @@ References
    basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 # Running squared lengths are differences: below this part of what they were, only half their digits
 # are left, and they are computed anew.
 STALE = 1e-7
-
-
-class Selection(NamedTuple):
-    """An ordered subset of candidates."""
-
-    indices: np.ndarray  # (k,)
-    reduction: np.ndarray  # (k, n_outputs), by how much each step lowered the objective
-    stop: str  # why it ended: "n_select", "enough" or "dependent"
+# Gains that differ by less than this part are equal to rounding: the first row wins.
+TIE = 1e-9
 
 
 def forward_selection(coordinates, target, resolution, n_select, *, units: Any = 1.0, enough=None):
@@ -68,7 +62,8 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
             stop = "dependent"
             break
         gains = np.square(correlations) / np.where(dependent, np.inf, norms)[:, None] / units
-        j = int(np.argmax(np.where(dependent, -1.0, gains.sum(axis=1))))
+        gain = np.where(dependent, -1.0, gains.sum(axis=1))
+        j = int(np.argmax(gain >= (1 - TIE) * gain.max()))
         if k == len(directions):
             directions = np.concatenate([directions, np.empty_like(directions)])
         u = coordinates[j].copy()
@@ -90,10 +85,10 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
             correlations[stale] = left @ target
         indices.append(j)
         reduction[k] = np.square(on_target)
-        if enough is not None and enough(reduction[: k + 1].sum(axis=0)):
+        if enough is not None and enough(k + 1, reduction[: k + 1].sum(axis=0)):
             stop = "enough"
             break
-    return Selection(np.array(indices, dtype=np.intp), reduction[: len(indices)], stop)
+    return np.array(indices, dtype=np.intp), reduction[: len(indices)], stop
 
 
 def _squared(rows):

@@ -26,7 +26,7 @@ def position_residuals(
     points : array-like of shape (n_points, 3)
         Probe points in mm, as the arm's forward kinematics gives them.
     groups : array-like of shape (n_points,)
-        Label of the position (the seat) each point belongs to: numbers or text.
+        Label of the position each point belongs to: numbers or text.
     sample_weight : array-like of shape (n_points,), default=None
         Weight of each point in the mean of its position; equal if None.
 
@@ -161,8 +161,7 @@ def direction_of(x, y):
 
 def to_cylindrical(vectors, direction):
     cos, sin = direction
-    x, y, z = vectors.T
-    return np.stack([x * cos + y * sin, y * cos - x * sin, z], axis=1)
+    return to_cartesian(vectors, (cos, -sin))  # the turn back
 
 
 def to_cartesian(vectors: np.ndarray, direction: Any) -> np.ndarray:

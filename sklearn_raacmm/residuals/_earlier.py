@@ -1,7 +1,7 @@
 """Earlier corrections of measuring arms, as chains from joint angles to residuals.
 
 Gao et al. (2020) name them. Their own papers were not at hand: this is the kind of model that each
-is named for, on the inputs of Gao et al. `benchmarks/compare_regressors.py` chooses the settings.
+is named for, on the inputs of Gao et al. `benchmarks/make_results.py` chooses the settings.
 """
 
 # Authors: The sklearn_raacmm developers

@@ -184,16 +184,14 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         """
         check_is_fitted(self)
         _check_feature_names_in(self, input_features)
-        return np.asarray(self._names(), dtype=object)
-
-    def _names(self):
         if self.joints == "all":
             names = [f"theta{i + 1}" for i in range(self.arm_.n_joints)]
         else:
             names = [f"theta{joint}" for joint in self.arm_.pose_joints] + ["theta_dis"]
         if self.encoding == "periodic":
             names = [f"{name}_{part}" for name in names for part in ("cos", "sin")]
-        return names + (["azimuth_cos", "azimuth_sin"] if self.append_azimuth else [])
+        names += ["azimuth_cos", "azimuth_sin"] if self.append_azimuth else []
+        return np.asarray(names, dtype=object)
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

@@ -45,7 +45,7 @@ from sklearn_raacmm.utils import (
     is_plain,
     one_warning,
     refuse_disguised,
-    say_findings,
+    report_findings,
     whole_fit,
 )
 
@@ -327,7 +327,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         weights, arm = np.ones(len(y)), self._arm()
         angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
         offsets = codes is not None and are_deviations(y, codes, weights)
-        say_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
+        report_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
 
     def _get_regressor(self):
         if isinstance(self.regressor, type):
@@ -367,7 +367,7 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
     dwells = find_dwells(rows, codes, copies_count=True)
     if not dwells.merges:
         return given
-    say_findings(dwells.findings())
+    report_findings(dwells.findings())
     merged = {
         name: dwells.mean(np.asarray(value))
         if np.ndim(value) and len(value) == len(rows)

@@ -1,9 +1,9 @@
-"""Shared by all wings: groups, input checks, files, and what scikit-learn keeps private."""
+"""Shared by all subpackages: groups, checks of input, files, and decorators of fits."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-# ruff: noqa: F401  (handed on to the other wings)
+# ruff: noqa: F401  (used by the other subpackages)
 
 from sklearn_raacmm.utils._checks import (
     LARGEST,
@@ -28,13 +28,13 @@ from sklearn_raacmm.utils._findings import (
     Finding,
     FindingError,
     FindingWarning,
-    hear,
-    heard_findings,
+    call_collecting,
+    collected_findings,
+    ignored_findings,
     numbered_rows,
     one_warning,
+    report_findings,
     row_numbers,
-    say_findings,
-    unheard,
     with_findings,
 )
 from sklearn_raacmm.utils._groups import (
@@ -47,11 +47,16 @@ from sklearn_raacmm.utils._groups import (
     group_sums,
     natural_order,
     share_of_means,
-    slip_factors,
 )
 from sklearn_raacmm.utils._html import html_table
-from sklearn_raacmm.utils._matrices import align, nearest_rotation
-from sklearn_raacmm.utils._robust import TUKEY_CUT, many_without_weight, robust_scale, tukey_weights
+from sklearn_raacmm.utils._matrices import align
+from sklearn_raacmm.utils._robust import (
+    TUKEY_CUT,
+    many_without_weight,
+    robust_scale,
+    slip_factors,
+    tukey_weights,
+)
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import one_blas_thread
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator

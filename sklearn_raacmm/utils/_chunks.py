@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterator
-
 # Upper bound of the rows of every chunk, for the tests only (``pytest --chunk-rows 7``): data of
 # a few rows then cross the borders of chunks, too. None: the sizes that the callers ask for.
 LIMIT = None
@@ -16,12 +14,11 @@ def chunk_size(n_rows: int) -> int:
     return size if LIMIT is None else min(size, LIMIT)
 
 
-def chunks(n_rows: int, size: int) -> Iterator[slice]:
-    """Yield slices of at most `size` rows that cover `n_rows` rows.
+def chunks(n_rows: int, size: int) -> list[slice]:
+    """Slices of at most `size` rows that cover `n_rows` rows.
 
     Callers choose a size for which what they compute stays in the processor's cache.
     """
     # Not `sklearn.utils.gen_batches`: its checks take as long as the pose of one row.
     step = chunk_size(size)
-    for start in range(0, n_rows, step):
-        yield slice(start, min(start + step, n_rows))
+    return [slice(start, min(start + step, n_rows)) for start in range(0, n_rows, step)]

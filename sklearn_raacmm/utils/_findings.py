@@ -15,7 +15,7 @@ from sklearn_raacmm.utils._warn_user import warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Where findings are collected instead of warned of; None outside of `heard_findings`.
+# Where findings are collected instead of warned of; None outside of `collected_findings`.
 _COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
 # Numbers of the rows in the user's file; None: rows are counted from 0.
 _ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
@@ -111,7 +111,7 @@ class FindingError(ValueError):
         self.finding = finding
 
 
-def say_findings(findings: Iterable[Finding]) -> None:
+def report_findings(findings: Iterable[Finding]) -> None:
     """Refuse, collect or warn of findings; of a note nobody is warned."""
     collected = _COLLECTED.get()
     for finding in findings:
@@ -124,11 +124,11 @@ def say_findings(findings: Iterable[Finding]) -> None:
             warn_user(FindingWarning(finding))
 
 
-class heard_findings:  # noqa: N801  (a context manager, as those of the standard library)
+class collected_findings:  # noqa: N801  (a context manager, as those of the standard library)
     """Collect the findings that are made within, instead of warning.
 
-    ``with heard_findings() as found`` gives a list, with each finding once; notes, too. It is no
-    generator: one that is interrupted and closed later would end the collection of others.
+    ``with collected_findings() as found`` gives a list, with each finding once; notes, too. It
+    is no generator: one that is interrupted and closed later would end the collection of others.
     """
 
     def __enter__(self) -> list[Finding]:
@@ -140,7 +140,9 @@ class heard_findings:  # noqa: N801  (a context manager, as those of the standar
         _COLLECTED.reset(self._token)
 
 
-def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, list[Finding]]:
+def call_collecting(
+    function: Callable[..., Any], *args: Any, **kwargs: Any
+) -> tuple[Any, list[Finding]]:
     """Call a function: its result, and what was found within, each warned of once at the end.
 
     In a context of its own: whatever interrupts the function, later findings are warned of again.
@@ -149,12 +151,12 @@ def hear(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, 
     def inside():
         found: list[Finding] = []
         try:
-            with heard_findings() as found:
+            with collected_findings() as found:
                 result = function(*args, **kwargs)
         except ValueError:
-            say_findings(found)  # one of them may be the reason
+            report_findings(found)  # one of them may be the reason
             raise
-        say_findings(found)
+        report_findings(found)
         return result, found
 
     return copy_context().run(inside)
@@ -165,7 +167,7 @@ def one_warning(function: Function) -> Function:
 
     @wraps(function)
     def wrapper(*args, **kwargs):
-        return hear(function, *args, **kwargs)[0]
+        return call_collecting(function, *args, **kwargs)[0]
 
     return cast(Function, wrapper)
 
@@ -175,15 +177,15 @@ def with_findings(function: Function) -> Function:
 
     @wraps(function)
     def wrapper(*args, **kwargs):
-        result, found = hear(function, *args, **kwargs)
+        result, found = call_collecting(function, *args, **kwargs)
         return replace(result, findings=tuple(found))
 
     return cast(Function, wrapper)
 
 
 @contextmanager
-def unheard() -> Iterator[None]:
+def ignored_findings() -> Iterator[None]:
     """Leave out findings and warnings of parts of the data: those of all rows are shown."""
-    with heard_findings(), warnings.catch_warnings():
+    with collected_findings(), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
 from sklearn_raacmm.utils._checks import floats
-from sklearn_raacmm.utils._robust import robust_scale, tukey_weights
+from sklearn_raacmm.utils._robust import slip_factors
 
 # How a missing label that is no text prints: NaN, None, and those of pandas.
 _MISSING = ("nan", "None", "NaT", "<NA>")
@@ -22,10 +22,6 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 _CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
-# Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
-_LEAST_OF_SLIPS, _ROUNDS = 4, 5
-# Standard deviations of a slip, in units of those from which on a fit gives rows no weight.
-_SLIP = 2.0
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
 _TINY = 1e-300
 
@@ -61,7 +57,7 @@ def encode_groups(
 
 
 def _labels(groups, name):
-    """Labels as an array of one dimension, in which what is missing can be told from text."""
+    """Labels as an array of one dimension, in which what is missing differs from text."""
     try:
         array = np.asarray(groups)
         if array.dtype.kind == "U" and not isinstance(groups, np.ndarray):
@@ -135,34 +131,6 @@ def centred(
 ) -> np.ndarray:
     """Rows less the weighted mean of their group; as they are where `codes` is None."""
     return values if codes is None else values - group_means(values, codes, weights)[codes]
-
-
-def slip_factors(
-    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
-) -> np.ndarray:
-    """Factors (n,) of the rows' weights in the means of their groups: slips take no part.
-
-    Groups in which no row is farther than 11 standard deviations from the others, by the median of
-    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
-    of an arm have longer tails than normal ones: poses in which it bends most are no slips. Rows of
-    weight 0 have a factor of 1.
-    """
-    factor = np.ones(len(values))
-    used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
-    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
-    rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
-    if not rows:
-        return factor
-    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
-    usual = robust_scale(np.concatenate(far), values.shape[1])
-    for of, away in zip(rows, far, strict=True):
-        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
-        centre = np.median(values[of], axis=0)
-        for _ in range(_ROUNDS):
-            left = values[of] - centre
-            factor[of] = tukey_weights(left, least_scale=scale)
-            centre = np.average(values[of], axis=0, weights=factor[of])
-    return factor
 
 
 def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:

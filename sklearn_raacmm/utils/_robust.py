@@ -22,6 +22,10 @@ from sklearn_raacmm.utils._findings import Finding
 TUKEY_CUT = 5.5
 # Share of rows without weight that slips do not come to, and of how many. A choice.
 _MOST_WITHOUT, _LEAST_ROWS = 0.1, 30
+# Rows of a group of which one may be a slip, and rounds of the weights that leave it out.
+_LEAST_OF_SLIPS, _ROUNDS = 4, 5
+# Standard deviations of a slip, in units of those from which on a fit gives rows no weight.
+_SLIP = 2.0
 
 
 def robust_scale(
@@ -66,6 +70,34 @@ def tukey_weights(
         return np.ones(len(distances))
     # Cut off before it is squared: of next to nothing, no overflow.
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
+
+
+def slip_factors(
+    values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
+) -> np.ndarray:
+    """Factors (n,) of the rows' weights in the means of their groups: slips take no part.
+
+    Groups in which no row is farther than 11 standard deviations from the others, by the median of
+    the group and of all, stay as they are; in others rows are weighed by Tukey's biweight. Errors
+    of an arm have longer tails than normal ones: poses in which it bends most are no slips. Rows of
+    weight 0 have a factor of 1.
+    """
+    factor = np.ones(len(values))
+    used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
+    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
+    rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
+    if not rows:
+        return factor
+    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
+    usual = robust_scale(np.concatenate(far), values.shape[1])
+    for of, away in zip(rows, far, strict=True):
+        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
+        centre = np.median(values[of], axis=0)
+        for _ in range(_ROUNDS):
+            left = values[of] - centre
+            factor[of] = tukey_weights(left, least_scale=scale)
+            centre = np.average(values[of], axis=0, weights=factor[of])
+    return factor
 
 
 def many_without_weight(factor: np.ndarray) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, cast
 
 from sklearn.base import _fit_context
 
-from sklearn_raacmm.utils._findings import hear
+from sklearn_raacmm.utils._findings import call_collecting
 
 Fit = TypeVar("Fit", bound=Callable[..., Any])
 _LOGGER = logging.getLogger("sklearn_raacmm")
@@ -25,7 +25,7 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Fit], Fit]:
     `prefer_skip_nested_validation`.
     The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
     assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
-    What is found in the data meanwhile is kept in `findings_`, and said at the end.
+    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
     """
 
     def decorate(fit: Fit) -> Fit:
@@ -34,8 +34,8 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Fit], Fit]:
         def wrapper(self, *args, **kwargs):
             aside = object.__new__(type(self))
             aside.__dict__ = dict(vars(self))
-            _, heard = hear(fit, aside, *args, **kwargs)
-            aside.findings_ = tuple(heard)
+            _, findings = call_collecting(fit, aside, *args, **kwargs)
+            aside.findings_ = tuple(findings)
             self.__dict__ = aside.__dict__
             return self
 

@@ -37,7 +37,7 @@ class OtherMake:
             ("y", q[:, 3], self.lengths["fore"]), ("x", q[:, 4], 0.0),
             ("y", q[:, 5], self.lengths["probe"]), ("x", q[:, 6], 0.0),
         ):  # fmt: skip
-            turn = turn @ Rotation.from_euler(axis, angle).as_matrix()
+            turn = turn @ Rotation.from_euler(axis, angle[:, None]).as_matrix()
             place = place + along * turn[:, :, 0]
         place[:, 2] += self.lengths["shoulder"]
         return place

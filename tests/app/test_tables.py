@@ -1,9 +1,14 @@
 """Tables as loggers and spreadsheets write them, and the sentences for what is wrong in them."""
 
+import io
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from sklearn_raacmm.app import TableError, read_lengths, read_table
+from sklearn_raacmm import directions_of
+from sklearn_raacmm.app import TableError, _files, read_lengths, read_table
+from sklearn_raacmm.app._tables import Layout
 
 ANGLES = np.array([[12.5, -3.25, 100.0], [13.0, -2.5, 99.125], [-170.0, 0.5, 98.0]])
 LABELS = ["Kegel 1", "Kegel 1", "Kegel 1"]
@@ -41,9 +46,9 @@ def test_separators_decimal_signs_and_encodings(write, separator, decimal, encod
     assert table.angle_unit == "deg"
     assert table.positions.tolist() == LABELS
     assert table.rows.tolist() == [2, 3, 4]
-    said = " ".join(table.notes)
-    assert {".": "decimal points", ",": "decimal commas"}[decimal] in said
-    assert "Columns not used: Höhe." in said
+    printed = " ".join(table.notes)
+    assert {".": "decimal points", ",": "decimal commas"}[decimal] in printed
+    assert "Columns not used: Höhe." in printed
 
 
 def test_what_loggers_put_around_the_table(write):
@@ -81,14 +86,11 @@ def test_columns_can_be_named_or_numbered(write):
         assert table.angle_unit == "rad"
 
 
-def test_points_of_a_tracker_in_metres(write):
+def test_points_of_a_tracker_in_metres_and_without_labels(write):
     path = write("p,q1/rad,q2/rad,X (m),Y (m),Z (m)\nA,1,2,0.5,1,1.5\nA,1,2,0.25,1,1.5\n")
     table = read_table(path, 2, points=["x", "y", "z"], position="p")
     np.testing.assert_allclose(table.points, [[500, 1000, 1500], [250, 1000, 1500]])
     assert table.angle_unit == "rad"
-
-
-def test_points_of_a_tracker_need_no_labels(write):
     path = write("q1 [rad];q2 [rad];x;y;z;note\n1;2;3;4;5;a\n1;2;3;4;6;b\n")
     table = read_table(path, 2, points=["x", "y", "z"])
     assert table.positions is None
@@ -149,3 +151,20 @@ def test_lengths(write):
     ):
         with pytest.raises(TableError, match=message):
             read_lengths(write(text))
+
+
+def test_directions_in_blocks_are_those_of_the_whole_table(write, monkeypatch):
+    """Joints that stand still, over the ends of blocks too, keep the direction they came from."""
+    angles = np.random.default_rng(0).integers(0, 3, (60, 2)) / 10
+    rows = "".join(f"{a},{b}\n" for a, b in angles)
+    layout = Layout(write(f"q1 [rad],q2 [rad]\n{rows}"), 2, labelled=False)
+    correction = SimpleNamespace(
+        facts={"causes": ["direction 1", "direction 2"]},
+        inputs=lambda angles, causes: np.column_stack(list(causes.values())),
+        columns=lambda X: np.hstack([X, np.zeros((len(X), 8))]),
+    )
+    monkeypatch.setattr(_files, "_BLOCK_ROWS", 4)
+    file, options = io.StringIO(), SimpleNamespace(extra=None, tool=None)
+    assert _files.write_corrected(layout, correction, options, True, file)[0] == 60
+    found = np.loadtxt(file.getvalue().splitlines()[1:], delimiter=",")
+    np.testing.assert_array_equal(found[:, 2:4], directions_of(angles))

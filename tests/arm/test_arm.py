@@ -74,58 +74,20 @@ def test_kinematics_against_products_of_matrices(convention, n_joints):
     assert_allclose(arm.azimuth(angles), np.arctan2(points[:, 1], points[:, 0]), atol=1e-12)
 
 
-def controllers_points(data, beyond=0.0):
-    """Joint angles, and points (n, 3) mm on the tool's z axis beyond its own point."""
+def test_panda_against_the_controllers_own_poses(panda):
+    data = panda("panda_3")
     known = np.isfinite(data.tool_poses[:, 0])
+    angles, points = data.angles[known], 1000 * data.tool_poses[known, :3]
     w, x, y, z = data.tool_poses[known, 3:].T
     axis = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    return data.angles[known], 1000 * data.tool_poses[known, :3] + beyond * axis, axis
-
-
-def test_panda_against_the_controllers_own_poses(panda):
-    # The tool point lies 103.4 mm beyond the flange.
-    angles, points, axis = controllers_points(panda("panda_3"))
     assert len(points) > 300
+    # The tool point lies 103.4 mm beyond the flange.
     arm = Arm.from_name("panda", probe=(0, 0, 107 + 103.4))
     gap = np.linalg.norm(arm.forward(angles) - points, axis=1)
     assert np.median(gap) < 0.03
     assert np.quantile(gap, 0.95) < 0.1
     turn = np.linalg.norm(arm.frames(angles)[:, -1, :, 2] - axis, axis=1)
     assert np.median(turn) < 3e-4
-
-
-def test_what_is_left_is_the_hand_that_moved_the_arm_between_two_readings(panda):
-    # Angles and pose were read one after the other. The ball sat in its socket, 31 mm beyond the
-    # tool point, all the time: there the gap is least, and grows with the distance from it.
-    largest, typical = [], []
-    for beyond in (-103.4, 0.0, 31.0):
-        angles, points, _ = controllers_points(panda("panda_3"), beyond)
-        arm = Arm.from_name("panda", probe=(0, 0, 107 + 103.4 + beyond))
-        gap = np.linalg.norm(arm.forward(angles) - points, axis=1)
-        largest.append(gap.max())
-        typical.append(np.quantile(gap, 0.95))
-    assert largest[0] > 2 * largest[1] > 4 * largest[2]
-    assert typical[0] > typical[1] > typical[2]
-    assert largest[2] < 0.12
-
-
-def test_distance_is_the_law_of_cosines_in_theta4():
-    # Equations (2) and (3), with ideal twists and a = (0, a2, 0, a4, 0, 0).
-    a2, a4, d3, d5 = 62.0, 62.0, 750.0, 500.0
-    arm = Arm.from_degrees(
-        [0, a2, 0, a4, 0, 0], [-90, -90, 90, -90, 90, -90], [376.5, 0, d3, 0, d5, 15]
-    )
-    angles = random_angles(arm, 200)
-    frames = arm.frames(angles)
-    shoulder, wrist = (frames[:, i, :, 3] for i in arm.pose_frames)
-    length1, length2, phi = d3, np.hypot(a4, d5), np.arctan2(a4, d5)
-    # phi's sense depends on that of the elbow's axis; either sign is the same law.
-    expected = [
-        np.sqrt(length1**2 + length2**2 + 2 * length1 * length2 * np.cos(angles[:, 3] + s * phi))
-        for s in (-1, 1)
-    ]
-    distance = np.linalg.norm(wrist - shoulder, axis=1)
-    assert min(np.abs(distance - e).max() for e in expected) < 1e-9
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -165,7 +127,7 @@ def test_chunks_do_not_show():
     assert arm.forward(np.empty((0, 7))).shape == (0, 3)
 
 
-def test_degrees_are_said():
+def test_the_unit_is_given():
     arm = Arm.from_name("panda")
     angles = random_angles(arm)
     degrees = np.rad2deg(angles)
@@ -185,11 +147,7 @@ def test_degrees_are_said():
     ("angles", "message"),
     [
         (np.zeros((4, 6)), r"7 joints, got \(4, 6\)"),
-        (np.zeros(7), r"7 joints, got \(7,\)"),
-        (
-            [[0, 0, 0, np.nan, 0, 0, 0]],
-            "1 NaN or infinite values; the first is nan in row 0, joint 4",
-        ),
+        ([[0, 0, 0, np.nan, 0, 0, 0]], "1 NaN or infinite values; .* nan in row 0, joint 4"),
         ([[0] * 7, [0] * 6 + [-np.inf]], "the first is -inf in row 1, joint 7"),
     ],
 )
@@ -208,12 +166,10 @@ def test_bad_angles_get_one_clear_sentence(angles, message):
         ({"joint_signs": -2}, r"^joint_signs\[0\] = -2 is out of bounds.* at most 1\.$"),
         ({"joint_signs": 0.5}, "joint_signs must be -1 or 1"),
         ({"convention": "khalil"}, "'standard' or 'modified', got 'khalil'"),
-        ({"convention": np.array(["standard"])}, "'standard' or 'modified', got array"),
         ({"pose_joints": (3, 7)}, r"pose_joints must be two different whole numbers from 1 to 6"),
         ({"pose_joints": (3.5, 4)}, r"got \(3\.5, 4\)"),
         ({"pose_frames": (2, 2)}, r"pose_frames .* from 0 to 6, got \(2, 2\)"),
         (dict.fromkeys(("a", "d"), np.zeros(6)) | {"probe": (0, 0, 0)}, "no length above 1e-06 mm"),
-        (dict.fromkeys(("a", "d"), 1e-200 * np.ones(6)) | {"probe": (0, 0, 0)}, "no length above"),
         ({"name": 3}, "name must be a string"),
         ({"name": "half \ud800"}, "whole characters"),
     ],
@@ -223,13 +179,8 @@ def test_bad_tables_get_one_clear_sentence(changes, message):
         Arm.from_name("aacmm6").replace(**changes)
 
 
-def test_a_built_in_arm_under_a_name_of_ones_own():
-    arm = Arm.from_name("panda", name="mine")
-    assert (arm.name, arm.replace(name="panda")) == ("mine", Arm.from_name("panda"))
-
-
 def test_unknown_names():
-    with pytest.raises(TypeError, match="no parameter prob"):
+    with pytest.raises(TypeError, match=r"unexpected keyword argument .prob"):
         Arm.from_name("panda").replace(prob=(0, 0, 1))
     for name in ("kuka", ["panda"]):
         with pytest.raises(ValueError, match=r"\['aacmm6', .*, 'ur5e'\], got .*" + name[0]):
@@ -249,6 +200,10 @@ def test_arm_is_a_value():
         other = arm.replace(**changes)
         assert other != arm
         assert hash(other) != hash(arm)
+    a = np.ones(6)
+    built = Arm(a, np.zeros(6), np.zeros(6))
+    a[0] = 2  # the arm does not follow its arguments
+    assert built.a[0] == 1
     # -0.0 and 0.0 are the same length
     assert arm.replace(theta_offset=-0.0) == arm
     with pytest.raises(AttributeError):
@@ -256,13 +211,6 @@ def test_arm_is_a_value():
     for restored in (arm, pickle.loads(pickle.dumps(arm))):
         with pytest.raises(ValueError, match="read-only"):
             restored.a[0] = 1.0
-
-
-def test_arm_does_not_follow_its_arguments():
-    a = np.ones(6)
-    arm = Arm(a, np.zeros(6), np.zeros(6))
-    a[0] = 2
-    assert arm.a[0] == 1
 
 
 @pytest.mark.parametrize(
@@ -306,7 +254,7 @@ def test_names_may_hold_any_whole_character():
     ("field", "bound"),
     [("alpha", 2 * np.pi), ("theta_offset", 2 * np.pi), ("a", 1e5), ("d", 1e5), ("probe", 1e5)],
 )
-def test_bounds_are_where_they_are_said_to_be(field, bound):
+def test_bounds_are_where_the_messages_have_them(field, bound):
     arm = random_arm("standard")
     values = np.array(getattr(arm, field))
     for sign in (-1, 1):
@@ -314,8 +262,8 @@ def test_bounds_are_where_they_are_said_to_be(field, bound):
         assert getattr(arm.replace(**{field: values}), field)[1] == sign * bound
         values[1] = sign * bound * (1 + 1e-9)
         unit = "rad" if field in ("alpha", "theta_offset") else "mm"
-        said = rf"^{field}\[1\] = .* is out of bounds.* at most \S+ {unit}\W"
-        with pytest.raises(ValueError, match=said):
+        sentence = rf"^{field}\[1\] = .* is out of bounds.* at most \S+ {unit}\W"
+        with pytest.raises(ValueError, match=sentence):
             arm.replace(**{field: values})
 
 
@@ -340,17 +288,10 @@ def test_forms_of_json(form, tmp_path):
         assert Arm.from_json(path) == arm
 
 
-def test_what_is_not_json(tmp_path):
-    for text in ("{", b"\xff\xfe{", b"{}x"):
-        with pytest.raises(ValueError, match="the JSON text is not valid JSON"):
-            Arm.from_json(text)
-    with pytest.raises(IsADirectoryError, match="is a folder; the JSON file in it"):
-        Arm.from_json(tmp_path)
+def test_what_is_no_source_of_json():
     for source in (None, 3, ["a"]):
         with pytest.raises(TypeError, match=f"got {type(source).__name__}"):
             Arm.from_json(source)
-    with pytest.raises(FileNotFoundError):
-        Arm.from_json(tmp_path / "none.json")
 
 
 # -- units that are most likely wrong --------------------------------------------------------------

@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 
+from .test_calibration import poses_at
+
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 
 
@@ -72,22 +74,11 @@ def test_a_probe_each():
 def test_tools_of_a_single_point_test():
     arm = Arm.from_name("aacmm6")
     longer = arm.replace(probe=arm.probe + np.array([0, 0, 60.0]))
-    angles = np.random.default_rng(0).uniform(-1.5, 1.5, (150, 6))
-    groups = np.arange(150) // 25  # a fixed point for 25 poses each
+    groups, labels = np.arange(150) // 25, np.tile(["a", "b"], 75)
     targets = np.stack([np.full(150, 500), 100 * groups - 200, np.full(150, 300)], axis=1)
-    labels = np.tile(["a", "b"], 75)
-    miss = np.empty((150, 3))
+    angles, rng = np.empty((150, 6)), np.random.default_rng(0)
     for own, rows in ((arm, labels == "a"), (longer, labels == "b")):
-        q = angles[rows]
-        for _ in range(100):
-            miss[rows] = targets[rows] - own.forward(q)
-            step = np.einsum("nij,nj->ni", np.linalg.pinv(own.jacobian(q)), miss[rows])
-            step *= np.minimum(1, 0.3 / (np.linalg.norm(step, axis=1, keepdims=True) + 1e-12))
-            q = np.angle(np.exp(1j * (q + step)))
-        angles[rows] = q
-    met = np.linalg.norm(miss, axis=1) < 1e-8
-    assert met.sum() > 100
-    angles, groups, labels = angles[met], groups[met], labels[met]
+        angles[rows] = poses_at(own, targets[rows], 1, rng)
     result = calibrate(arm, angles, groups, tools=labels, free=["probe"])
     difference = result.arms["b"].probe - result.arms["a"].probe
     assert_allclose(difference, [0, 0, 60], atol=1e-3)
@@ -140,13 +131,8 @@ def test_the_ur10_of_another_day(ur10, ur10_b):
     known, rest = new[:60], new[60:]
     left = {}
     for name, correction in (("beside", None), ("through", model)):
-        result = calibrate(
-            first.arm,
-            ur10_b.angles[known],
-            points=ur10_b.points[known],
-            correction=correction,
-            free=["probe"],
-        )
+        given = {"points": ur10_b.points[known], "correction": correction, "free": ["probe"]}
+        result = calibrate(first.arm, ur10_b.angles[known], **given)
         residuals = result.residuals(ur10_b.angles[rest], ur10_b.points[rest])
         residuals -= model.predict(ur10_b.angles[rest])
         left[name] = np.linalg.norm(residuals, axis=1).mean()

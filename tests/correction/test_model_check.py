@@ -78,7 +78,7 @@ def test_a_knocked_joint_is_found_and_named(model, joint):
         check = check_correction(model, *rows(40, seed + 50, knock(joint, 15)))
         assert not check.holds
         assert check.suspect == f"offset of joint {joint}"
-        assert "update_correction" in check.advice
+        assert "pdate the correction" in check.advice
 
 
 def test_other_causes_are_told_apart(model):

@@ -9,7 +9,7 @@ ARM = Arm.from_name("aacmm6")
 
 
 def test_poses_reach_their_cones_from_above():
-    plan = plan_poses(ARM, 4, 8, lean_deg=60, random_state=1)
+    plan = plan_poses(ARM, 4, 8, random_state=1)
     points = ARM.forward(plan.angles)
     assert np.abs(points - plan.positions[plan.groups - 1]).max() < 1e-6
     assert plan.minutes == pytest.approx((4 * 60 + 32 * 6) / 60)
@@ -23,10 +23,10 @@ def test_poses_reach_their_cones_from_above():
 
 def test_regions_and_directions_are_kept():
     region = [[400, -300, 0], [900, 300, 200]]
-    plan = plan_poses(ARM, 3, 6, region=region)
+    plan = plan_poses(ARM, 3, 6, region=region, lean_deg=None)
     assert (plan.positions >= region[0]).all()
     assert (plan.positions <= region[1]).all()
-    again = plan_poses(ARM, 3, 6, region=region)
+    again = plan_poses(ARM, 3, 6, region=region, lean_deg=None)
     assert np.array_equal(plan.angles, again.angles)
 
 
@@ -45,6 +45,6 @@ def test_the_order_is_one_of_short_ways():
 def test_what_cannot_be_reached_is_said():
     far = [[3000, 0, 0], [3500, 100, 100]]
     with pytest.raises(ValueError, match="only 0 of 8 places that were tried are reached"):
-        plan_poses(ARM, 2, 5, region=far, lean_deg=60)
+        plan_poses(ARM, 2, 5, region=far)
     with pytest.raises(ValueError, match="region must be"):
         plan_poses(ARM, 2, 5, region=[[0, 0, 0], [-1, 1, 1]])

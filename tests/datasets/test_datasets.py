@@ -193,15 +193,10 @@ def test_small_errors_add_up_in_what_the_encoders_show():
         return machine.nominal_arm.forward(angles) - targets
 
     sources = [
-        {"length_mm": 0.05},
-        {"angle_deg": 0.002},
-        {"eccentricity_arcsec": (4, 1.2)},
-        {"wobble_arcsec": 3},
-        {"runout_um": 2},
+        {"length_mm": 0.05}, {"angle_deg": 0.002}, {"eccentricity_arcsec": (4, 1.2)},
+        {"wobble_arcsec": 3}, {"runout_um": 2}, {"sag_um": (128, 24)}, {"warming_k": 1},
         {"joint_compliance_urad_per_nm": 33, "counterbalance": 0.85},
-        {"sag_um": (128, 24)},
-        {"warming_k": 1},
-    ]
+    ]  # fmt: skip
     together = ArmErrors.only(**{k: v for source in sources for k, v in source.items()})
     whole, parts = shown(together), sum(shown(ArmErrors.only(**source)) for source in sources)
     assert np.abs(whole).max() > 0.1
@@ -280,13 +275,9 @@ def test_a_payload_bends_as_a_weight_at_the_probe():
 
 @pytest.mark.parametrize(
     "source",
-    [
-        {"play_arcsec": 10},
-        {"softening_arcsec": 5},
-        {"drift_k": 3},
-        {"payload_n": 9, "joint_compliance_urad_per_nm": 30},
-    ],
-)
+    [{"play_arcsec": 10}, {"softening_arcsec": 5}, {"drift_k": 3},
+     {"payload_n": 9, "joint_compliance_urad_per_nm": 30}],
+)  # fmt: skip
 def test_a_perfect_model_knows_the_new_sources(source):
     """Their own errors are larger than what is left once they are known."""
     test = make_single_point(4, 10, machine=ArmErrors.only(**source))
@@ -295,7 +286,7 @@ def test_a_perfect_model_knows_the_new_sources(source):
     assert metrics.single_point_repeatability(test.points, test.groups) > 1e-3
 
 
-def test_slipped_poses_have_left_their_seat():
+def test_slipped_poses_have_left_their_cone():
     errors = ArmErrors.only(slip_share=0.2, slip_mm=0.5)
     test = make_single_point(4, 50, machine=errors, random_state=1)
     slipped = test.simulation.slipped
@@ -314,7 +305,7 @@ def test_directions_are_those_in_which_the_rows_follow():
     np.testing.assert_array_equal(test.directions[0], test.directions[1])
 
 
-def test_readings_are_noisy_and_quantised_as_told():
+def test_readings_are_noisy_and_quantised_as_asked():
     machine = SimulatedArm(ArmErrors.only(encoder_noise_arcsec=1.5, quantisation_arcsec=0.5))
     angles = np.random.default_rng(0).uniform(-3, 3, (3000, 6))
     readings = machine.read(angles, random_state=0)
@@ -327,15 +318,11 @@ def test_readings_are_noisy_and_quantised_as_told():
     assert abs(error.mean()) < 4 * expected / np.sqrt(error.size)  # rounded, not cut off
 
 
-def test_individuals_are_built_as_inaccurately_as_told():
+def test_individuals_are_built_as_inaccurately_as_asked():
     arms = [SimulatedArm(ArmErrors(), random_state=s) for s in range(100)]
-    for field, size in [
-        ("a", 0.2),
-        ("d", 0.2),
-        ("probe", 0.2),
-        ("alpha", np.deg2rad(0.02)),
-        ("theta_offset", np.deg2rad(0.02)),
-    ]:
+    sizes = dict.fromkeys(("a", "d", "probe"), 0.2)
+    sizes |= dict.fromkeys(("alpha", "theta_offset"), np.deg2rad(0.02))
+    for field, size in sizes.items():
         errors = np.array([getattr(m.true_arm, field) - getattr(m.nominal_arm, field)
                            for m in arms])  # fmt: skip
         if field in ("d", "theta_offset"):
@@ -376,9 +363,7 @@ def test_the_true_probe_sits_in_the_cone_within_the_seating_error(mix):
     reread = truth.machine.solve(test.data, truth.true_points)
     assert np.abs(truth.machine.forward(reread) - truth.true_points).max() < 1e-6
     reached = np.linalg.norm(truth.positions - truth.machine.shoulder, axis=1)
-    share = reached / truth.machine.reach
-    assert share.min() >= 0.2
-    assert share.max() <= 0.8
+    assert np.all(np.abs(reached / truth.machine.reach - 0.5) <= 0.3)
 
 
 # -- the data sets ------------------------------------------------------------------------------
@@ -396,18 +381,13 @@ def test_calibration_and_a_perfect_model_each_leave_less():
     test = make_single_point(6, 60)
     truth = test.simulation
 
-    def scatter(points):
-        return metrics.single_point_repeatability(points, test.groups)
-
-    nominal = scatter(test.nominal_arm.forward(test.data))
-    before = scatter(test.points)
-    floor = scatter(test.points - truth.perfect_correction)
+    shown = test.nominal_arm.forward(test.data), test.points, test.points - truth.perfect_correction
+    nominal, before, floor = (metrics.single_point_repeatability(p, test.groups) for p in shown)
     assert nominal > 10 * before > 20 * floor > 0
     # Calibrated on other data, without the true table: it cannot be it.
     assert test.arm != truth.machine.true_arm
-    np.testing.assert_allclose(
-        truth.perfect_correction + truth.machine.forward(test.data), test.points
-    )
+    true_points = truth.machine.forward(test.data)
+    np.testing.assert_allclose(truth.perfect_correction + true_points, test.points)
     np.testing.assert_allclose(test.arm.forward(test.data), test.points)
 
 
@@ -493,21 +473,14 @@ def test_sizes_are_checked(field, value):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: make_single_point(0), "n_positions == 0, must be >= 1"),
         (lambda: make_single_point(2, 1), "n_poses == 1, must be >= 2"),
-        (lambda: make_gauge(300, 0), "n_placements == 0, must be >= 1"),
         (lambda: make_gauge(3000), "between 0 and 2159 mm"),
         (lambda: make_gauge([]), "between 0 and"),
         (lambda: make_single_point(machine="perfect"), "'eccentricity', 'gravity'.* got 'perfect'"),
-        (lambda: make_single_point(machine=3), "'machine' parameter of make_single_point"),
-        (lambda: make_gauge(as_frame="yes"), "'as_frame' parameter of make_gauge"),
         (lambda: ArmErrors(counterbalance=1.2), r"\[0, 1\], got 1.2"),
         (lambda: ArmErrors(seating_um=-1), "got -1"),
         (lambda: SimulatedArm("none").find_poses([2000, 0, 0], 5), "0 poses reach .* 151%"),
-        (
-            lambda: SimulatedArm("none").solve(np.zeros((2, 6)), np.full((2, 3), 2000.0)),
-            "2 of 2 points are out of",
-        ),
+        (lambda: SimulatedArm("none").solve(np.zeros((2, 6)), [[2e3] * 3] * 2), "2 of 2 points"),
     ],
 )
 def test_bad_input_is_refused_with_the_numbers(call, message):

@@ -213,11 +213,7 @@ def test_ur10(serve, tmp_path, data_folder, ur10):
     # The target is fixed to the flange: seen from there it hardly turns.
     some = slice(None, None, 40)
     flange = test.arm.frames(test.data[some])[:, -1, :3, :3]
-    result = calibrate(
-        test.nominal_arm,
-        test.data[some],
-        points=test.tracker_points[some],
-    )
+    result = calibrate(test.nominal_arm, test.data[some], points=test.tracker_points[some])
     seen = np.swapaxes(result.base_rotation @ flange, 1, 2) @ test.tracker_orientations[some]
     seen = Rotation.from_matrix(seen)
     angle = np.rad2deg((seen.mean().inv() * seen).magnitude())

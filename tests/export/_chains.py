@@ -1,6 +1,8 @@
 """Chains of estimators that the tests of all formats export, and poses to compare them at."""
 
+import ctypes
 import shutil
+import subprocess
 
 import numpy as np
 from sklearn.pipeline import make_pipeline
@@ -12,6 +14,9 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
+from sklearn_raacmm.export import export_c, to_onnx
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._program import run
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
 STRICT += ["-Wdouble-promotion", "-Wstrict-overflow=1", "-Wfloat-conversion"]
@@ -51,3 +56,41 @@ def angles_everywhere(n_joints, n=300):
 
 def no_azimuth(X):
     return np.zeros(len(X))
+
+
+def library(folder, compiler, source, *flags):
+    """The loaded library, or None where the compiler refuses it."""
+    out = folder / f"{compiler}.so"
+    command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", out, source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return ctypes.CDLL(str(out)) if done.returncode == 0 else None
+
+
+def in_c(folder, compiler, model, X, std):
+    """Mean, and deviation or None, of the compiled file, with every warning an error."""
+    source, header = export_c(model, folder / "arm.c", std=std)
+    loaded, place = library(folder, compiler, source, "-O1", *STRICT), ctypes.c_void_p
+    verb = "correct" if "arm_correct(" in header.read_text() else "predict"
+    q = np.reshape(model.predict(X[:1]), -1).size
+    X, mean, spread = np.ascontiguousarray(X), np.empty((len(X), q)), np.empty((len(X), q))
+    many = getattr(loaded, f"arm_{verb}_n")
+    many(place(X.ctypes.data), place(mean.ctypes.data), ctypes.c_size_t(len(X)))
+    if std:
+        again, one = np.empty(q), getattr(loaded, f"arm_{verb}_std")
+        for row, own in zip(X, spread, strict=True):
+            one(*(place(array.ctypes.data) for array in (row, again, own)))
+    return mean, spread if std else None
+
+
+def ways_out(folder, model, X, std=False):
+    """Name, mean and deviation or None of every way out of Python."""
+    for compiler in COMPILERS:
+        yield compiler, *in_c(folder, compiler, model, X, std)
+    found = run(build_program(model, std), X)
+    yield "program", found["y"], found.get("std")
+    try:
+        import onnxruntime
+    except ImportError:
+        return
+    session = onnxruntime.InferenceSession(to_onnx(model, std=std).SerializeToString())
+    yield "ONNX", *session.run(None, {"X": X}), *([] if std else [None])

@@ -12,7 +12,7 @@ import pytest
 from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.export import _networks, export_c
 
-from ._chains import COMPILERS
+from ._chains import COMPILERS, library
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
@@ -21,14 +21,6 @@ pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is 
 def model():
     X = np.random.default_rng(0).uniform(-2, 2, (60, 2))
     return RBFNetRegressor(11, length_scale=1.0, alpha=0.01).fit(X, np.sin(X[:, 0]))
-
-
-def library(folder, compiler, source, *flags):
-    """The loaded library, or None where the compiler knows no such processor."""
-    out = folder / f"{compiler}.so"
-    command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", out, source, "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return ctypes.CDLL(str(out)) if done.returncode == 0 else None
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -46,14 +38,9 @@ def test_the_exponential(model, tmp_path, compiler, dtype, least, error):
     real = {"double": np.float64, "float": np.float32}[dtype]
     rng = np.random.default_rng(0)
     halves = -np.log(2) * (np.arange(0, 125) + 0.5)  # where n changes
-    x = np.concatenate(
-        [
-            rng.uniform(least, 0, 3000),
-            -np.exp(rng.uniform(-40, np.log(-least), 3000)),
-            *(halves * (1 + shift) for shift in (-1e-12, 0, 1e-12)),
-            [0.0, -0.0, least],
-        ]
-    ).astype(real)
+    near = [halves * (1 + shift) for shift in (-1e-12, 0, 1e-12)]
+    small = -np.exp(rng.uniform(-40, np.log(-least), 3000))
+    x = np.r_[rng.uniform(least, 0, 3000), small, *near, 0.0, -0.0, least].astype(real)
     got = np.empty_like(x)
     place = ctypes.c_void_p
     for flags in (["-O1"], ["-O3"]):  # scalar, and several at once
@@ -61,13 +48,12 @@ def test_the_exponential(model, tmp_path, compiler, dtype, least, error):
         loaded.exps(place(x.ctypes.data), place(got.ctypes.data), len(x))
         digits = Context(prec=40)
         exact = [digits.exp(Decimal(float(value))) for value in x]
-        gaps = [
-            abs(Decimal(float(value)) / true - 1) for value, true in zip(got, exact, strict=True)
-        ]
+        found = [Decimal(float(value)) for value in got]
+        gaps = [abs(value / true - 1) for value, true in zip(found, exact, strict=True)]
         assert max(gaps) <= error
         assert max(gaps) > error / 4  # the bound says something
-    said = re.search(r"exp\(x\) for (\S+?)f? <= x <= 0, to (\S+) of itself", source.read_text())
-    assert (float(said[1]), float(said[2])) == (least, error)
+    printed = re.search(r"exp\(x\) for (\S+?)f? <= x <= 0, to (\S+) of itself", source.read_text())
+    assert (float(printed[1]), float(printed[2])) == (least, error)
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -95,8 +81,8 @@ def test_other_processors(model, tmp_path, compiler, flags):
     if done.returncode and "387" in done.stderr and compiler == "clang":
         pytest.skip("this clang has no such option")
     assert done.returncode == 0, done.stderr
-    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    got = np.array([float.fromhex(line) for line in said.split()])
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    got = np.array([float.fromhex(line) for line in printed.split()])
     np.testing.assert_allclose(got, model.predict(X), rtol=0, atol=1e-13)
 
 
@@ -138,7 +124,7 @@ def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.05)
 
 
-def test_too_many_centres_for_a_table_are_told(model, tmp_path, monkeypatch):
+def test_too_many_centres_for_a_table_are_refused(model, tmp_path, monkeypatch):
     monkeypatch.setattr(_networks, "MOST_CENTERS", 10)
     with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
         export_c(model, tmp_path / "arm.c", std=True)

@@ -6,10 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from sklearn_raacmm import (
-    CylindricalResidualTarget,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import CylindricalResidualTarget, RBFNetRegressor
 from sklearn_raacmm.export import _load_c, export_c
 
 from ._chains import COMPILERS, STRICT, form_b, network, of_arm
@@ -45,10 +42,10 @@ def test_the_test_program_agrees_with_predict(models, data, tmp_path, compiler, 
     command = re.search(r"cc (-std=c99 .*) && (\./arm_test)", text)
     done = run([compiler, *STRICT, *command[1].split()], tmp_path)
     assert done.returncode == 0, done.stderr
-    said = run([command[2]], tmp_path)
+    printed = run([command[2]], tmp_path)
     n = 2 if which == "features" else 3
-    assert re.match(rf"arm: 0 of {32 * n} numbers differ; the largest gap is .*e-", said.stdout)
-    assert said.returncode == 0
+    assert re.match(rf"arm: 0 of {32 * n} numbers differ; the largest gap is .*e-", printed.stdout)
+    assert printed.returncode == 0
 
 
 @needs_compiler
@@ -59,9 +56,9 @@ def test_the_test_program_notices_another_model(models, data, tmp_path):
     source.write_text(text.replace(weight, str(1.001 * float(weight))))
     command = [COMPILERS[0], "-std=c99", "-o", "t", "arm_test.c", "arm.c", "-lm"]
     assert run(command, tmp_path).returncode == 0
-    said = run(["./t"], tmp_path)
-    assert said.returncode == 1
-    assert re.search(r"row \d+, output 0: got .* expected", said.stdout)
+    printed = run(["./t"], tmp_path)
+    assert printed.returncode == 1
+    assert re.search(r"row \d+, output 0: got .* expected", printed.stdout)
 
 
 @needs_compiler

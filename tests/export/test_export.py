@@ -22,12 +22,7 @@ from sklearn.preprocessing import (
     StandardScaler,
 )
 
-from sklearn_raacmm import (
-    Arm,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.export import describe, export_c, fingerprint
 from sklearn_raacmm.network import KERNELS
 
@@ -57,12 +52,8 @@ def build(tmp_path):
         folder.mkdir()
         source, _ = export_c(model, folder / "arm.c", name="arm", dtype=dtype, **params)
         library = folder / "arm.so"
-        subprocess.run(
-            [compiler, *flags, "-shared", "-fPIC", "-o", library, source, "-lm"],
-            check=True,
-            capture_output=True,
-            text=True,
-        )
+        command = [compiler, *flags, "-shared", "-fPIC", "-o", library, source, "-lm"]
+        subprocess.run(command, check=True, capture_output=True, text=True)
         loaded = ctypes.CDLL(library)
         real = {"double": np.float64, "float": np.float32}[dtype]
         array = np.ctypeslib.ndpointer(dtype=real, flags="C")
@@ -130,8 +121,7 @@ def test_agrees_with_predict(build, data, compiler, form, joints, encoding):
 
 
 @pytest.mark.parametrize(
-    ("kernel", "degree"),
-    [*((kernel, 0) for kernel in KERNELS), ("gaussian", -1), ("matern32", 1)],
+    ("kernel", "degree"), [*((kernel, 0) for kernel in KERNELS), ("gaussian", -1), ("matern32", 1)]
 )
 def test_every_kernel_and_tail(build, data, kernel, degree):
     net = network(kernel=kernel, degree=degree)
@@ -150,19 +140,14 @@ def test_every_kernel_and_tail(build, data, kernel, degree):
 @pytest.mark.parametrize(
     "scaler",
     [
-        StandardScaler(with_mean=False),
-        StandardScaler(with_std=False),
-        StandardScaler(with_mean=False, with_std=False),
-        MinMaxScaler((-1, 2)),
-        MinMaxScaler(clip=True),
-        MaxAbsScaler(),
+        StandardScaler(with_mean=False), StandardScaler(with_std=False), MinMaxScaler((-1, 2)),
+        StandardScaler(with_mean=False, with_std=False), MinMaxScaler(clip=True), MaxAbsScaler(),
         *([MaxAbsScaler(clip=True)] if "clip" in MaxAbsScaler().get_params() else []),  # since 1.9
-        RobustScaler(),
-        RobustScaler(with_centering=False, with_scaling=False),
+        RobustScaler(), RobustScaler(with_centering=False, with_scaling=False),
         make_pipeline(StandardScaler(), "passthrough", MinMaxScaler()),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_scalers(build, data, scaler):
     model = form_a(data.arm, scaler=scaler).fit(data.data, data.target)
     X = angles_everywhere(6)
@@ -209,7 +194,7 @@ def test_single_precision_is_good_to_its_digits(build, data):
 
 
 @pytest.mark.parametrize("form", [form_a, form_b])
-@pytest.mark.parametrize("kernel", ["gaussian", "rational_quadratic"])
+@pytest.mark.parametrize("kernel", ["gaussian", "matern52"])
 def test_refuses_with_nan_what_predict_refuses(build, data, form, kernel):
     model = form(data.arm, net=network(kernel=kernel)).fit(data.data, data.target)
     call = build(model, std=True)
@@ -424,11 +409,6 @@ def test_names_are_c_identifiers_and_paths_name_a_c_file(small, tmp_path):
     assert '#include "arm-7.h"' in source.read_text()
 
 
-def test_a_missing_folder_is_named(small, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"No such folder: .*nowhere\.$"):
-        export_c(small, tmp_path / "nowhere" / "arm.c")
-
-
 # -- what cannot be exported ---------------------------------------------------------------------
 
 
@@ -467,15 +447,13 @@ def test_bad_calls_are_refused(data, tmp_path):
     for model in (form_a(data.arm), form_b(data.arm), RBFNetRegressor()):
         with pytest.raises(NotFittedError, match="not fitted"):
             export_c(model, path)
-    with pytest.raises(TypeError, match="model must be a fitted estimator"):
+    with pytest.raises(TypeError, match="is a class, not an instance"):
         export_c(RBFNetRegressor, path)
     fitted = network().fit(data.data, data.target)
     with pytest.raises(ValueError, match="dtype must be"):
         export_c(fitted, path, dtype="float64")
     with pytest.raises(TypeError, match="std must be"):
         export_c(fitted, path, std="yes")
-    with pytest.raises(TypeError, match="names"):
-        export_c(fitted, path, names="arm")
     with pytest.raises(ValueError, match="regressor at its end"):
         export_c(PoseFeatures(data.arm).fit(data.data), path)
     fitted.networks_[0].coef[0, 0] = 1e300
@@ -510,19 +488,6 @@ def agree(call, model, X, with_std=True):
         # To rounding where the correction depends on it.
         rtol = 1e-3 if model.fading_.factor == 0 else 1e-6
         np.testing.assert_allclose(got_std, std, rtol=rtol, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["aacmm6", "panda"])
-@pytest.mark.parametrize("families", ["gravity", "kinematics", "wobble", ""])
-def test_models_of_the_arm(build, name, families):
-    arm = Arm.from_name(name, joint_signs=-1, theta_offset=0.3)
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-2, 2, (150, arm.n_joints))
-    # Of which a model of each family makes something.
-    y = np.stack([np.sin(X[:, 1]), np.cos(2 * X[:, 2]), np.sin(X[:, 3])], axis=1) * 0.05
-    model = of_arm(arm, *families.split()).fit(X, y)
-    assert np.ptp(model.predict(X), axis=0).min() > 1e-3
-    agree(build(model, std=True), model, np.concatenate([X[:20], angles_everywhere(len(X[0]), 50)]))
 
 
 @pytest.mark.parametrize("fade", [0.0, 0.5, 2.0])

@@ -26,7 +26,7 @@ def fitted(request):
     return model.fit(X, y), new
 
 
-def frames_of(arm, row):
+def frame_matrices(arm, row):
     """Frames of the arm as matrices, from the definition of the parameters."""
     found = [mpmath.eye(4)]
     for i in range(arm.n_joints):
@@ -52,7 +52,7 @@ def cross(u, v):
 def in_50_digits(model, row):
     """The sum of all columns times their coefficients at one pose."""
     linear = model.linear_model_
-    frames = frames_of(linear.arm, row)
+    frames = frame_matrices(linear.arm, row)
     probe = (frames[-1] * mpmath.matrix([*linear.arm.probe, 1]))[:3, 0]
     places = [frame[:3, 3] for frame in frames] + [probe]
     total = mpmath.matrix(3, 1)

@@ -9,14 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sklearn.exceptions import NotFittedError
-from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression
 
-from sklearn_raacmm import (
-    ArmResidualRegressor,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.export import export_c, fingerprint, load_c
 
 from ._chains import COMPILERS, form_b, network
@@ -145,54 +140,48 @@ def test_a_folder_of_others_is_refused(model, tmp_path):
 
 
 @needs_compiler
-def test_without_a_folder_it_compiles_each_time(model, data, tmp_path, monkeypatch):
-    place = tmp_path / "file"
-    place.write_text("not a folder")
-    with pytest.raises(OSError, match="file"):
-        load_c(model, cache_dir=place / "cache")
-    monkeypatch.setenv("SKLEARN_RAACMM_CACHE", str(place / "cache"))
-    expected = model.predict(data.data)
-    np.testing.assert_allclose(load_c(model).predict(data.data), expected, rtol=0, atol=1e-12)
-
-
-@needs_compiler
 @pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
-def test_a_folder_that_cannot_be_written(model, data, tmp_path, monkeypatch):
-    folder = tmp_path / "read_only"
-    folder.mkdir(mode=0o500)
-    # To root, as which containers run, every folder can be written.
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder)
-    with pytest.raises(PermissionError, match=r"compiled models cannot be written: .*read_only"):
+@pytest.mark.parametrize("kind", ["file", "read_only"])
+def test_without_a_folder_it_compiles_each_time(model, data, tmp_path, monkeypatch, kind):
+    place = tmp_path / kind
+    if kind == "file":
+        place.write_text("not a folder")
+    else:
+        place.mkdir(mode=0o500)
+        # To root, as which containers run, every folder can be written.
+        monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != place)
+    folder = place / "cache" if kind == "file" else place
+    sentence = {"file": "file", "read_only": r"models cannot be written: .*read_only"}[kind]
+    with pytest.raises(OSError, match=sentence):
         load_c(model, cache_dir=folder)
     monkeypatch.setenv("SKLEARN_RAACMM_CACHE", str(folder))
     expected = model.predict(data.data)
     np.testing.assert_allclose(load_c(model).predict(data.data), expected, rtol=0, atol=1e-12)
-    assert not list(folder.iterdir())
 
 
 def test_without_a_compiler(model, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(RuntimeError, match=r"No C compiler found: none of cc, gcc, clang is on"):
+    monkeypatch.setenv("CC", "tcc")
+    with pytest.raises(RuntimeError, match=r"No C compiler found: none of tcc, cc, gcc, clang is"):
         load_c(model)
-    with pytest.raises(RuntimeError, match=r"No C compiler found: none of tcc is on"):
-        load_c(model, compiler="tcc")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a script of POSIX")
-def test_what_a_failing_compiler_says_is_shown(model, own_cache, tmp_path):
+def test_what_a_failing_compiler_says_is_shown(model, own_cache, tmp_path, monkeypatch):
     script = tmp_path / "failing"
     script.write_text("#!/bin/sh\nfor i in 1 2 3 4 5 6 7; do echo line $i >&2; done\nexit 3\n")
     script.chmod(0o700)
+    monkeypatch.setenv("CC", str(script))
     with pytest.raises(RuntimeError) as error:
-        load_c(model, compiler=str(script))
+        load_c(model)
     assert "could not compile the model (exit status 3): line 1 | line 2" in str(error.value)
     assert "line 6" not in str(error.value)
     silent = tmp_path / "silent"
     silent.write_text("#!/bin/sh\nexit 0\n")  # says that all is well, and writes nothing
     silent.chmod(0o700)
+    monkeypatch.setenv("CC", str(silent))
     with pytest.raises(RuntimeError, match="could not compile"):
-        load_c(model, compiler=str(silent))
+        load_c(model)
     assert not list(own_cache.iterdir())
 
 
@@ -202,14 +191,10 @@ def test_bad_calls_are_refused(model, data):
     for rows in (data.data[:, :5], data.data[0, :5], data.data[None], 1.0):
         with pytest.raises(ValueError, match=r"takes rows of 6 numbers, .*; got shape \("):
             compiled.predict(rows)
-    with pytest.raises(ValueError, match="without standard deviation: std=True"):
+    with pytest.raises(ValueError, match="without its deviation: std=True"):
         compiled.predict_std(data.data[0])
     with pytest.raises(TypeError, match="std must be"):
         load_c(model, std="yes")
-    with pytest.raises(NotFittedError):
-        load_c(RBFNetRegressor())
-    with pytest.raises(ValueError, match="cannot be exported"):
-        load_c(KernelRidge().fit(data.data, data.target))
 
 
 @needs_compiler

@@ -1,6 +1,5 @@
 """The card says what is so, and its numbers are those of independent computations."""
 
-import datetime
 import hashlib
 import json
 import re
@@ -39,12 +38,8 @@ def model(data):
 def test_facts(model, data):
     card = describe(model, data.data, data.target, data.groups)
     assert card["fingerprint"] == fingerprint(model)
-    assert (
-        Arm.from_json(
-            json.dumps({"format": "sklearn_raacmm.Arm", "format_version": 1, **card["arm"]})
-        )
-        == data.arm
-    )
+    text = json.dumps({"format": "sklearn_raacmm.Arm", "format_version": 1, **card["arm"]})
+    assert Arm.from_json(text) == data.arm
     training = card["training"]
     assert (training["rows"], training["positions"]) == (120, 8)
     points = data.arm.forward(data.data)
@@ -97,18 +92,16 @@ def test_as_json_and_markdown(model, data, tmp_path):
 
 
 def test_models_that_are_fitted_with_groups(data):
-    network = RBFNetRegressor(5, length_scale=1.5, alpha=0.01, degree=-1)
-    one = ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"])
-    for model in (one, clone(one).set_params(regressor=network)):
-        model.fit(data.data, data.target, groups=data.groups)
-        card = describe(model, data.data, data.target, data.groups, n_folds=2)
-        left = np.empty_like(data.target)
-        for train, test in GroupKFold(2).split(data.data, groups=data.groups):
-            copy = clone(model)
-            copy.fit(data.data[train], data.target[train], groups=data.groups[train])
-            left[test] = data.target[test] - copy.predict(data.data[test])
-        expected = single_point_repeatability(left, data.groups)
-        assert card["error"]["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-6)
+    model = ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"])
+    model.fit(data.data, data.target, groups=data.groups)
+    card = describe(model, data.data, data.target, data.groups, n_folds=2)
+    left = np.empty_like(data.target)
+    for train, test in GroupKFold(2).split(data.data, groups=data.groups):
+        copy = clone(model)
+        copy.fit(data.data[train], data.target[train], groups=data.groups[train])
+        left[test] = data.target[test] - copy.predict(data.data[test])
+    expected = single_point_repeatability(left, data.groups)
+    assert card["error"]["mean_2S_after_mm"] == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_best_model_is_not_said_to_do_harm():
@@ -144,23 +137,15 @@ def test_a_table_with_names(data):
     assert cards[0]["error"] == cards[1]["error"] == cards[2]["error"]
 
 
-def test_fields_of_the_arm_and_the_data(model, data, tmp_path):
-    params = {"serial_number": "CMM-17", "date": datetime.date(2026, 5, 4)}
-    card = describe(model, data.data, data.target, data.groups, n_folds=0, **params)
-    assert (card["serial_number"], card["date"]) == ("CMM-17", "2026-05-04")
-    content = data.data.astype("<f8").tobytes(), data.target.astype("<f8").tobytes()
-    codes = np.unique(data.groups, return_inverse=True)[1].astype("<i8").tobytes()
-    digest = hashlib.sha256(
-        b"(120, 6)" + content[0] + b"(120, 3)" + content[1] + b"(120,)" + codes
-    ).hexdigest()
-    assert card["training"]["data_fingerprint"] == digest
+def test_the_fingerprint_of_the_data(model, data, tmp_path):
+    card = describe(model, data.data, data.target, data.groups, n_folds=0)
+    codes = np.unique(data.groups, return_inverse=True)[1]
+    digest = hashlib.sha256()
+    for values, kind in ((data.data, "<f8"), (data.target, "<f8"), (codes, "<i8")):
+        digest.update(str(values.shape).encode() + values.astype(kind).tobytes())
+    assert card["training"]["data_fingerprint"] == digest.hexdigest()
     header = export_c(model, tmp_path / "arm.c", card=card)[1].read_text()
-    assert '#define ARM_SERIAL_NUMBER "CMM-17"' in header
-    assert '#define ARM_DATE "2026-05-04"' in header
-    assert f'#define ARM_DATA_FINGERPRINT "{digest}"' in header
-    for params in ({"serial_number": 17}, {"date": " "}, {"date": 2026}):
-        with pytest.raises(ValueError, match=r"(serial_number|date) must be text, got"):
-            describe(model, **params)
+    assert f'#define ARM_DATA_FINGERPRINT "{digest.hexdigest()}"' in header
 
 
 def test_the_arm_in_full_digits(data):
@@ -178,11 +163,11 @@ def test_a_name_cannot_forge_a_line(data, tmp_path):
         arm = data.arm.replace(name=name)
         network = RBFNetRegressor(3, length_scale=1.5, alpha=0.01)
         model = make_pipeline(PoseFeatures(arm), network).fit(data.data, data.target)
-        card = describe(model, serial_number=name)
-        assert card["serial_number"] == card["arm"]["name"] == name  # as it is, for JSON
+        card = describe(model)
+        assert card["arm"]["name"] == name  # as it is, for JSON
         text = str(card)
         plain = describe(make_pipeline(PoseFeatures(data.arm), network).fit(data.data, data.target))
-        assert len(text.splitlines()) == len(str(plain).splitlines()) + 1  # the serial number
+        assert len(text.splitlines()) == len(str(plain).splitlines())
         assert "<" not in text
         assert not re.search(r"(?<!\\)[`*\[]|\u202e", text)
         for path in export_c(model, tmp_path / "arm.c", card=card):
@@ -197,11 +182,7 @@ def test_without_an_arm_and_without_volume():
     card = describe(LinearSVR(random_state=0).fit(X, y), X, y)
     assert card["fingerprint"] is None
     assert "arm" not in card
-    assert {**card["training"], "data_fingerprint": ""} == {
-        "rows": 40,
-        "positions": None,
-        "data_fingerprint": "",
-    }
+    assert (card["training"]["rows"], card["training"]["positions"]) == (40, None)
     assert card["error"]["mean_before_mm"] == np.abs(y).mean()
     assert "unknown" in str(card)
     arm = Arm(a=[300, 200], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 2))
@@ -215,16 +196,8 @@ def test_bad_calls_are_refused(model, data):
         describe(clone(model), data.data)
     with pytest.raises(ValueError, match="X, which is None"):
         describe(model, y=data.target)
-    with pytest.raises(ValueError, match="X has 5 columns, but the model was fitted on 6"):
-        describe(model, data.data[:, :5])
-    with pytest.raises(ValueError, match="NaN"):
-        describe(model, np.full((3, 6), np.nan))
     with pytest.raises(ValueError, match="inconsistent numbers"):
         describe(model, data.data, data.target[:-1])
-    with pytest.raises(ValueError, match="groups names 119 samples"):
-        describe(model, data.data, data.target, data.groups[:-1])
     for n_folds in (1, -1, 2.5, True, "5"):
         with pytest.raises(ValueError, match="n_folds must be 0 or a whole number"):
             describe(model, data.data, n_folds=n_folds)
-    with pytest.raises(TypeError, match="group"):
-        describe(model, data.data, group=data.groups)

@@ -7,23 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    RBFNetRegressor,
-    update_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, update_correction
 from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.export import (
-    describe,
-    export_c,
-    load_c,
-    to_onnx,
-)
-from sklearn_raacmm.export._models import program_of
+from sklearn_raacmm.export import describe, export_c, to_onnx
+from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import run
 
-from ._chains import COMPILERS, STRICT
+from ._chains import COMPILERS, STRICT, ways_out
 
 ARM = Arm.from_name("aacmm6")
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
@@ -54,26 +44,11 @@ def new():
     return X, residuals(X, 40) + rng.normal(scale=0.01, size=(len(X), 3))
 
 
-def ways_out(model, folder):
-    """Each way of a model out of Python, as a function of rows."""
-    yield "program", lambda X: run(program_of(model), X)["y"]
-    if COMPILERS:
-        yield "C", load_c(model, cache_dir=folder / "cache").predict
-    try:
-        import onnxruntime
-    except ImportError:
-        return
-    text = to_onnx(model).SerializeToString()
-    session = onnxruntime.InferenceSession(text, providers=["CPUExecutionProvider"])
-    yield "ONNX", lambda X: session.run(None, {"X": X})[0]
-
-
 def agree(model, X, folder):
     expected = model.predict(X)
     assert np.ptp(expected, axis=0).min() > 1e-3
-    ways = dict(ways_out(model, folder))
-    for way, correct in ways.items():
-        np.testing.assert_allclose(correct(X), expected, rtol=0, atol=2e-12, err_msg=way)
+    for way, found, _ in ways_out(folder, model, X):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-12, err_msg=way)
 
 
 def test_degrees(data, tmp_path):
@@ -164,7 +139,7 @@ def assert_same_files(model, X):
     assert getattr(again, "updates_", ()) == getattr(model, "updates_", ())
     mean, std = model.predict(X, return_std=True)
     np.testing.assert_array_equal(again.predict(X, return_std=True), (mean, std))
-    np.testing.assert_allclose(run(program_of(model, std=True), X)["std"], std, rtol=1e-9)
+    np.testing.assert_allclose(run(build_program(model, std=True), X)["std"], std, rtol=1e-9)
 
 
 def test_a_registered_arm(data, tmp_path):
@@ -216,3 +191,50 @@ def test_a_network_whose_centres_are_all_rows(tmp_path):
     assert all(network.all_rows for network in model.networks_)
     agree(model, new, tmp_path)
     assert_same_files(model, new)
+
+
+# -- the probe as an argument: the moved model, whatever the probe ---------------------------------
+
+
+def fitted(groups=None, **params):
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-2, 2, (200, 6))
+    X = np.column_stack([angles, *[rng.normal(size=200) for _ in params.get("extra", ())]])
+    y = np.einsum("nij,nj->ni", ARM.jacobian(angles), 1e-4 * np.cos(angles))
+    y += rng.normal(0, 0.005, y.shape)
+    return ArmResidualRegressor(ARM, orders=5, **params).fit(X, y, groups=groups)
+
+
+@pytest.mark.parametrize("params", [
+    {}, {"offsets": True}, {"extra": ["payload", "direction 2"]}, {"causes": []},
+])  # fmt: skip
+def test_the_program_is_the_moved_model(params):
+    """Answers of the program against `with_arm`, row by row; also of a probe that is shorter."""
+    model = fitted(np.repeat(np.arange(10), 20) if "offsets" in params else None, **params)
+    rng = np.random.default_rng(1)
+    program = build_program(model, std=True, any_probe=True)
+    for probe in ((0, 0, 400), (30, -20, 60), tuple(ARM.probe)):
+        X = rng.uniform(-3, 3, (20, 6 + len(params.get("extra", ()))))
+        found = run(program, np.column_stack([X, np.tile(probe, (20, 1))]))
+        moved = model.with_arm(ARM.replace(probe=probe))
+        mean, std = moved.predict(X, return_std=True)
+        np.testing.assert_allclose(found["y"], mean, atol=1e-9)
+        np.testing.assert_allclose(found["std"], std, rtol=1e-6)
+        np.testing.assert_allclose(found["point"], moved.correct(X), atol=1e-9)
+
+
+def test_c_takes_it_and_proves_itself(tmp_path):
+    _, header = export_c(fitted(), tmp_path / "arm.c", std=True, any_probe=True, poses="random")
+    text = header.read_text()
+    assert "#define ARM_N_INPUTS 9" in text
+    assert "probe x in mm, probe y in mm, probe z in mm" in text
+    assert (tmp_path / "arm_test.c").exists()
+
+
+def test_what_knows_one_probe_only_is_refused(tmp_path):
+    warm = fitted(extra=["temperature"])
+    with pytest.raises(ValueError, match="does not go with temperatures"):
+        export_c(warm, tmp_path / "arm.c", any_probe=True)
+    X = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    with pytest.raises(ValueError, match="needs an ArmResidualRegressor"):
+        export_c(RBFNetRegressor(4).fit(X, X), tmp_path / "net.c", any_probe=True)

@@ -1,6 +1,5 @@
 """Random chains of every kind: each way out of Python gives what predict gives."""
 
-import ctypes
 import subprocess
 from functools import partial
 
@@ -17,12 +16,10 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
-from sklearn_raacmm.export import export_c, to_onnx
-from sklearn_raacmm.export._models import program_of
-from sklearn_raacmm.export._program import run
+from sklearn_raacmm.export import export_c
 from sklearn_raacmm.network import KERNELS
 
-from ._chains import COMPILERS, STRICT
+from ._chains import COMPILERS, ways_out
 
 SANITIZE = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 MAIN = """
@@ -63,13 +60,9 @@ def random_model(rng):
     y = 0.05 * np.cos(X[:, :3]) + 0.002 * rng.normal(size=(n, 3))
     unit = str(rng.choice(["rad", "deg"]))
     network = RBFNetRegressor(
-        int(rng.integers(1, 20)),
-        kernel=str(rng.choice(list(KERNELS))),
-        length_scale=2.0,
-        alpha=0.1,
-        degree=int(rng.integers(-1, 2)),
-        shared=bool(rng.integers(2)),
-    )
+        int(rng.integers(1, 20)), kernel=str(rng.choice(list(KERNELS))), length_scale=2.0,
+        alpha=0.1, degree=int(rng.integers(-1, 2)), shared=bool(rng.integers(2)),
+    )  # fmt: skip
     scalers = [StandardScaler(), MinMaxScaler(clip=True), RobustScaler(), MaxAbsScaler()]
     scaler = scalers[rng.integers(4)]
     last = [network, network, LinearRegression(), Ridge()][rng.integers(4)]
@@ -111,41 +104,6 @@ def random_model(rng):
     if kind == 4 and rng.integers(2):
         y = y[:, 0]
     return model.fit(X, y), new, bool(std)
-
-
-def in_c(folder, compiler, model, X, std):
-    """Mean, and deviation or None, of the compiled file, with every warning an error."""
-    source, header = export_c(model, folder / "arm.c", std=std)
-    library = folder / f"{compiler}.so"
-    command = [compiler, "-std=c99", "-O1", *STRICT, "-shared", "-fPIC", "-o", library, source]
-    subprocess.run([*command, "-lm"], check=True)
-    loaded = ctypes.CDLL(str(library))
-    verb = "correct" if "arm_correct(" in header.read_text() else "predict"
-    q = np.reshape(model.predict(X[:1]), -1).size
-    mean, spread, place = np.empty((len(X), q)), np.empty((len(X), q)), ctypes.c_void_p
-    getattr(loaded, f"arm_{verb}_n")(
-        place(X.ctypes.data), place(mean.ctypes.data), ctypes.c_size_t(len(X))
-    )
-    if std:
-        again = np.empty(q)
-        for row, own in zip(X, spread, strict=True):
-            function = getattr(loaded, f"arm_{verb}_std")
-            function(*(place(array.ctypes.data) for array in (row, again, own)))
-    return mean, spread if std else None
-
-
-def ways_out(folder, model, X, std):
-    """Name, mean and deviation or None of every way out of Python."""
-    for compiler in COMPILERS:
-        yield compiler, *in_c(folder, compiler, model, X, std)
-    found = run(program_of(model, std), X)
-    yield "program", found["y"], found.get("std")
-    try:
-        import onnxruntime
-    except ImportError:
-        return
-    session = onnxruntime.InferenceSession(to_onnx(model, std=std).SerializeToString())
-    yield "ONNX", *session.run(None, {"X": X}), *([] if std else [None])
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones

@@ -1,7 +1,7 @@
 # ruff: noqa: E501, RUF005  (one line a mistake; arrays are added)
-"""The table of mistakes: what tired people do to their data, at which door, and what is said of it.
+"""The table of mistakes: what tired people do to their data, and which finding each function has.
 
-One line a mistake: the door, the mistake in words, what it does to the data, and the code of the
+One line a mistake: the function, the mistake in words, what it does to the data, and the code of the
 finding. What no data can show stands here, too, as "cannot be known, because ...".
 """
 
@@ -40,7 +40,7 @@ SMALL = ArmResidualRegressor(ARM, orders=2)
 
 
 def base(**changes):
-    """The data of all doors, some of them changed."""
+    """The data of all functions, some of them changed."""
     data = SimpleNamespace(
         arm=TEST.nominal_arm, angles=TEST.data, groups=TEST.groups, points=TRACKER, lengths=(),
         unit="rad", more={}, model=SMALL,
@@ -63,65 +63,46 @@ MODELS = {
 }
 
 
-# -- the doors: each takes data, and may say findings ---------------------------------------------
+# -- the functions: each takes data, and may warn -------------------------------------------------
 
 
-def calibrate_cones(d):
-    calibrate(d.arm, d.angles, d.groups, lengths=d.lengths, angle_unit=d.unit, **d.more)
-
-
-def calibrate_tracker(d):
-    calibrate(d.arm, d.angles, points=d.points, angle_unit=d.unit, **d.more)
-
-
-def learn_cones(d):
-    learn_correction(d.arm, d.angles, d.groups, model=d.model, cv=3, angle_unit=d.unit)
-
-
-def learn_tracker(d):
-    learn_correction(d.arm, d.angles, d.groups, d.points, model=d.model, cv=3)
-
-
-def cross_validate_cones(d):
-    cross_validate_correction(d.arm, d.angles, d.groups, model=d.model, cv=3)
-
-
-def fit_cones(d):
+def fit(d):
     d.model.fit(d.angles, d.y, groups=d.groups, **d.more)
 
 
-def fit_tracker(d):
-    d.model.fit(d.angles, d.y, groups=d.groups, **d.more)
-
-
-def chain(d):
+def fit_chain(d):
     inner = make_pipeline(PoseFeatures(d.model.arm), StandardScaler(), Ridge())
     model = CylindricalResidualTarget(inner, azimuth=d.model.arm.azimuth)
     model.fit(d.angles, d.y, groups=d.groups)
 
 
-def pipeline(d):
+def fit_pipeline(d):
     pose = PoseFeatures(d.model.arm, append_azimuth=True)
     model = make_pipeline(pose, CylindricalResidualTarget(make_pipeline(StandardScaler(), Ridge())))
     model.fit(d.angles, d.y, cylindricalresidualtarget__groups=d.groups)
-
-
-def update_cones(d):
-    update_correction(MODELS["cones"], d.angles, d.y, groups=d.groups)
-
-
-def update_tracker(d):
-    update_correction(MODELS["tracker"], d.angles, d.y)
-
-
-def transfer(d):
-    transferred_model([MODELS["cones"]], ARM, d.angles, d.y, groups=d.groups)
 
 
 def predict(column):
     model = ArmResidualRegressor(ARM, orders=2, extra=["temperature"])
     model.fit(np.column_stack([TEST.data, WARM]), OF.cones, groups=TEST.groups)
     model.predict(np.column_stack([TEST.data, column]))
+
+
+FUNCTIONS = {
+    "calibrate_cones": lambda d: calibrate(d.arm, d.angles, d.groups, lengths=d.lengths, angle_unit=d.unit, **d.more),
+    "calibrate_tracker": lambda d: calibrate(d.arm, d.angles, points=d.points, angle_unit=d.unit, **d.more),
+    "learn_cones": lambda d: learn_correction(d.arm, d.angles, d.groups, model=d.model, cv=3, angle_unit=d.unit),
+    "learn_tracker": lambda d: learn_correction(d.arm, d.angles, d.groups, d.points, model=d.model, cv=3),
+    "cross_validate_cones": lambda d: cross_validate_correction(d.arm, d.angles, d.groups, model=d.model, cv=3),
+    "fit_cones": fit,
+    "fit_tracker": fit,
+    "chain": fit_chain,
+    "pipeline": fit_pipeline,
+    "update_cones": lambda d: update_correction(MODELS["cones"], d.angles, d.y, groups=d.groups),
+    "update_tracker": lambda d: update_correction(MODELS["tracker"], d.angles, d.y),
+    "transfer": lambda d: transferred_model([MODELS["cones"]], ARM, d.angles, d.y, groups=d.groups),
+    "predict": predict,
+}  # fmt: skip
 
 
 # -- the mistakes ---------------------------------------------------------------------------------
@@ -209,159 +190,167 @@ EXACT = ARM.forward(TEST.data)
 BECAUSE = "cannot be known, because "
 
 MISTAKES = [
-    # door, mistake, data, finding
-    (calibrate_cones, "degrees for radians", lambda: base(angles=np.rad2deg(TEST.data)), "angle-unit"),
-    (calibrate_cones, "radians for degrees", lambda: base(unit="deg"), "angle-unit"),
-    (calibrate_cones, "counts for degrees", lambda: base(angles=3e4 * TEST.data, unit="deg"), "angle-unit"),
-    (calibrate_cones, "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
-    (calibrate_cones, "two decimals", lambda: base(angles=np.rad2deg(TEST.data).round(2), unit="deg"), "coarse-angles"),
-    (calibrate_cones, "joints in reverse order", lambda: columns(5, 4, 3, 2, 1, 0), "no-such-arm"),
-    (calibrate_cones, "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "no-such-arm"),
-    (calibrate_cones, "joint 4 reversed", lambda: reversed_joints(4), "no-such-arm"),
-    (calibrate_cones, "all joints reversed", lambda: reversed_joints(1, 2, 3, 4, 5, 6), "table-off"),
-    (calibrate_cones, "joint 1 reversed", lambda: reversed_joints(1), "no-such-arm"),
-    (calibrate_cones, "the zero of joint 1 is 10 degrees off", lambda: base(angles=TEST.data + np.deg2rad([10, 0, 0, 0, 0, 0])), BECAUSE + "where the base points is nothing that cones show"),
-    (calibrate_cones, "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
-    (calibrate_cones, "a table in metres", lambda: base(arm=table(1e-3)), "unit-of-table"),
-    (calibrate_cones, "all lengths 2 % too long", lambda: base(arm=table(1.02)), BECAUSE + "cones show no scale"),
-    (calibrate_cones, "labels five rows late", shifted_labels, "no-such-arm"),
-    (calibrate_cones, "the third cone moved by 6 mm", moved_cone, "moved-position"),
-    (calibrate_cones, "a file pasted twice", twice, "copied-rows"),
-    (calibrate_cones, "a logger's stream", lambda: stream("cones"), "dwells"),
-    (calibrate_cones, "a label mistyped once", lambda: base(groups=np.r_[99, TEST.groups[1:]]), "lonely-position"),
-    (calibrate_cones, "twelve rows", lambda: base(angles=TEST.data[::12], groups=np.arange(12) % 3), "few-rows"),
-    (calibrate_cones, "a length in centimetres", lambda: base(lengths=[(0, 1, 30.0, 0.01)]), "wrong-length|no-such-arm|table-off"),
-    (calibrate_cones, "a joint one turn on", lambda: base(angles=TEST.data + [0, 0, 2 * np.pi, 0, 0, 0]), ""),
-    (calibrate_tracker, "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
-    (calibrate_tracker, "points in centimetres", lambda: base(points=TRACKER / 10), "unit-of-points"),
-    (calibrate_tracker, "points in metres", lambda: base(points=TRACKER / 1000), "unit-of-points"),
-    (calibrate_tracker, "points in micrometres", lambda: base(points=TRACKER * 1000), "unit-of-points"),
-    (calibrate_tracker, "the arm's own points", lambda: base(points=TEST.nominal_arm.forward(TEST.data)), "points-of-the-arm"),
-    (calibrate_tracker, "a mirrored frame", lambda: base(points=TRACKER[:, [1, 0, 2]]), "no-such-arm"),
-    (calibrate_tracker, "degrees for radians", lambda: base(angles=np.rad2deg(TEST.data)), "angle-unit"),
-    (calibrate_tracker, "points one row late", lambda: base(points=np.roll(TRACKER, 1, axis=0)), "no-such-arm|many-outliers|outliers"),
-    (calibrate_tracker, "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "no-such-arm"),
-    (calibrate_tracker, "joint 4 reversed", lambda: reversed_joints(4), "no-such-arm"),
-    (calibrate_tracker, "the tracker moved by 0.5 mm", lambda: moved_tracker(0.5), "moved-station"),
-    (calibrate_tracker, "the tracker moved by 50 mm", lambda: moved_tracker(50), "moved-station"),
-    (calibrate_tracker, "another target, 0.5 mm aside", lambda: moved_target(0.5), "moved-tool"),
-    (calibrate_tracker, "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
-    (calibrate_tracker, "another target, 50 mm aside", lambda: moved_target(50), "moved-tool"),
-    (calibrate_tracker, "a path instead of poses", path, "poses-alike"),
-    (calibrate_tracker, "a logger's stream", lambda: stream("tracker"), "dwells"),
-    (calibrate_tracker, "a file pasted twice", twice, "copied-rows"),
-    (calibrate_tracker, "ten rows", lambda: base(angles=TEST.data[:10], points=TRACKER[:10]), "few-rows"),
-    (calibrate_tracker, "the correction of another arm", lambda: base(more={"correction": clone(SMALL).fit(TEST.data, -OF.tracker)}), "harmful-correction"),
-    (fit_cones, "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
-    (fit_cones, "inches", lambda: of(OF.cones / 25.4), "unit-of-residuals"),
-    (fit_cones, "centimetres", lambda: of(OF.cones / 10), "unit-of-residuals"),
-    (fit_cones, "metres", lambda: of(OF.cones / 1000), "unit-of-residuals"),
-    (fit_cones, "one row late", lambda: of(np.roll(OF.cones, 1, axis=0)), "rows-shifted"),
-    (fit_cones, "one row early", lambda: of(np.roll(OF.cones, -1, axis=0)), "rows-shifted"),
-    (fit_cones, "points for residuals", lambda: of(EXACT), "points-for-residuals"),
-    (fit_cones, "groups forgotten", lambda: of(OF, groups=None), "groups-missing"),
-    (fit_cones, "an arm that is not calibrated", lambda: of(OF_NOMINAL, model=NOMINAL), "not-calibrated"),
-    (fit_cones, "residuals of the nominal table", lambda: of(OF_NOMINAL), "not-calibrated"),
-    (fit_cones, "degrees for radians", lambda: of(OF, angles=np.rad2deg(TEST.data)), "angle-unit"),
-    (fit_cones, "weights that add up to 1", lambda: of(OF, sample_weight=np.full(N, 1 / N)), "worth-of-rows"),
-    (fit_cones, "a logger's stream", lambda: SimpleNamespace(**vars(stream("cones")) | {"model": clone(SMALL)}), "dwells"),
-    (fit_cones, "a dead thermometer", lambda: extra(np.full(N, 20.0)), "constant-column"),
-    (predict, "Fahrenheit for Celsius", lambda: 68 + 3 * WARM, "column-out-of-range"),
-    (predict, "a thermometer that has died", lambda: 0 * WARM - 273, "column-out-of-range"),
-    (fit_cones, "a thermometer that drifts", lambda: extra(np.linspace(20, 21, N)), BECAUSE + "nothing else has measured the temperature"),
-    (fit_tracker, "another frame, near", lambda: of(OF.tracker + [5.0, 2.0, 0.0], "tracker"), "another-frame"),
-    (fit_tracker, "another frame, far", lambda: of(EXACT - TRACKER), "points-for-residuals|no-residuals"),
-    (fit_tracker, "references that are off by 0.1 mm", lambda: of(constants(0.1)), "constants-of-positions"),
-    (fit_tracker, "references that are off by 1 mm", lambda: of(constants(1.0)), "constants-of-positions"),
-    (fit_tracker, "an arm that is not calibrated", lambda: of(OF_NOMINAL, "tracker", model=NOMINAL), "not-calibrated"),
-    (fit_tracker, "the arm's own points", lambda: of(np.zeros((N, 3))), "residuals-all-zero"),
-    (fit_tracker, "the wrong sign", lambda: of(-OF.tracker), BECAUSE + "errors of the other sign are those of some arm"),
-    (fit_tracker, "inches", lambda: of(OF.tracker / 25.4), BECAUSE + "an arm may be that good"),
-    (chain, "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
-    (chain, "an arm that is not calibrated", lambda: of(OF_NOMINAL, model=NOMINAL), "not-calibrated"),
-    (chain, "groups forgotten", lambda: of(OF, groups=None), "groups-missing"),
-    (pipeline, "points for residuals", lambda: of(EXACT), "no-residuals"),
-    (pipeline, "another frame", lambda: of(OF.tracker + [5.0, 2.0, 0.0]), "another-frame"),
-    (pipeline, "a logger's stream", lambda: stream("cones"), "dwells"),
-    (pipeline, "degrees for radians", lambda: of(OF, angles=np.rad2deg(TEST.data)), "angle-unit"),
-    (update_cones, "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
-    (update_cones, "corrected already", lambda: of(OF.cones - EXPECTED[0]), "corrected-already"),
-    (update_cones, "corrected twice", lambda: of(OF.cones - 2 * EXPECTED[0]), "sign-of-residuals"),
-    (update_cones, "one row late", lambda: of(np.roll(OF.cones, 1, axis=0)), "rows-shifted"),
-    (update_cones, "joints 2 and 3 exchanged", lambda: of(OF, angles=TEST.data[:, [0, 2, 1, 3, 4, 5]]), "joints"),
-    (update_cones, "joint 4 reversed", lambda: of(OF, angles=TEST.data * [1, 1, 1, -1, 1, 1]), "joints"),
-    (update_cones, "the nominal table", lambda: of(OF_NOMINAL), "other-table"),
-    (update_cones, "two rows", lambda: of(OF.cones[:2], angles=TEST.data[:2], groups=TEST.groups[:2]), "few-poses"),
-    (update_tracker, "the wrong sign", lambda: of(-OF.tracker), "sign-of-residuals"),
-    (update_tracker, "result.residuals_mm", lambda: of(OF.tracker - EXPECTED[1]), "corrected-already"),
-    (update_tracker, "one row late", lambda: of(np.roll(OF.tracker, 1, axis=0)), "rows-shifted|another-arm"),
-    (update_tracker, "joint 4 reversed", lambda: of(OF, "tracker", angles=TEST.data * [1, 1, 1, -1, 1, 1]), "joints"),
-    (update_tracker, "the nominal table", lambda: of(OF_NOMINAL, "tracker"), "other-table"),
-    (update_tracker, "another arm", lambda: of(OTHER.arm.forward(TEST.data) - OTHER.simulation.true_points, angles=OTHER.data), "another-arm|strange-poses"),
-    (transfer, "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
-    (learn_cones, "the third cone moved by 6 mm", moved_cone, "moved-position"),
-    (learn_cones, "labels five rows late", shifted_labels, "no-such-arm|the points scatter by"),
-    (learn_cones, "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "the points scatter by"),
-    (learn_cones, "a logger's stream", lambda: stream("cones", 5), "dwells"),
-    (learn_cones, "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
-    (learn_tracker, "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
-    (learn_tracker, "the tracker moved by 5 mm", lambda: moved_tracker(5), "moved-station"),
-    (learn_tracker, "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
-    (cross_validate_cones, "the third cone moved by 6 mm", moved_cone, "moved-position"),
-    (cross_validate_cones, "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
+    # function, mistake, data, finding
+    ("calibrate_cones", "degrees for radians", lambda: base(angles=np.rad2deg(TEST.data)), "angle-unit"),
+    ("calibrate_cones", "radians for degrees", lambda: base(unit="deg"), "angle-unit"),
+    ("calibrate_cones", "counts for degrees", lambda: base(angles=3e4 * TEST.data, unit="deg"), "angle-unit"),
+    ("calibrate_cones", "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
+    ("calibrate_cones", "two decimals", lambda: base(angles=np.rad2deg(TEST.data).round(2), unit="deg"), "coarse-angles"),
+    ("calibrate_cones", "joints in reverse order", lambda: columns(5, 4, 3, 2, 1, 0), "no-such-arm"),
+    ("calibrate_cones", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "no-such-arm"),
+    ("calibrate_cones", "joint 4 reversed", lambda: reversed_joints(4), "no-such-arm"),
+    ("calibrate_cones", "all joints reversed", lambda: reversed_joints(1, 2, 3, 4, 5, 6), "table-off"),
+    ("calibrate_cones", "joint 1 reversed", lambda: reversed_joints(1), "no-such-arm"),
+    ("calibrate_cones", "the zero of joint 1 is 10 degrees off", lambda: base(angles=TEST.data + np.deg2rad([10, 0, 0, 0, 0, 0])), BECAUSE + "where the base points is nothing that cones show"),
+    ("calibrate_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
+    ("calibrate_cones", "a table in metres", lambda: base(arm=table(1e-3)), "unit-of-table"),
+    ("calibrate_cones", "all lengths 2 % too long", lambda: base(arm=table(1.02)), BECAUSE + "cones show no scale"),
+    ("calibrate_cones", "labels five rows late", shifted_labels, "no-such-arm"),
+    ("calibrate_cones", "the third cone moved by 6 mm", moved_cone, "moved-position"),
+    ("calibrate_cones", "a file pasted twice", twice, "copied-rows"),
+    ("calibrate_cones", "a logger's stream", lambda: stream("cones"), "dwells"),
+    ("calibrate_cones", "a label mistyped once", lambda: base(groups=np.r_[99, TEST.groups[1:]]), "lonely-position"),
+    ("calibrate_cones", "twelve rows", lambda: base(angles=TEST.data[::12], groups=np.arange(12) % 3), "few-rows"),
+    ("calibrate_cones", "a length in centimetres", lambda: base(lengths=[(0, 1, 30.0, 0.01)]), "wrong-length|no-such-arm|table-off"),
+    ("calibrate_cones", "a joint one turn on", lambda: base(angles=TEST.data + [0, 0, 2 * np.pi, 0, 0, 0]), ""),
+    ("calibrate_tracker", "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
+    ("calibrate_tracker", "points in centimetres", lambda: base(points=TRACKER / 10), "unit-of-points"),
+    ("calibrate_tracker", "points in metres", lambda: base(points=TRACKER / 1000), "unit-of-points"),
+    ("calibrate_tracker", "points in micrometres", lambda: base(points=TRACKER * 1000), "unit-of-points"),
+    ("calibrate_tracker", "the arm's own points", lambda: base(points=TEST.nominal_arm.forward(TEST.data)), "points-of-the-arm"),
+    ("calibrate_tracker", "a mirrored frame", lambda: base(points=TRACKER[:, [1, 0, 2]]), "no-such-arm"),
+    ("calibrate_tracker", "degrees for radians", lambda: base(angles=np.rad2deg(TEST.data)), "angle-unit"),
+    ("calibrate_tracker", "points one row late", lambda: base(points=np.roll(TRACKER, 1, axis=0)), "no-such-arm|many-outliers|outliers"),
+    ("calibrate_tracker", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "no-such-arm"),
+    ("calibrate_tracker", "joint 4 reversed", lambda: reversed_joints(4), "no-such-arm"),
+    ("calibrate_tracker", "the tracker moved by 0.5 mm", lambda: moved_tracker(0.5), "moved-station"),
+    ("calibrate_tracker", "the tracker moved by 50 mm", lambda: moved_tracker(50), "moved-station"),
+    ("calibrate_tracker", "another target, 0.5 mm aside", lambda: moved_target(0.5), "moved-tool"),
+    ("calibrate_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
+    ("calibrate_tracker", "another target, 50 mm aside", lambda: moved_target(50), "moved-tool"),
+    ("calibrate_tracker", "a path instead of poses", path, "poses-alike"),
+    ("calibrate_tracker", "a logger's stream", lambda: stream("tracker"), "dwells"),
+    ("calibrate_tracker", "a file pasted twice", twice, "copied-rows"),
+    ("calibrate_tracker", "ten rows", lambda: base(angles=TEST.data[:10], points=TRACKER[:10]), "few-rows"),
+    ("calibrate_tracker", "the correction of another arm", lambda: base(more={"correction": clone(SMALL).fit(TEST.data, -OF.tracker)}), "harmful-correction"),
+    ("fit_cones", "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
+    ("fit_cones", "inches", lambda: of(OF.cones / 25.4), "unit-of-residuals"),
+    ("fit_cones", "centimetres", lambda: of(OF.cones / 10), "unit-of-residuals"),
+    ("fit_cones", "metres", lambda: of(OF.cones / 1000), "unit-of-residuals"),
+    ("fit_cones", "one row late", lambda: of(np.roll(OF.cones, 1, axis=0)), "rows-shifted"),
+    ("fit_cones", "one row early", lambda: of(np.roll(OF.cones, -1, axis=0)), "rows-shifted"),
+    ("fit_cones", "points for residuals", lambda: of(EXACT), "points-for-residuals"),
+    ("fit_cones", "groups forgotten", lambda: of(OF, groups=None), "groups-missing"),
+    ("fit_cones", "an arm that is not calibrated", lambda: of(OF_NOMINAL, model=NOMINAL), "not-calibrated"),
+    ("fit_cones", "residuals of the nominal table", lambda: of(OF_NOMINAL), "not-calibrated"),
+    ("fit_cones", "degrees for radians", lambda: of(OF, angles=np.rad2deg(TEST.data)), "angle-unit"),
+    ("fit_cones", "weights that add up to 1", lambda: of(OF, sample_weight=np.full(N, 1 / N)), "worth-of-rows"),
+    ("fit_cones", "a logger's stream", lambda: SimpleNamespace(**vars(stream("cones")) | {"model": clone(SMALL)}), "dwells"),
+    ("fit_cones", "a dead thermometer", lambda: extra(np.full(N, 20.0)), "constant-column"),
+    ("predict", "Fahrenheit for Celsius", lambda: 68 + 3 * WARM, "column-out-of-range"),
+    ("predict", "a thermometer that has died", lambda: 0 * WARM - 273, "column-out-of-range"),
+    ("fit_cones", "a thermometer that drifts", lambda: extra(np.linspace(20, 21, N)), BECAUSE + "nothing else has measured the temperature"),
+    ("fit_tracker", "another frame, near", lambda: of(OF.tracker + [5.0, 2.0, 0.0], "tracker"), "another-frame"),
+    ("fit_tracker", "another frame, far", lambda: of(EXACT - TRACKER), "points-for-residuals|no-residuals"),
+    ("fit_tracker", "references that are off by 0.1 mm", lambda: of(constants(0.1)), "constants-of-positions"),
+    ("fit_tracker", "references that are off by 1 mm", lambda: of(constants(1.0)), "constants-of-positions"),
+    ("fit_tracker", "an arm that is not calibrated", lambda: of(OF_NOMINAL, "tracker", model=NOMINAL), "not-calibrated"),
+    ("fit_tracker", "the arm's own points", lambda: of(np.zeros((N, 3))), "residuals-all-zero"),
+    ("fit_tracker", "the wrong sign", lambda: of(-OF.tracker), BECAUSE + "errors of the other sign are those of some arm"),
+    ("fit_tracker", "inches", lambda: of(OF.tracker / 25.4), BECAUSE + "an arm may be that good"),
+    ("chain", "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
+    ("chain", "an arm that is not calibrated", lambda: of(OF_NOMINAL, model=NOMINAL), "not-calibrated"),
+    ("chain", "groups forgotten", lambda: of(OF, groups=None), "groups-missing"),
+    ("pipeline", "points for residuals", lambda: of(EXACT), "no-residuals"),
+    ("pipeline", "another frame", lambda: of(OF.tracker + [5.0, 2.0, 0.0]), "another-frame"),
+    ("pipeline", "a logger's stream", lambda: stream("cones"), "dwells"),
+    ("pipeline", "degrees for radians", lambda: of(OF, angles=np.rad2deg(TEST.data)), "angle-unit"),
+    ("update_cones", "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
+    ("update_cones", "corrected already", lambda: of(OF.cones - EXPECTED[0]), "corrected-already"),
+    ("update_cones", "corrected twice", lambda: of(OF.cones - 2 * EXPECTED[0]), "sign-of-residuals"),
+    ("update_cones", "one row late", lambda: of(np.roll(OF.cones, 1, axis=0)), "rows-shifted"),
+    ("update_cones", "joints 2 and 3 exchanged", lambda: of(OF, angles=TEST.data[:, [0, 2, 1, 3, 4, 5]]), "joints"),
+    ("update_cones", "joint 4 reversed", lambda: of(OF, angles=TEST.data * [1, 1, 1, -1, 1, 1]), "joints"),
+    ("update_cones", "the nominal table", lambda: of(OF_NOMINAL), "other-table"),
+    ("update_cones", "two rows", lambda: of(OF.cones[:2], angles=TEST.data[:2], groups=TEST.groups[:2]), "few-poses"),
+    ("update_tracker", "the wrong sign", lambda: of(-OF.tracker), "sign-of-residuals"),
+    ("update_tracker", "result.residuals_mm", lambda: of(OF.tracker - EXPECTED[1]), "corrected-already"),
+    ("update_tracker", "one row late", lambda: of(np.roll(OF.tracker, 1, axis=0)), "rows-shifted|another-arm"),
+    ("update_tracker", "joint 4 reversed", lambda: of(OF, "tracker", angles=TEST.data * [1, 1, 1, -1, 1, 1]), "joints"),
+    ("update_tracker", "the nominal table", lambda: of(OF_NOMINAL, "tracker"), "other-table"),
+    ("update_tracker", "another arm", lambda: of(OTHER.arm.forward(TEST.data) - OTHER.simulation.true_points, angles=OTHER.data), "another-arm|strange-poses"),
+    ("transfer", "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
+    ("learn_cones", "the third cone moved by 6 mm", moved_cone, "moved-position"),
+    ("learn_cones", "labels five rows late", shifted_labels, "no-such-arm|the points scatter by"),
+    ("learn_cones", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "the points scatter by"),
+    ("learn_cones", "a logger's stream", lambda: stream("cones", 5), "dwells"),
+    ("learn_cones", "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
+    ("learn_tracker", "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
+    ("learn_tracker", "the tracker moved by 5 mm", lambda: moved_tracker(5), "moved-station"),
+    ("learn_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
+    ("cross_validate_cones", "the third cone moved by 6 mm", moved_cone, "moved-position"),
+    ("cross_validate_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
 ]  # fmt: skip
 
 
-def codes_of(door, data):
-    """Codes of what is said, notes included, and the sentence of a refusal."""
-    from sklearn_raacmm.utils import heard_findings
+def find_codes(name, data):
+    """Codes of all findings, notes included, and the sentence of a refusal."""
+    from sklearn_raacmm.utils import collected_findings
 
-    with heard_findings() as heard, warnings.catch_warnings():
+    with collected_findings() as found, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            door(data)
+            FUNCTIONS[name](data)
         except FindingError as error:
             return {error.finding.code}
         except ValueError as error:
             return {str(error)}
-    return {finding.code for finding in heard}
+    return {finding.code for finding in found}
 
 
 @pytest.mark.parametrize(
-    ("door", "make", "expected"),
+    ("name", "make", "expected"),
     [line[:1] + line[2:] for line in MISTAKES],
-    ids=[f"{door.__name__}: {what}" for door, what, *_ in MISTAKES],
+    ids=[f"{name}: {what}" for name, what, *_ in MISTAKES],
 )
-def test_each_mistake_is_named_at_its_door(door, make, expected):
-    said = codes_of(door, make())
+def test_each_mistake_is_named_by_its_function(name, make, expected):
+    found = find_codes(name, make())
     if expected.startswith(BECAUSE) or not expected:
-        assert not said - {"outliers"}
+        assert not found - {"outliers"}
     else:
-        assert any(code.startswith(word) for word in expected.split("|") for code in said), said
+        assert any(code.startswith(word) for word in expected.split("|") for code in found), found
 
 
-CLEAN = {
-    calibrate_cones: base, calibrate_tracker: base, learn_cones: base, cross_validate_cones: base,
-    fit_cones: lambda: of(OF), fit_tracker: lambda: of(OF, "tracker"), chain: lambda: of(OF),
-    pipeline: lambda: of(OF), update_cones: lambda: of(OF), update_tracker: lambda: of(OF, "tracker"),
-    transfer: lambda: of(OF), learn_tracker: base,
-}  # fmt: skip
+CLEAN = dict.fromkeys(
+    [
+        "calibrate_cones",
+        "calibrate_tracker",
+        "learn_cones",
+        "learn_tracker",
+        "cross_validate_cones",
+    ],
+    base,
+)
+CLEAN |= dict.fromkeys(
+    ["fit_cones", "chain", "pipeline", "update_cones", "transfer"], lambda: of(OF)
+)
+CLEAN |= dict.fromkeys(["fit_tracker", "update_tracker"], lambda: of(OF, "tracker"))
 
 
-@pytest.mark.parametrize("door", CLEAN, ids=lambda door: door.__name__)
-def test_nothing_is_said_of_clean_data(door):
+@pytest.mark.parametrize("name", CLEAN)
+def test_clean_data_raise_no_finding(name):
     notes = {"outliers", "lengths-unknown", "drift-of-run"}
-    assert not codes_of(door, CLEAN[door]()) - notes
+    assert not find_codes(name, CLEAN[name]()) - notes
 
 
 def test_findings_travel_with_what_is_learnt():
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         learned = learn_correction(
             TEST.nominal_arm, moved_cone().angles, TEST.groups, model=SMALL, cv=3
         )
-    assert {one.filename for one in said} == {__file__}
-    assert {one.category for one in said} == {FindingWarning}
+    assert {one.filename for one in caught} == {__file__}
+    assert {one.category for one in caught} == {FindingWarning}
     (found,) = [finding for finding in learned.findings if finding.code == "moved-position"]
     assert found.weight == "repair"
     assert found.positions == (2,)

@@ -1,10 +1,12 @@
+# ruff: noqa: E501  (one line a mistake)
 import pickle
 
 import numpy as np
 import pytest
 import sklearn
 from scipy.optimize import minimize
-from sklearn.linear_model import LinearRegression, Ridge
+from scipy.stats import chi2
+from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 
 from sklearn_raacmm import metrics
@@ -44,17 +46,13 @@ def test_repeatability_is_its_textbook_formula_position_by_position(scattered, s
 def test_axis_repeatability_against_numpy(scattered):
     points, groups = scattered
     own = [points[groups == label] for label in "abcd"]
-    np.testing.assert_allclose(
-        metrics.axis_repeatability(points, groups, aggregate=None),
-        [np.ptp(p, axis=0) / 2 for p in own],
-        rtol=1e-9,
-    )
-    np.testing.assert_allclose(
-        metrics.axis_repeatability(points, groups, statistic="2s", aggregate="max"),
-        np.max([2 * p.std(axis=0, ddof=1) for p in own], axis=0),
-        rtol=1e-9,
-    )
-    mean = np.mean([np.ptp(p, axis=0) / 2 for p in own], axis=0)
+    halves = np.array([np.ptp(p, axis=0) / 2 for p in own])
+    found = metrics.axis_repeatability(points, groups, aggregate=None)
+    np.testing.assert_allclose(found, halves, rtol=1e-9)
+    found = metrics.axis_repeatability(points, groups, statistic="2s", aggregate="max")
+    expected = np.max([2 * p.std(axis=0, ddof=1) for p in own], axis=0)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    mean = halves.mean(axis=0)
     for options in ({}, {"aggregate": "mean"}, {"statistic": "half_range"}):
         np.testing.assert_allclose(metrics.axis_repeatability(points, groups, **options), mean)
 
@@ -113,15 +111,10 @@ def test_r2_is_that_of_a_regression_with_a_dummy_variable_per_position(scattered
     x = np.random.default_rng(1).normal(size=(len(points), 2))
     dummies = (groups[:, None] == np.unique(groups)).astype(float)
     y = points[:, 0]
-    full = LinearRegression(fit_intercept=False).fit(np.hstack([x, dummies]), y)
-    only = LinearRegression(fit_intercept=False).fit(dummies, y)
-    partial_r2 = (
-        1
-        - ((y - full.predict(np.hstack([x, dummies]))) ** 2).sum()
-        / ((y - only.predict(dummies)) ** 2).sum()
-    )
-    score = metrics.within_position_r2_score(y, x @ full.coef_[:2], groups=groups)
-    assert score == pytest.approx(partial_r2, rel=1e-6)
+    coef, full, *_ = np.linalg.lstsq(np.hstack([x, dummies]), y, rcond=None)
+    only = np.linalg.lstsq(dummies, y, rcond=None)[1]
+    score = metrics.within_position_r2_score(y, x @ coef[:2], groups=groups)
+    assert score == pytest.approx(1 - full[0] / only[0], rel=1e-6)
 
 
 def _regression_problem():
@@ -186,7 +179,6 @@ def test_scorer_knows_a_row_in_another_number_type(first, then):
     scorer = metrics.repeatability_scorer(X.astype(first), groups, statistic="mean")
     model = Ridge(1e-9).fit(X, y)
     assert scorer(model, X.astype(then), y) == pytest.approx(0, abs=1e-6)
-    assert "X of shape (12, 2), groups of 3 positions, statistic='mean'" in repr(scorer)
 
 
 def test_scorer_refuses_to_guess_the_groups():
@@ -216,9 +208,8 @@ def test_gauge_lengths_and_errors_by_hand():
     np.testing.assert_allclose(metrics.length_error(lengths, calibrated), [0.03, -0.04, -0.01])
     by_hand = {"max": 0.04, "range": 0.07, "2rms": 2 * np.sqrt(26e-4 / 3), "mean": 0.08 / 3}
     for statistic, value in by_hand.items():
-        assert metrics.length_error(lengths, calibrated, statistic=statistic) == pytest.approx(
-            value
-        )
+        found = metrics.length_error(lengths, calibrated, statistic=statistic)
+        assert found == pytest.approx(value)
     np.testing.assert_allclose(metrics.length_error([300.1, 299.9], 300), [0.1, -0.1])
 
 
@@ -231,12 +222,8 @@ def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
     def cost(x):
         return ((np.linalg.norm(points - x[:3], axis=1) - x[3]) ** 2).sum()
 
-    best = minimize(
-        cost,
-        [700, -300, 150, 12.7],
-        method="Nelder-Mead",
-        options={"xatol": 1e-9, "fatol": 1e-15, "maxiter": 5000, "maxfev": 5000},
-    )
+    options = {"xatol": 1e-9, "fatol": 1e-15, "maxiter": 5000, "maxfev": 5000}
+    best = minimize(cost, [700, -300, 150, 12.7], method="Nelder-Mead", options=options)
     center, radius, distances = _spheres.fit_sphere(points)
     assert cost([*center, radius]) <= best.fun + 1e-12
     np.testing.assert_allclose([*center, radius], best.x, atol=2e-6)
@@ -309,68 +296,42 @@ def test_articulated_location_from_probed_points_is_that_of_the_centres():
 
 OK_POINTS = np.zeros((4, 3))
 OK_GROUPS = [1, 1, 2, 2]
-OK_ROWS = np.arange(12.0).reshape(4, 3)
-MASKED = np.ma.masked_equal(OK_ROWS, 5)
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("name", "given", "options", "message"),
     [
-        (
-            lambda: metrics.single_point_repeatability(OK_POINTS, [1, 2]),
-            "groups names 2 samples, but there are 4",
-        ),
-        (
-            lambda: metrics.single_point_repeatability(OK_POINTS, ["p", "q", "q", "r"]),
-            r"2 of 3 positions hold a single point \(the first: p\)",
-        ),
-        (
-            lambda: metrics.single_point_repeatability(OK_POINTS, statistic="3s"),
-            "^statistic='3s' i",
-        ),
-        (
-            lambda: metrics.single_point_repeatability(OK_POINTS, aggregate="sum"),
-            "^aggregate='sum'",
-        ),
-        (lambda: metrics.single_point_repeatability(np.zeros((2, 2, 2))), r"shape \(2, 2, 2\)"),
-        (lambda: metrics.axis_repeatability(OK_POINTS, statistic="max"), "^statistic='max' is not"),
-        (lambda: metrics.axis_repeatability(OK_POINTS, aggregate="min"), "^aggregate='min' is not"),
-        (lambda: metrics.repeatability_scorer(statistic="3s"), "^statistic='3s' is not one"),
-        (lambda: metrics.repeatability_scorer(aggregate=None), "^aggregate=None is not one"),
-        (
-            lambda: metrics.repeatability_scorer(OK_ROWS, OK_GROUPS)(Ridge(), MASKED, OK_POINTS),
-            "^X has 1 of 12 values masked",
-        ),
-        (lambda: metrics.repeatability_report(OK_POINTS[:, :2]), "2 coordinates"),
-        (
-            lambda: metrics.within_position_scatter(OK_POINTS, OK_POINTS[:, :1]),
-            r"shape \(4, 3\), but y_pred \(4, 1\)",
-        ),
-        (
-            lambda: metrics.within_position_r2_score(OK_POINTS, OK_POINTS, groups=OK_GROUPS),
-            "does not vary",
-        ),
-        (
-            lambda: metrics.gauge_lengths(OK_POINTS, OK_GROUPS, [[1, 3]]),
-            "group 3, which has no points",
-        ),
-        (lambda: metrics.gauge_lengths(OK_POINTS, OK_GROUPS, [1, 2]), r"shape \(2,\)"),
-        (lambda: metrics.length_error([300, 300], [300, 300, 300]), "2 measured .* 3 calibrated"),
-        (lambda: metrics.length_error([300, -300], 300), "1 of 2 values"),
-        (lambda: metrics.length_error([300, np.inf], 300), "1 values"),
-        (lambda: metrics.probing_size_error(np.eye(3), 1), "at least 4 points, got 3"),
-        (lambda: metrics.probing_form_error(np.eye(4)[:, :3] * [1, 1, 0]), "one plane"),
-        (lambda: metrics.probing_size_error(np.eye(4)[:, :3], 0), "positive"),
-        (lambda: metrics.articulated_location_error([[0, 0, 0]]), "2 centres are compared, got 1"),
-        (
-            lambda: metrics.articulated_location_error(np.zeros((8, 3)), np.repeat([1, 2], 4)),
-            "Articulation 1: .* one plane",
-        ),
+        ("single_point_repeatability", [OK_POINTS, list("pqqr")], {}, r"2 of 3 positions hold a single point \(the first: p\)"),
+        ("single_point_repeatability", [OK_POINTS], {"statistic": "3s"}, "^statistic='3s' i"),
+        ("single_point_repeatability", [OK_POINTS], {"aggregate": "sum"}, "^aggregate='sum'"),
+        ("axis_repeatability", [OK_POINTS], {"statistic": "max"}, "^statistic='max' is not"),
+        ("axis_repeatability", [OK_POINTS], {"aggregate": "min"}, "^aggregate='min' is not"),
+        ("repeatability_scorer", [], {"statistic": "3s"}, "^statistic='3s' is not one"),
+        ("repeatability_scorer", [], {"aggregate": None}, "^aggregate=None is not one"),
+        ("repeatability_report", [OK_POINTS[:, :2]], {}, "2 coordinates"),
+        ("within_position_scatter", [OK_POINTS, OK_POINTS[:, :1]], {}, r"shape \(4, 3\), but y_pred \(4, 1\)"),
+        ("within_position_r2_score", [OK_POINTS, OK_POINTS], {"groups": OK_GROUPS}, "does not vary"),
+        ("gauge_lengths", [OK_POINTS, OK_GROUPS, [[1, 3]]], {}, "group 3, which has no points"),
+        ("gauge_lengths", [OK_POINTS, OK_GROUPS, [1, 2]], {}, r"shape \(2,\)"),
+        ("length_error", [[300, 300], [300, 300, 300]], {}, "2 measured .* 3 calibrated"),
+        ("length_error", [[300, -300], 300], {}, "1 of 2 values"),
+        ("probing_size_error", [np.eye(3), 1], {}, "at least 4 points, got 3"),
+        ("probing_form_error", [np.eye(4)[:, :3] * [1, 1, 0]], {}, "one plane"),
+        ("probing_size_error", [np.eye(4)[:, :3], 0], {}, "positive"),
+        ("articulated_location_error", [[[0, 0, 0]]], {}, "2 centres are compared, got 1"),
+        ("articulated_location_error", [np.zeros((8, 3)), np.repeat([1, 2], 4)], {}, "Articulation 1: .* one plane"),
     ],
-)
-def test_bad_input_is_refused_with_the_numbers(call, message):
+)  # fmt: skip
+def test_bad_input_is_refused_with_the_numbers(name, given, options, message):
     with pytest.raises(ValueError, match=message):
-        call()
+        getattr(metrics, name)(*given, **options)
+
+
+def test_a_scorer_refuses_masked_rows():
+    rows = np.arange(12.0).reshape(4, 3)
+    scorer = metrics.repeatability_scorer(rows, OK_GROUPS)
+    with pytest.raises(ValueError, match=r"^X has 1 of 12 values masked"):
+        scorer(Ridge(), np.ma.masked_equal(rows, 5), OK_POINTS)
 
 
 def test_blocks_of_any_direction_by_construction():
@@ -405,3 +366,50 @@ def test_faces_in_one_line_are_refused():
         metrics.block_lengths(points, groups, [("a", "b")])
     with pytest.raises(ValueError, match="do not determine a plane"):
         metrics.block_lengths(points[[0, 4]], ["a", "b"], [("a", "b")])
+
+
+# -- intervals of the repeatability, against the chi-square distribution ---------------------------
+
+
+def test_as_long_as_those_of_normal_deviations():
+    rng = np.random.default_rng(0)
+    n, sd = 40, np.array([0.3, 1.2])
+    groups = np.repeat(["far", "near"], n)
+    free = 3 * (n - 1)
+    expected = 2 * np.sqrt(3) * sd * np.ptp(np.sqrt(chi2.ppf([0.025, 0.975], free) / free))
+    length = np.zeros(2)
+    for seed in range(8):
+        points = np.repeat(sd, n)[:, None] * rng.normal(size=(2 * n, 3))
+        low, high = metrics.repeatability_interval(
+            points, groups, aggregate=None, random_state=seed
+        ).T
+        value = metrics.single_point_repeatability(points, groups, aggregate=None)
+        assert np.all((low < value) & (value < high))
+        length += (high - low) / 8
+    np.testing.assert_allclose(length, expected, rtol=0.12)
+
+
+def test_the_mean_of_positions_is_known_better_and_less_probable_is_shorter():
+    rng = np.random.default_rng(1)
+    groups = np.repeat(np.arange(9), 20)
+    points = rng.normal(size=(180, 3))
+    single = np.ptp(metrics.repeatability_interval(points, groups, aggregate=None), axis=1)
+    mean = np.ptp(metrics.repeatability_interval(points, groups))
+    assert mean == pytest.approx(single.mean() / 3, rel=0.15)
+    assert np.ptp(metrics.repeatability_interval(points, groups, probability=0.5)) < 0.5 * mean
+    one = metrics.repeatability_interval(points[:20])
+    np.testing.assert_allclose(one, metrics.repeatability_interval(points[:20], ["a"] * 20))
+
+
+def test_many_points_are_drawn_block_by_block(monkeypatch):
+    points = np.random.default_rng(2).normal(size=(60, 3))
+    groups = np.repeat([0, 1, 2], 20)
+    whole = metrics.repeatability_interval(points, groups, aggregate=None, n_resamples=50)
+    monkeypatch.setattr("sklearn_raacmm.metrics._bootstrap._ROWS_AT_ONCE", 130)
+    blocks = metrics.repeatability_interval(points, groups, aggregate=None, n_resamples=50)
+    np.testing.assert_allclose(blocks, whole)
+
+
+def test_one_draw_is_refused():
+    with pytest.raises(ValueError, match="n_resamples"):
+        metrics.repeatability_interval(np.eye(3), n_resamples=1)

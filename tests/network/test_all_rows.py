@@ -10,9 +10,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import Network, _fit
-from sklearn_raacmm.network._candidates import RadialFunctions
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._search import Structure
 
 
 def rough(n=120, d=3, seed=0):
@@ -181,9 +181,9 @@ def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
     A, y, _ = rough(600)
     weights = np.random.default_rng(0).uniform(0.5, 2, 600)
     problem = prepare(merge(A, y[:, None], weights), 0)
-    functions = RadialFunctions("matern32", np.zeros(3), np.array([0.5, 1.0, 2.0]))
+    functions = Structure("matern32", np.array([0.5, 1.0, 2.0]), np.array([0.1]))
     share = _fit.share_of_parameters(problem, 0.1, functions, 600)
-    Z = problem.X / functions.length_scale
+    Z = problem.rows.X / functions.length_scale
     d = np.sqrt(3) * np.linalg.norm(Z[:, None] - Z, axis=2)
     values = np.linalg.eigvalsh(problem.root * (1 + d) * np.exp(-d) * problem.root.T)
     assert share == pytest.approx(np.mean(values / (values + 0.1)), rel=1e-9)
@@ -217,7 +217,7 @@ def test_outliers_are_left_out():
     (posterior,) = model.networks_
     ratio = posterior.noise_variance / posterior.signal_variance
     np.testing.assert_allclose(ratio, posterior.alpha, rtol=1e-12)
-    wider = posterior.with_noise(2.0).predict(T, return_std=True)[1]
-    np.testing.assert_allclose(wider, np.sqrt(2) * posterior.predict(T, return_std=True)[1])
+    wider = posterior.with_noise(2.0).std(T)
+    np.testing.assert_allclose(wider, np.sqrt(2) * posterior.std(T))
     clean = RBFNetRegressor(**GIVEN).fit(np.delete(X, np.s_[::15], 0), np.delete(Y, np.s_[::15]))
     np.testing.assert_allclose(model.predict(T), clean.predict(T), atol=0.1)

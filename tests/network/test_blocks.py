@@ -8,7 +8,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _read
-from sklearn_raacmm.network._blocks import ArrayChunks, _summarise, chunked_problem
+from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend, summarise
 from sklearn_raacmm.network._rows import merge, prepare
 
 
@@ -16,6 +16,14 @@ from sklearn_raacmm.network._rows import merge, prepare
 def few_in_memory(monkeypatch):
     monkeypatch.setattr(_read, "HELD_ROWS", 600)
     monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
+
+
+def in_blocks(X, Y, weights, degree, size, ridged=False):
+    """The problem of rows of which a sample is held."""
+    chunks = ArrayChunks(X, Y, weights)
+    n, weight, rows, complete = draw_rows(chunks, X.shape[1], size, 1)
+    assert not complete
+    return extend(prepare(rows, degree, ridged), chunks, n, weight, np.arange(Y.shape[1]))
 
 
 def data(n=12_000, seed=0):
@@ -89,7 +97,7 @@ def test_moments_of_blocks_are_those_of_all_rows(degree, monkeypatch):
     X = np.column_stack([X + 1e3, X[:, 0] - X[:, 1], np.full(len(X), 7.0)])
     Y = np.column_stack([Y, np.full(len(Y), -2.0)])
     monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 700)
-    blocks = chunked_problem(ArrayChunks(X, Y, weights), 5, degree, 200, 1)
+    blocks = in_blocks(X, Y, weights, degree, 200)
     whole = prepare(merge(X, Y, weights), degree)
     assert (blocks.n_total, blocks.unit) == pytest.approx((whole.n_total, whole.unit))
     np.testing.assert_allclose(blocks.spread, whole.spread, rtol=1e-9)
@@ -177,6 +185,6 @@ def test_bad_values_in_one_chunk_are_named(few_in_memory):
 )
 def test_a_sample_of_a_block_says_whether_it_is_all_of_it(size, complete):
     """Of 300 rows 250 have weight."""
-    summary = _summarise(*data(300), 0, 0, size)
-    assert summary.complete is complete
-    assert len(summary.sample.X) == size
+    _, _, sample, is_all = summarise(*data(300), 0, 0, size)
+    assert is_all is complete
+    assert len(sample.X) == size

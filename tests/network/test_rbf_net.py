@@ -12,7 +12,6 @@ from sklearn.gaussian_process.kernels import (
     RBF,
     ConstantKernel,
     Matern,
-    RationalQuadratic,
     WhiteKernel,
 )
 from sklearn.kernel_ridge import KernelRidge
@@ -33,7 +32,6 @@ def smooth(n, seed=0, noise=0.1, d=2):
         ("gaussian", RBF(0.9)),
         ("matern32", Matern(0.9, nu=1.5)),
         ("matern52", Matern(0.9, nu=2.5)),
-        ("rational_quadratic", RationalQuadratic(0.9, alpha=1.0)),
     ],
 )
 def test_kernels_are_those_of_scikit_learn(name, reference):
@@ -105,10 +103,11 @@ def test_a_share_is_what_the_centres_leave_of_the_variance(share):
     Y = np.column_stack([y, 1e3 * np.cos(3 * X[:, 1])])
     for shared, y_of in ((True, Y), (False, Y), (False, y)):
         model = RBFNetRegressor(share, length_scale=0.8, alpha=1e-3, shared=shared).fit(X, y_of)
-        left = np.mean((y_of - model.predict(X)) ** 2, axis=0) / np.var(y_of, axis=0)
-        assert left.mean() <= share
+        left = np.mean((y_of - model.predict(X)) ** 2, axis=0)
+        # Of outputs that share centres the trace counts: those with large numbers most.
+        assert np.sum(left) <= share * np.sum(np.var(y_of, axis=0))
         if not shared:
-            assert np.all(left <= share)
+            assert np.all(left <= share * np.var(y_of, axis=0))
         k = [len(network.centers) for network in model.networks_]
         if min(k) > 1 and y_of.ndim == 1:
             fewer = RBFNetRegressor(k[0] - 1, length_scale=0.8, alpha=1e-3).fit(X, y)
@@ -307,6 +306,6 @@ def test_relevance_orders_the_features_by_their_effect():
     model = RBFNetRegressor(random_state=0).fit(X, y)
     assert model.relevance_.sum() == pytest.approx(1)
     np.testing.assert_array_equal(np.argsort(-model.relevance_), [0, 1, 2, 3])
-    assert model.relevance_[3] == 0
+    assert model.relevance_[3] < 0.01
     noise = RBFNetRegressor(random_state=0).fit(X, rng.standard_normal(200))
     np.testing.assert_array_equal(noise.relevance_, 0)

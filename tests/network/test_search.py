@@ -11,7 +11,6 @@ from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Data
 from sklearn_raacmm.network._objective import (
-    LOOSE_KAPPA,
     Task,
     minimise,
     objective,
@@ -61,7 +60,7 @@ def test_never_ends_worse_than_it_started(name, isotropic):
     data = data_of(X, y)
     task = task_of(data, isotropic=isotropic)
     start = task.start(0.5, 0.1)
-    assert minimise(task, start, data, name, 5).value <= objective(task, start, data, name)[0]
+    assert minimise(task, start, data, name, 5)[1] <= objective(task, start, data, name)[0]
     length_scale = "isotropic" if isotropic else "auto"
     model = RBFNetRegressor(kernel=name, length_scale=length_scale, random_state=0).fit(X, y)
     if isotropic:
@@ -95,16 +94,6 @@ def test_a_weak_signal_in_many_features_is_found():
     error = model.predict(T) - 0.6 * np.sin(2 * T[:, 3]) - 0.6 * T[:, 7]
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(0.18 + 0.36)
     assert np.all(np.isfinite(model.length_scale_[[3, 7]]))
-
-
-def test_features_without_effect_are_left_out_and_linear_ones_are_not():
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-1, 1, (300, 4))
-    y = np.sin(4 * X[:, 0]) * X[:, 1] + 2 * X[:, 2] + 0.1 * rng.standard_normal(300)
-    model = RBFNetRegressor(random_state=0).fit(X, y)
-    np.testing.assert_array_equal(np.isinf(model.length_scale_), [False, False, False, True])
-    moved = X + np.array([0, 0, 0, 100])
-    np.testing.assert_allclose(model.predict(moved), model.predict(X), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -174,25 +163,24 @@ def test_a_width_at_its_bound_is_said(monkeypatch):
     assert said[0].filename == __file__  # the line of the call
 
 
-def test_two_starts_of_different_width_and_the_better_end(monkeypatch):
+def test_a_rough_and_a_smooth_start_and_the_better_end(monkeypatch):
     """A ripple on a trend: each is a peak of the likelihood, and the starts meet both."""
-    x = np.random.default_rng(0).uniform(-2, 2, (120, 1))
-    data = data_of(x, np.sin(25 * x[:, 0]) + 3 * x[:, 0])
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-2, 2, (60, 1))
+    y = np.sin(2 * x[:, 0]) + 0.3 * np.sin(25 * x[:, 0]) + 0.2 * rng.standard_normal(60)
+    data = data_of(x, y)
     starts, ends = [], []
 
-    def watched(task, theta, data, kernel, steps, **options):
-        end = minimise(task, theta, data, kernel, steps, **options)
-        if options.get("kappa") == LOOSE_KAPPA:
-            starts.append(float(theta[0]))
-        elif task.n_widths:
-            ends.append(end)
-        return end
+    def watched(task, theta, *args):
+        starts.append(np.exp(theta[0]))
+        theta, value = minimise(task, theta, *args)
+        ends.append(np.exp(task.unpack(theta)[0]))
+        return theta, value
 
     monkeypatch.setattr(_search, "minimise", watched)
     found = search(data, ("gaussian",), random_state=np.random.RandomState(0))
-    assert len(set(starts)) == len(starts) == 2
-    best = min(ends, key=lambda end: end.value)
-    np.testing.assert_allclose(found.length_scale, np.exp(best.task.unpack(best.theta)[0]))
+    assert min(starts) < _search.WIDE <= max(starts)
+    assert found.length_scale[0] in [end[0] for end in ends]
 
 
 def test_a_kernel_that_trails_on_few_rows_may_lead_on_more():

@@ -9,7 +9,7 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._candidates import RadialFunctions, candidates_of
+from sklearn_raacmm.network._candidates import candidates_of
 from sklearn_raacmm.network._kernels import (
     KERNELS,
     kernel_matrix,
@@ -18,14 +18,16 @@ from sklearn_raacmm.network._kernels import (
     squared_distances,
 )
 from sklearn_raacmm.network._least_squares import (
+    first_weights,
     nested_least_squares,
     stack_triangles,
     triangular_factor,
 )
 from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._search import Structure
 from sklearn_raacmm.network._selection import forward_selection
 
-WIDE = RadialFunctions("gaussian", 0.0, 0.5)
+WIDE = Structure("gaussian", np.full(2, 0.5), np.zeros(1))
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -71,13 +73,8 @@ def test_same_centres_as_refitting_every_candidate(
     X, Y, weights = problem(n_outputs)
     weights = weights if weighted else np.ones(len(X))
     tail = np.hstack([np.ones((len(X), 1)), X])[:, : {-1: 0, 0: 1, 1: 3}[degree]]
-    root = np.sqrt(weights)[:, None]
-    about = root * Y
-    if degree >= 0:
-        about = about - root * tail @ np.linalg.lstsq(root * tail, root * Y, rcond=None)[0]
-    spread = np.sqrt(np.sum(about**2, axis=0))
     K = np.exp(-0.5 * cdist(X, X, "sqeuclidean") / length_scale**2)
-    expected = brute_force(K, Y / spread, weights, tail, alpha, 8)
+    expected = brute_force(K, Y, weights, tail, alpha, 8)
     model = RBFNetRegressor(8, length_scale=length_scale, alpha=alpha, degree=degree, shared=True)
     model.fit(X, Y, sample_weight=weights)
     np.testing.assert_array_equal(model.center_indices_, expected)
@@ -103,13 +100,13 @@ def test_until_all_that_is_left_depends_on_the_chosen(scale):
     rng = np.random.default_rng(3)
     coordinates, target = scale * rng.normal(size=(10, 6)), rng.normal(size=(6, 2))
     coordinates[3] = 0.0
-    found = forward_selection(coordinates, target, 1e-10, 10)
-    assert found.stop == "dependent"
-    assert len(found.indices) == 6
-    left = [left_over(coordinates, target, list(found.indices[:k])) for k in range(7)]
-    np.testing.assert_allclose(found.reduction, -np.diff(left, axis=0), atol=1e-12)
-    for k, j in enumerate(found.indices):
-        chosen = list(found.indices[:k])
+    indices, reduction, stop = forward_selection(coordinates, target, 1e-10, 10)
+    assert stop == "dependent"
+    assert len(indices) == 6
+    left = [left_over(coordinates, target, list(indices[:k])) for k in range(7)]
+    np.testing.assert_allclose(reduction, -np.diff(left, axis=0), atol=1e-12)
+    for k, j in enumerate(indices):
+        chosen = list(indices[:k])
         others = [i for i in range(10) if i not in chosen]
         falls = {i: (left[k] - left_over(coordinates, target, [*chosen, i])).sum() for i in others}
         # Where one dimension is left, all candidates are worth the same.
@@ -142,10 +139,10 @@ def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apar
     coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * rng.normal(size=(n, n))])
     coordinates = coordinates @ np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0] * scale
     target = rng.normal(size=(n + 1, 1))
-    found = forward_selection(coordinates, target, 1e-10, n - 1)
+    indices = forward_selection(coordinates, target, 1e-10, n - 1)[0]
     order, least = extended_precision(coordinates.T, target[:, 0], n - 1)
     assert least < 10 * apart
-    np.testing.assert_array_equal(found.indices, order)
+    np.testing.assert_array_equal(indices, order)
 
 
 @pytest.mark.parametrize(
@@ -162,40 +159,39 @@ def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apar
 def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
     # Orthogonal candidates: each lowers the objectives by squares of the targets' coordinates.
     target = np.array([[1.0, 2.0], [2.0, 3.0], [5.0, 2.0], [1.0, 1.0]])
-    goal = None if enough is None else lambda summed: bool(np.all(summed >= enough))
-    found = forward_selection(np.eye(4), target, 1e-10, n_select, enough=goal)
-    assert found.stop == stop
-    assert list(found.indices) == [2, 1, 0, 3][:n_steps]
-    np.testing.assert_allclose(found.reduction, np.square(target)[found.indices])
+    goal = None if enough is None else lambda k, summed: bool(np.all(summed >= enough))
+    indices, reduction, why = forward_selection(np.eye(4), target, 1e-10, n_select, enough=goal)
+    assert why == stop
+    assert list(indices) == [2, 1, 0, 3][:n_steps]
+    np.testing.assert_allclose(reduction, np.square(target)[indices])
 
 
 def test_candidates_that_explain_nothing_are_chosen_once_each():
     target = np.array([[0.0], [5.0], [0.0], [0.0]])
     candidates = np.eye(4)
     candidates[2] = 0.0
-    found = forward_selection(candidates, target, 1e-10, 9)
-    np.testing.assert_array_equal(found.indices, [1, 0, 3])
-    assert found.stop == "dependent"
-    none = forward_selection(0 * candidates, target, 1e-10, 9)
-    assert none.reduction.shape == (0, 1)
-    np.testing.assert_array_equal(candidates[none.indices], np.empty((0, 4)))
+    indices, _, stop = forward_selection(candidates, target, 1e-10, 9)
+    np.testing.assert_array_equal(indices, [1, 0, 3])
+    assert stop == "dependent"
+    indices, reduction, _ = forward_selection(0 * candidates, target, 1e-10, 9)
+    assert reduction.shape == (0, 1)
+    np.testing.assert_array_equal(candidates[indices], np.empty((0, 4)))
 
 
 def test_reductions_are_by_how_much_the_objective_falls():
     X, Y, weights = problem(2, n=80)
     problem_ = prepare(merge(X, Y, weights), 0)
-    view = problem_.view()
-    candidates = candidates_of(problem_, view, np.arange(80), WIDE, 0.0, 80)
-    chosen = forward_selection(*candidates[:3], 6)
+    candidates = candidates_of(problem_, np.arange(80), WIDE, 0.0, 80)
+    indices, reduction, _ = forward_selection(*candidates[:3], 6)
     root = np.sqrt(weights)[:, None]
-    order = problem_.first[chosen.indices]  # rows are sorted there
+    order = problem_.rows.first[indices]  # rows are sorted there
     K = kernel_matrix(X / 0.5, X[order] / 0.5, "gaussian")
     left = []
     for k in range(7):
         A = root * np.hstack([np.ones((80, 1)), K[:, :k]])
         left.append(np.square(root * Y - A @ np.linalg.lstsq(A, root * Y, rcond=None)[0]).sum(0))
     falls = -np.diff(left, axis=0)
-    shares = chosen.reduction / chosen.reduction[0]
+    shares = reduction / reduction[0]
     np.testing.assert_allclose(shares, falls / falls[0], rtol=1e-4)
 
 
@@ -259,14 +255,14 @@ def test_pivoted_cholesky_reaches_its_tolerance(name):
     Z = np.random.default_rng(0).uniform(-2, 2, (300, 2))
     K = kernel_matrix(Z, Z, name)
     for tol in (1e-2, 1e-5):
-        factor = pivoted_cholesky(Z, name, tol=tol)
-        assert factor.complete
-        assert np.abs(K - factor.rows @ factor.rows.T).max() <= tol * (1 + 1e-9)
-        assert len(np.unique(factor.pivots)) == len(factor.pivots)
-    cut = pivoted_cholesky(Z, name, tol=1e-9, max_rank=10)
-    assert cut.rows.shape == (300, 10)
-    assert not cut.complete
-    assert cut.residual == pytest.approx(np.max(1 - np.sum(cut.rows**2, axis=1)))
+        rows, pivots, _, complete = pivoted_cholesky(Z, name, tol=tol)
+        assert complete
+        assert np.abs(K - rows @ rows.T).max() <= tol * (1 + 1e-9)
+        assert len(np.unique(pivots)) == len(pivots)
+    rows, _, residual, complete = pivoted_cholesky(Z, name, tol=1e-9, max_rank=10)
+    assert rows.shape == (300, 10)
+    assert not complete
+    assert residual == pytest.approx(np.max(1 - np.sum(rows**2, axis=1)))
 
 
 def test_pivoted_cholesky_where_distances_lose_digits():
@@ -274,20 +270,20 @@ def test_pivoted_cholesky_where_distances_lose_digits():
     rng = np.random.default_rng(0)
     Z = np.column_stack([1e3 * rng.integers(0, 6, 300), 1e-5 * rng.standard_normal((300, 2))])
     Z -= Z.mean(axis=0)
-    factor = pivoted_cholesky(Z, "gaussian", tol=1e-13)
+    rows, pivots, _, complete = pivoted_cholesky(Z, "gaussian", tol=1e-13)
     exact = np.exp(-0.5 * cdist(Z, Z, "sqeuclidean"))
-    assert factor.complete
-    assert len(factor.pivots) == 6
-    assert np.abs(exact - factor.rows @ factor.rows.T).max() < 1e-8
+    assert complete
+    assert len(pivots) == 6
+    assert np.abs(exact - rows @ rows.T).max() < 1e-8
 
 
 @pytest.mark.parametrize("name", list(KERNELS))
 def test_kernel_slope_is_the_derivative(name):
     s = np.linspace(0.05, 9, 40)
     h = 1e-6
-    function = KERNELS[name].function
+    function = KERNELS[name]
     numeric = (function(s + h) - function(s - h)) / (2 * h)
-    value, slope = KERNELS[name].with_slope(s.copy())
+    value, slope = function(s.copy(), slope=True)
     np.testing.assert_allclose(slope, numeric, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(value, function(s.copy()), rtol=1e-14)
 
@@ -311,7 +307,7 @@ def test_path_is_that_of_separate_fits(alphas):
     rows = np.hstack([tail, root * K, root * Y])
     # In blocks, some shorter than wide.
     R = reduce(stack_triangles, map(triangular_factor, (rows[:5], rows[5:40], rows[40:])))
-    path = nested_least_squares(R, 1, U, np.array(alphas), within)
+    rss, objective, dof, *solved = nested_least_squares(R, 1, U, np.array(alphas), within)
     for m in (0, 1, 4, 9):
         A = np.hstack([tail, root * K[:, :m]])
         for i in range(2):
@@ -320,11 +316,11 @@ def test_path_is_that_of_separate_fits(alphas):
             b = root[:, 0] * Y[:, i]
             inverse = np.linalg.inv(A.T @ A + R)
             w = inverse @ A.T @ b
-            rss = np.sum((b - A @ w) ** 2)
-            np.testing.assert_allclose(path.coefficients(m)[:, i], w, rtol=1e-8, atol=1e-8)
-            assert path.rss[m, i] == pytest.approx(rss + within[i])
-            assert path.objective[m, i] == pytest.approx(rss + w @ R @ w + within[i])
-            assert path.dof[m, i] == pytest.approx(np.trace(A @ inverse @ A.T))
+            left = np.sum((b - A @ w) ** 2)
+            np.testing.assert_allclose(first_weights(*solved, 1 + m)[:, i], w, rtol=1e-8, atol=1e-8)
+            assert rss[m, i] == pytest.approx(left + within[i])
+            assert objective[m, i] == pytest.approx(left + w @ R @ w + within[i])
+            assert dof[m, i] == pytest.approx(np.trace(A @ inverse @ A.T))
 
 
 @pytest.mark.parametrize("length_scale", [0.1, 0.4, 5.0])  # sound, nearly singular, singular

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from sklearn import config_context
 from sklearn.base import clone
-from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.neighbors import KDTree
 
 from sklearn_raacmm import (
@@ -65,13 +63,3 @@ def test_each_corrects_at_positions_left_out(test, build):
     model.fit(test.data[~rest], test.target[~rest], groups=test.groups[~rest])
     after = single_point_repeatability(model.correct(test.data[rest]), test.groups[rest])
     assert after < 0.9 * single_point_repeatability(test.points[rest], test.groups[rest])
-
-
-def test_a_search_over_inputs_and_degree_with_routing(test):
-    grid = {"regressor__posefeatures__joints": ["pose", "all"]}
-    grid |= {"regressor__polynomialfeatures__degree": [1, 2]}
-    with config_context(enable_metadata_routing=True):
-        search = GridSearchCV(polynomial_chain(test.arm), grid, cv=GroupKFold(3))
-        search.fit(test.data, test.target, groups=test.groups)
-    assert search.best_score_ > 0
-    assert search.best_estimator_.by_position_

@@ -1,20 +1,13 @@
-"""What is no residual is refused, and what is one in another frame is warned of, in every door."""
+"""What is no residual is refused, and what is one in another frame is warned of, by every fit."""
 
 import warnings
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sklearn.base import clone
-from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    CylindricalResidualTarget,
-    PoseFeatures,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.measurements import Targets
 from sklearn_raacmm.measurements._targets import are_points
 
@@ -25,16 +18,14 @@ POINTS = ARM.forward(ANGLES)
 TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1])
 SHIFT = np.array([2500.0, -900.0, 400.0])
 
-LINEAR = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"])
-DOORS = {
-    "linear model": LINEAR,
-    "both stages": clone(LINEAR).set_params(regressor=LinearRegression()),
+ESTIMATORS = {
+    "linear model": ArmResidualRegressor(ARM, orders=1, causes=["kinematics"]),
     "on angles": CylindricalResidualTarget(azimuth=ARM.azimuth),
     "in a pipeline": make_pipeline(
         PoseFeatures(ARM, append_azimuth=True), CylindricalResidualTarget()
     ),
 }
-KNOW_THE_ARM = [name for name in DOORS if name != "in a pipeline"]
+KNOW_THE_ARM = [name for name in ESTIMATORS if name != "in a pipeline"]
 
 
 def measured(turn, shift):
@@ -42,7 +33,7 @@ def measured(turn, shift):
     return POINTS - (turn.apply(POINTS - RESIDUALS) + shift)
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize(
     "y",
     [
@@ -55,45 +46,39 @@ def measured(turn, shift):
     ],
     ids=["points", "references", "tracker", "differences", "turned", "too large"],
 )
-def test_points_and_differences_between_frames_are_refused(door, y):
+def test_points_and_differences_between_frames_are_refused(name, y):
     with pytest.raises(ValueError, match=r"y are (points, not|no) residuals.*\d mm"):
-        DOORS[door].fit(ANGLES, y)
+        ESTIMATORS[name].fit(ANGLES, y)
 
 
-@pytest.mark.parametrize("door", KNOW_THE_ARM)
-def test_small_motions_of_the_base_are_warned_of(door):
+@pytest.mark.parametrize("name", KNOW_THE_ARM)
+def test_small_motions_of_the_base_are_warned_of(name):
     y = measured(Rotation.from_rotvec([0, 0.006, 0.007]), [1.0, 2.0, 0.0])
     with pytest.warns(UserWarning, match=r"a turn by 0\.0092 rad and a shift by .* leave 0\.0"):
-        DOORS[door].fit(ANGLES, y)
+        ESTIMATORS[name].fit(ANGLES, y)
 
 
 def test_without_the_arm_a_shift_is_warned_of():
     with pytest.warns(UserWarning, match=r"base: a shift by 5.* mm .* leave 0\.0"):
-        DOORS["in a pipeline"].fit(ANGLES, np.add(RESIDUALS, [5.0, 0, 0]))
+        ESTIMATORS["in a pipeline"].fit(ANGLES, np.add(RESIDUALS, [5.0, 0, 0]))
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize("rows", [1, 3, 6, 60])
 @pytest.mark.parametrize("size", [0.0, 1e-3, 1.0, 100.0])
-def test_residuals_of_any_size_and_number_are_taken(door, rows, size):
+def test_residuals_of_any_size_and_number_are_taken(name, rows, size):
+    near = ANGLES[:1] + 0.01 * ANGLES  # an error that is the same all over a small region is one
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        DOORS[door].fit(ANGLES[:rows], size * RESIDUALS[:rows])
-
-
-@pytest.mark.parametrize("door", DOORS)
-def test_an_error_that_is_the_same_all_over_a_small_region_is_one(door):
-    near = ANGLES[:1] + 0.01 * ANGLES
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        DOORS[door].fit(near, 0.05 * np.cos(near[:, :3]) + 0.3)
+        ESTIMATORS[name].fit(ANGLES[:rows], size * RESIDUALS[:rows])
+        ESTIMATORS[name].fit(near, 0.05 * np.cos(near[:, :3]) + 0.3)
 
 
 def test_deviations_from_one_position_are_residuals():
     """The points of one position are its deviations, but for a shift."""
     near = ANGLES[:1] + 1e-5 * ANGLES
     y = ARM.forward(near)
-    LINEAR.fit(near, y - y.mean(axis=0), groups=np.zeros(len(y)))
+    ESTIMATORS["linear model"].fit(near, y - y.mean(axis=0), groups=np.zeros(len(y)))
 
 
 def test_offsets_may_be_of_any_size():
@@ -125,18 +110,18 @@ def moved_points(share, n=40):
     return (points + off) @ turn.T + [900, -200, 300], points
 
 
-def weights_of(y, points):
-    """What the gate says of these targets."""
+def find_weights(y, points):
+    """Weights of the findings on these targets."""
     return [found.weight for found in are_points(Targets(y, np.ones(len(y)), ARM), points)]
 
 
-def test_points_are_told_by_a_twentieth_of_their_spread():
-    assert weights_of(*moved_points(0.06)) == []
-    assert weights_of(*moved_points(0.045)) == ["refuse"]
+def test_points_are_known_by_a_twentieth_of_their_spread():
+    assert find_weights(*moved_points(0.06)) == []
+    assert find_weights(*moved_points(0.045)) == ["refuse"]
 
 
 def test_three_points_may_be_anything():
     """Six numbers of a motion explain the nine coordinates of three, but not of many more."""
     y, points = moved_points(0.0, n=4)
-    assert weights_of(y[:3], points[:3]) == []
-    assert weights_of(y, points) == ["refuse"]
+    assert find_weights(y[:3], points[:3]) == []
+    assert find_weights(y, points) == ["refuse"]

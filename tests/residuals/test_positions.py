@@ -1,5 +1,7 @@
 """Residuals known up to a constant at each position, in the chain."""
 
+import functools
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -42,6 +44,11 @@ def plain(regressor):
     return CylindricalResidualTarget(regressor, azimuth=None)
 
 
+def chain(test, *steps):
+    inner = make_pipeline(PoseFeatures(test.arm), *steps)
+    return CylindricalResidualTarget(inner, azimuth=test.arm.azimuth)
+
+
 # -- against other ways to say the same -----------------------------------------------------------
 
 
@@ -51,11 +58,8 @@ def plain(regressor):
 def test_linear_regressors_against_dummies_in_least_squares(alpha, weighted, intercept):
     X, y, groups = deviations()
     w = np.random.default_rng(1).uniform(0.2, 2, len(y)) if weighted else np.ones(len(y))
-    ridge = (
-        Ridge(alpha, fit_intercept=intercept)
-        if alpha
-        else LinearRegression(fit_intercept=intercept)
-    )
+    kind = functools.partial(Ridge, alpha) if alpha else LinearRegression
+    ridge = kind(fit_intercept=intercept)
     inner = make_pipeline(PolynomialFeatures(2, include_bias=False), StandardScaler(), ridge)
     name = f"{type(ridge).__name__.lower()}__sample_weight"
     model = plain(inner).fit(X, y, groups=groups, **{name: w})
@@ -107,8 +111,8 @@ def test_kernel_ridge_is_where_turns_end():
 def test_trees_take_turns():
     X, y, groups = deviations()
     trees = ExtraTreesRegressor(20, min_samples_leaf=5, random_state=0)
-    told, not_told = plain(trees).fit(X, y, groups=groups), plain(trees).fit(X, y)
-    left = [np.abs(centred(m.predict(X) - y, groups)).mean() for m in (told, not_told)]
+    known, unknown = plain(trees).fit(X, y, groups=groups), plain(trees).fit(X, y)
+    left = [np.abs(centred(m.predict(X) - y, groups)).mean() for m in (known, unknown)]
     assert left[0] < left[1]
     by_hand, means = clone(trees).fit(X, y), 0
     size = np.sqrt(np.square(y).sum(axis=1).mean())
@@ -119,7 +123,7 @@ def test_trees_take_turns():
             break
         by_hand = clone(trees).fit(X, y - means[groups])
     by_hand = clone(trees).fit(X, y - means[groups])
-    assert_allclose(told.predict(X), by_hand.predict(X), atol=1e-12)
+    assert_allclose(known.predict(X), by_hand.predict(X), atol=1e-12)
 
 
 def test_a_regressor_that_takes_groups_is_handed_them():
@@ -143,30 +147,30 @@ def test_constants_that_features_imitate_are_not_handed_on():
     X, y, groups = deviations()
     network = RBFNetRegressor(10, random_state=0)
     wide = make_pipeline(PolynomialFeatures(2, include_bias=False), network)  # 5 features
-    for n_positions, told in ((6, True), (5, False)):
+    for n_positions, known in ((6, True), (5, False)):
         rows = groups < n_positions
         model = plain(wide).fit(X[rows], y[rows], groups=groups[rows])
-        labels = {"rbfnetregressor__groups": groups[rows]} if told else {}
+        labels = {"rbfnetregressor__groups": groups[rows]} if known else {}
         expected = clone(wide).fit(X[rows], y[rows], **labels)
         assert_array_equal(model.predict(X), expected.predict(X))
-        assert np.any(model.regressor_[-1].group_std_ > 0) == told
+        assert np.any(model.regressor_[-1].group_std_ > 0) == known
 
 
 @pytest.mark.parametrize("regressor", [Ridge(), KernelRidge(), RBFNetRegressor(10), None])
 def test_residuals_known_in_full_have_no_constants(regressor):
     X, y, groups = deviations()
     y = y + np.random.default_rng(0).normal(size=(6, 3))[groups]
-    told, not_told = plain(regressor).fit(X, y, groups=groups), plain(regressor).fit(X, y)
-    assert not told.by_position_
-    assert_array_equal(told.predict(X), not_told.predict(X))
+    known, unknown = plain(regressor).fit(X, y, groups=groups), plain(regressor).fit(X, y)
+    assert not known.by_position_
+    assert_array_equal(known.predict(X), unknown.predict(X))
 
 
 def test_a_ridge_for_each_target_takes_turns():
     X, y, groups = deviations()
-    told = plain(Ridge(np.array([1e-6, 1e-6, 1e6]))).fit(X, y, groups=groups).predict(X)
+    known = plain(Ridge(np.array([1e-6, 1e-6, 1e6]))).fit(X, y, groups=groups).predict(X)
     expected = plain(Ridge(1e-6)).fit(X, y, groups=groups).predict(X)
-    assert_allclose(told[:, 2], y[:, 2].mean(), atol=1e-3)
-    left = [np.abs(centred(p - y, groups))[:, :2].mean() for p in (expected, told)]
+    assert_allclose(known[:, 2], y[:, 2].mean(), atol=1e-3)
+    left = [np.abs(centred(p - y, groups))[:, :2].mean() for p in (expected, known)]
     assert left[0] <= left[1]
 
 
@@ -199,10 +203,8 @@ def test_score_against_pandas(weighted):
     w = rng.uniform(0.2, 2, len(y)) if weighted else np.ones(len(y))
 
     def sum_of_squares(values):
-        table = pd.DataFrame(values)
-        means = (
-            table.mul(w, axis=0).groupby(groups).sum().div(pd.Series(w).groupby(groups).sum(), 0)
-        )
+        sums = pd.DataFrame(values).mul(w, axis=0).groupby(groups).sum()
+        means = sums.div(pd.Series(w).groupby(groups).sum(), 0)
         return w @ np.square(values - means.loc[groups].to_numpy()).sum(axis=1)
 
     expected = 1 - sum_of_squares(y - p) / sum_of_squares(y)
@@ -227,13 +229,9 @@ def test_the_points_that_residuals_are_from_tell_positions(test):
 
 def test_score_of_the_chain(test):
     X, y, groups = test.data, test.target, test.groups
-    a = CylindricalResidualTarget(
-        make_pipeline(PoseFeatures(test.arm), Ridge()), azimuth=test.arm.azimuth
-    )
-    b = make_pipeline(
-        PoseFeatures(test.arm, append_azimuth=True), CylindricalResidualTarget(Ridge())
-    )
-    a.fit(X, y, groups=groups)
+    pose = PoseFeatures(test.arm, append_azimuth=True)
+    b = make_pipeline(pose, CylindricalResidualTarget(Ridge()))
+    a = chain(test, Ridge()).fit(X, y, groups=groups)
     b.fit(X, y, cylindricalresidualtarget__groups=groups)
     expected = within_position_r2_score(y, a.predict(X), groups=groups)
     assert a.score(X, y) == pytest.approx(expected)
@@ -248,38 +246,23 @@ def test_score_of_the_chain(test):
 def test_cross_validation_without_a_scorer_picks_the_right_model(test):
     """Plain R2 prefers the model that does nothing."""
     X, y, groups = test.data, test.target, test.groups
-    models = {
-        alpha: CylindricalResidualTarget(
-            make_pipeline(
-                PoseFeatures(test.arm), PolynomialFeatures(2), StandardScaler(), Ridge(alpha)
-            ),
-            azimuth=test.arm.azimuth,
-        )
-        for alpha in (1.0, 1e6)
-    }
+    steps = PolynomialFeatures(2), StandardScaler()
+    models = {alpha: chain(test, *steps, Ridge(alpha)) for alpha in (1.0, 1e6)}
+    options = {"cv": GroupKFold(4), "return_estimator": True, "return_indices": True}
     for routing in (False, True):
         with config_context(enable_metadata_routing=routing):
             # Off: `groups` reaches the splitter, and params the fit. On: one word does for all.
             words = {"params": {"groups": groups}} | ({} if routing else {"groups": groups})
             results = {
-                alpha: cross_validate(
-                    model,
-                    X,
-                    y,
-                    **words,
-                    cv=GroupKFold(4),
-                    return_estimator=True,
-                    return_indices=True,
-                )
+                alpha: cross_validate(model, X, y, **words, **options)
                 for alpha, model in models.items()
             }
         assert results[1.0]["test_score"].mean() > results[1e6]["test_score"].mean() + 0.1
         for i, model in enumerate(results[1.0]["estimator"]):
             assert model.by_position_
             rows = results[1.0]["indices"]["test"][i]
-            expected = within_position_r2_score(
-                y[rows], model.predict(X[rows]), groups=groups[rows]
-            )
+            predicted = model.predict(X[rows])
+            expected = within_position_r2_score(y[rows], predicted, groups=groups[rows])
             assert results[1.0]["test_score"][i] == pytest.approx(expected)
 
 
@@ -289,9 +272,7 @@ def test_cross_validation_without_a_scorer_picks_the_right_model(test):
 def test_groups_may_be_kept_from_the_fit(test):
     X, y, groups = test.data, test.target, test.groups
     with config_context(enable_metadata_routing=True):
-        model = CylindricalResidualTarget(
-            make_pipeline(PoseFeatures(test.arm), Ridge()), azimuth=test.arm.azimuth
-        ).set_fit_request(groups=False)
+        model = chain(test, Ridge()).set_fit_request(groups=False)
         search = GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
         assert not search.best_estimator_.by_position_
         model.set_fit_request(groups=None)
@@ -304,16 +285,12 @@ def test_groups_may_be_kept_from_the_fit(test):
 
 def test_correct(test):
     X, y, groups = test.data, test.target, test.groups
-    inner = RBFNetRegressor(10, random_state=0)
-    model = CylindricalResidualTarget(
-        make_pipeline(PoseFeatures(test.arm), inner), azimuth=test.arm.azimuth
-    ).fit(X, y, groups=groups)
+    model = chain(test, RBFNetRegressor(10, random_state=0)).fit(X, y, groups=groups)
     corrected = model.correct(X, test.points)
     assert_allclose(corrected + model.predict(X), test.points, rtol=1e-14)
     assert_allclose(model.correct(X), corrected, atol=1e-9)
-    assert_allclose(
-        model.correct(X, test.points, return_std=True)[1], model.predict(X, return_std=True)[1]
-    )
+    spread = model.correct(X, test.points, return_std=True)[1]
+    assert_allclose(spread, model.predict(X, return_std=True)[1])
     before = within_position_scatter(test.points, 0 * test.points, groups=groups)
     assert within_position_scatter(corrected, 0 * corrected, groups=groups) < 0.8 * before
     with pytest.raises(ValueError, match=r"points has shape \(1, 3\), but predictions \(180, 3\)"):

@@ -87,12 +87,7 @@ def test_rows_of_weight_zero_do_not_move_the_mean():
 
 @pytest.mark.parametrize(
     ("groups", "message"),
-    [
-        (["A", "A", "B", "C"], r"2 of 3 positions .*'B', 'C'"),
-        ([1.0, np.nan, np.nan, 1.0], r"2 missing labels among 4 .*row 1"),
-        (["A", "A"], "groups names 2 samples, but there are 4"),
-        (None, "got None"),
-    ],
+    [(["A", "A", "B", "C"], r"2 of 3 positions .*'B', 'C'"), (None, "got None")],
 )
 def test_position_residuals_refuses_groups(groups, message):
     with pytest.raises(ValueError, match=message):
@@ -156,19 +151,14 @@ def test_the_direction_never_reaches_the_regressor(isotropic):
     assert_allclose(model.predict(frame), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("y_columns", [0, [0]], ids=["1-D", "one column"])
-@pytest.mark.parametrize("azimuth", ["appended", first_column, None])
-def test_a_scalar_target_passes_through(y_columns, azimuth):
+@pytest.mark.parametrize(
+    ("columns", "azimuth"),
+    [(0, "appended"), (0, first_column), (0, None), ([0], "appended"), ([0], first_column),
+     ([0], None), (range(5), "appended"), (range(5), None)],
+)  # fmt: skip
+def test_what_is_no_residual_passes_through(columns, azimuth):
     rng = np.random.default_rng(5)
-    X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 3))[:, y_columns]
-    model = CylindricalResidualTarget(Ridge(), azimuth=azimuth).fit(X, y)
-    assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
-
-
-@pytest.mark.parametrize("azimuth", ["appended", None])
-def test_more_than_three_targets_pass_through_where_there_is_no_azimuth(azimuth):
-    rng = np.random.default_rng(8)
-    X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 5))
+    X, y = rng.normal(size=(30, 4)), rng.normal(size=(30, 5))[:, columns]
     model = CylindricalResidualTarget(Ridge(), azimuth=azimuth).fit(X, y)
     assert_array_equal(model.predict(X), Ridge().fit(X, y).predict(X))
 
@@ -216,15 +206,6 @@ def test_the_direction_is_checked_at_predict_too(isotropic):
     bad[3, -2:] *= 1.001
     with pytest.raises(ValueError, match=r"1 of 200 rows .*\(row 3: 1.001\)"):
         model.predict(bad)
-    bad[3, -1] = np.nan
-    with pytest.raises(ValueError, match="contains NaN"):
-        model.predict(bad)
-    with pytest.raises(ValueError, match=r"X has 3 features, but .* is expecting 4"):
-        model.predict(X[:, 1:])
-    with pytest.raises(ValueError, match="Reshape your data"):
-        model.predict(X[0])
-    with pytest.raises(ValueError, match=r"^X has 2 of 800 values masked"):
-        model.predict(np.ma.masked_greater(X, np.sort(X, axis=None)[-3]))
 
 
 @pytest.mark.parametrize("n_columns", [2, 4, 5])
@@ -244,7 +225,6 @@ def test_y_of_the_wrong_width(isotropic, n_columns, azimuth):
         (np.ones((4, 2)), np.ones((4, 3)), r"X has shape \(4, 2\), but needs at least one feature"),
         (np.ones(4), np.ones((4, 3)), r"X has shape \(4,\), but needs at least one feature"),
         (np.eye(2), np.ones((2, 3)), r"X has shape \(2, 2\), but needs at least one feature"),
-        (np.empty((0, 3)), np.empty((0, 3)), r"X has no rows, got shape \(0, 3\)"),
     ],
 )
 def test_bad_input(X, y, message):
@@ -307,9 +287,8 @@ def test_one_std_a_row_is_the_same_in_every_frame(isotropic):
 
 def test_std_of_a_scalar_target_passes_through(isotropic):
     X, y, _, features, _ = isotropic
-    mean, std = (
-        CylindricalResidualTarget(BayesianRidge()).fit(X, y[:, 2]).predict(X, return_std=True)
-    )
+    model = CylindricalResidualTarget(BayesianRidge()).fit(X, y[:, 2])
+    mean, std = model.predict(X, return_std=True)
     expected = BayesianRidge().fit(features, y[:, 2]).predict(features, return_std=True)
     assert_array_equal(mean, expected[0])
     assert_array_equal(std, expected[1])
@@ -360,7 +339,7 @@ def test_tags_are_those_of_the_regressor_within(inner):
 
 
 @pytest.mark.parametrize("scaled", [False, True])
-def test_a_regressor_of_one_target_is_told_what_wraps_it(scaled):
+def test_a_regressor_of_one_target_learns_what_wraps_it(scaled):
     rng = np.random.default_rng(0)
     X, y = rng.uniform(-1, 1, (30, 4)), rng.normal(size=(30, 3))
     trees = HistGradientBoostingRegressor(max_iter=2)
@@ -369,7 +348,7 @@ def test_a_regressor_of_one_target_is_told_what_wraps_it(scaled):
         CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
     wrapped = CylindricalResidualTarget(MultiOutputRegressor(trees), azimuth=first_column)
     assert wrapped.fit(X, y).predict(X).shape == (30, 3)
-    # What else is wrong with the data is said by the regressor itself.
+    # What else is wrong with the data, the regressor itself refuses.
     with pytest.raises(ValueError, match=r"^boom$"):
         CylindricalResidualTarget(Broken(), azimuth=first_column).fit(X, y)
 

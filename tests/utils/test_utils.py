@@ -28,10 +28,8 @@ def test_a_fit_says_how_far_it_is_to_those_who_listen(caplog, capsys):
     with caplog.at_level(logging.INFO, logger="sklearn_raacmm"):
         RBFNetRegressor(max_centers=5, random_state=0).fit(X, X[:, 0])
     lines = [record.getMessage() for record in caplog.records]
-    assert [line.split(":")[0] for line in lines] == [
-        "widths of the network",
-        "centres of the network",
-    ]
+    stages = [line.split(":")[0] for line in lines]
+    assert stages == ["widths of the network", "centres of the network"]
     assert all(line.endswith(" s") for line in lines)
     assert capsys.readouterr().out == ""
 

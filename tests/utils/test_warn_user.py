@@ -1,4 +1,4 @@
-"""Warnings point to the line that calls the package, from however deep within it."""
+"""Warnings point to the line that calls the package; findings as warnings, and collected."""
 
 import pickle
 import warnings
@@ -11,14 +11,14 @@ from sklearn.model_selection import cross_val_predict
 from sklearn.pipeline import make_pipeline
 
 import sklearn_raacmm
-from sklearn_raacmm import (
-    Arm,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    calibrate,
-    elbow_angle,
+from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, calibrate, elbow_angle
+from sklearn_raacmm.utils import (
+    Finding,
+    FindingWarning,
+    collected_findings,
+    report_findings,
+    warn_user,
 )
-from sklearn_raacmm.utils import warn_user
 
 PACKAGE = str(Path(sklearn_raacmm.__file__).parent)
 ARM = Arm.from_name("aacmm6")
@@ -42,20 +42,20 @@ CALLS = {
 }
 
 
-def said_by(call, *args):
-    with warnings.catch_warnings(record=True) as said:
+def warnings_of(call, *args):
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         call(*args)
-    return said
+    return caught
 
 
 @pytest.mark.parametrize("name", CALLS)
 def test_the_line_is_that_of_the_call(name):
     call = CALLS[name]
-    said = said_by(call)
-    assert said
+    caught = warnings_of(call)
+    assert caught
     line = call.__code__.co_firstlineno
-    assert {(one.filename, one.lineno) for one in said} == {(__file__, line)}
+    assert {(one.filename, one.lineno) for one in caught} == {(__file__, line)}
 
 
 def function(filename, source, **names):
@@ -66,9 +66,9 @@ def function(filename, source, **names):
 
 def test_lines_of_the_package_are_skipped_and_no_others():
     inner = function(f"{PACKAGE}/_a.py", "def f():\n warn('so', FutureWarning)", warn=warn_user)
-    deep = function(f"{PACKAGE}/wing/_b.py", "def f():\n g()", g=inner)
+    deep = function(f"{PACKAGE}/part/_b.py", "def f():\n g()", g=inner)
     beside = function(f"{PACKAGE}_user.py", "def f():\n\n\n g()", g=deep)
-    (one,) = said_by(function("/elsewhere.py", "def f():\n g()", g=beside))
+    (one,) = warnings_of(function("/elsewhere.py", "def f():\n g()", g=beside))
     assert (one.filename, one.lineno) == (f"{PACKAGE}_user.py", 4)
     assert (one.category, str(one.message)) == (FutureWarning, "so")
 
@@ -78,12 +78,29 @@ def test_once_for_each_line_where_python_is_asked_for_that():
         f"{PACKAGE}/_a.py", "def f():\n warn('first')\n warn('second')", warn=warn_user
     )
     call = function("/elsewhere.py", "def f():\n for _ in range(3):\n  g()\n g()", g=twice)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         call()
-    assert [(one.lineno, str(one.message)) for one in said] == [
-        (3, "first"),
-        (3, "second"),
-        (4, "first"),
-        (4, "second"),
-    ]
+    expected = [(line, text) for line in (3, 4) for text in ("first", "second")]
+    assert [(one.lineno, str(one.message)) for one in caught] == expected
+
+
+DOUBT = Finding("moved-position", "Position 'a' moved by 2 mm.", "Fasten it.")
+
+
+def test_a_finding_is_a_warning_and_a_note_is_none():
+    with pytest.warns(FindingWarning, match=r"Position 'a' moved by 2 mm\. Fasten it\.") as caught:
+        report_findings([Finding("dwells", "300 rows are 3 poses.", weight="note"), DOUBT])
+    assert [warning.message.finding for warning in caught] == [DOUBT]
+    assert caught[0].filename == __file__
+
+
+def test_findings_are_collected_once_and_other_warnings_go_on():
+    def collected():
+        with collected_findings() as found:
+            report_findings([DOUBT, DOUBT])
+            warnings.warn("other", UserWarning, stacklevel=1)
+        assert found == [DOUBT]
+
+    (other,) = warnings_of(collected)
+    assert str(other.message) == "other"

@@ -29,7 +29,7 @@ _BESIDE = 100
 _SAME_POSE = 0.01
 # Squared length of a normal error in three coordinates, in the median, in units of its variance.
 _MEDIAN_SQUARE = 2.366
-# Distances of poses are told apart in so many classes, of at least so many pairs each.
+# Distances of poses are divided into so many classes, of at least so many pairs each.
 _CLASSES, _PAIRS = 10, 50
 # Standard deviations beyond which a pose that differs from its neighbours in the order is left out.
 _OUTLIER = 8.0
@@ -205,13 +205,13 @@ def _variance_of_difference(place, n_before, spread):
 
 def _alone(poses, limit):
     """Poses that differ from the median of the five about them: a step of three is kept."""
-    start, end = _ends(poses.codes)
+    start, end = _bounds(poses.codes)
     middle = np.clip(np.arange(len(start)), start + 2, end - 3)
     about = np.median(poses.left[middle[:, None] + np.arange(-2, 3)], axis=1)
     return np.linalg.norm(poses.left - about, axis=1) > limit
 
 
-def _ends(codes):
+def _bounds(codes):
     """First row of the position of each row, and the row behind its last."""
     first = np.flatnonzero(np.diff(codes, prepend=-1) != 0)
     size = np.diff(first, append=len(codes))
@@ -225,7 +225,7 @@ def _contrasts(poses, spread, limit, k=None):
     one side.
     """
     k = np.arange(len(poses.codes)) if k is None else k
-    start, end = (ends[k] for ends in _ends(poses.codes))
+    start, end = (ends[k] for ends in _bounds(poses.codes))
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(poses.left, axis=0)])
     largest = np.full(len(k), -np.inf)
     for window in _WINDOWS:
@@ -273,9 +273,11 @@ def _sharpest(left, low, k, high):
 
 def _sizes(left, cuts):
     """How far the means on either side of each cut are apart, between it and its neighbours."""
-    parts = np.split(left, cuts)
-    ends = [(before[-max(_WINDOWS) :], after[: max(_WINDOWS)]) for before, after in pairwise(parts)]
-    return [float(np.linalg.norm(b.mean(axis=0) - a.mean(axis=0))) for a, b in ends]
+    n, found = max(_WINDOWS), []
+    for before, after in pairwise(np.split(left, cuts)):
+        step = after[:n].mean(axis=0) - before[-n:].mean(axis=0)
+        found.append(float(np.linalg.norm(step)))
+    return found
 
 
 def _in_order(poses, row, size):

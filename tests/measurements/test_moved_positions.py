@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    calibrate,
-    learn_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import _moved_seats, find_steps, moved_positions
-from sklearn_raacmm.measurements._moved_seats import MOVED
+from sklearn_raacmm.measurements import _moved_positions, find_steps, moved_positions
+from sklearn_raacmm.measurements._moved_positions import MOVED
 from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
@@ -121,7 +116,7 @@ def test_exact_residuals():
 def test_variance_of_a_difference_of_means_against_its_covariance():
     """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
     angles, left = poses_and_noise()
-    poses = _moved_seats._sorted_poses(left, angles, CODES)
+    poses = _moved_positions._sorted_poses(left, angles, CODES)
     spread = np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1])
     place = poses.place[:8]
     apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
@@ -129,7 +124,7 @@ def test_variance_of_a_difference_of_means_against_its_covariance():
     np.fill_diagonal(gamma, 0.0)
     w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
     expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
-    found = _moved_seats._variance_of_difference(place, 3, spread)
+    found = _moved_positions._variance_of_difference(place, 3, spread)
     assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -139,8 +134,8 @@ def test_spread_of_a_process():
     codes = np.repeat(np.arange(100), 20)
     angles = rng.uniform(-1, 1, (2000, 6))
     left = rng.normal(0, NOISE, (2000, 3)) + 0.1 * angles[:, :3]
-    poses = _moved_seats._sorted_poses(left, angles, codes)
-    _, half = _moved_seats._semivariogram(poses, 0.0)
+    poses = _moved_positions._sorted_poses(left, angles, codes)
+    _, half = _moved_positions._semivariogram(poses, 0.0)
     assert np.all(np.diff(half) >= 0)
     # Of two uniform angles: 0.01 / 3, and the noise. Medians of no normal differences: a third off.
     assert_allclose(half.mean(), 0.01 / 3 + NOISE**2, rtol=0.35)
@@ -184,15 +179,15 @@ def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)
     model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as said:
+    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as found:
         learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
-    assert [one.filename for one in said if "fixed point" in str(one.message)] == [__file__]
+    assert [one.filename for one in found if "fixed point" in str(one.message)] == [__file__]
 
 
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")  # of calibrate
 def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
     nominal = Arm.from_name("panda", probe=(0, 0, 138))
-    said = {}
+    found = {}
     for name in ("panda_2", "panda_3"):
         data = panda(name)
         result = calibrate(nominal, data.angles, data.groups)
@@ -201,9 +196,9 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
             data.angles, left, groups=data.groups
         ).predict(data.angles)
         every = np.ones(len(left))
-        said[name] = [*map(str, moved_positions(left, data.angles, every, data.groups, 0.0))]
-    assert said["panda_3"] == []
-    (sentence,) = said["panda_2"]
+        found[name] = [*map(str, moved_positions(left, data.angles, every, data.groups, 0.0))]
+    assert found["panda_3"] == []
+    (sentence,) = found["panda_2"]
     assert sentence.count("position '") == 2
     assert "position 'high/0'" in sentence
     assert "position 'high/1'" in sentence

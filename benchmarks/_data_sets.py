@@ -1,28 +1,17 @@
-"""
-Regressors side by side
-=======================
-
-Which regressor corrects a measuring arm best, from which inputs, and at what price? Polynomials,
-Fourier terms, Gaussian processes, RBF networks, kernel ridge, nearest neighbours, trees and linear
-models of the arm itself learn on some positions and correct others that they have never seen.
+"""Data sets of `make_results.py`, each split into folds, and what regressors leave of them.
 
 Outer folds keep positions (placements, goals) together; every setting is chosen by inner folds of
 the training rows, which keep them together, too. Simulated arms come with the package; real data
-are added with ``--panda`` and ``--ur10``, downloaded the first time. There calibration, too, sees
-the training rows only.
+are downloaded the first time. There calibration, too, sees the training rows only.
 """
 
-import argparse
-import csv
-import sys
-import time
-from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from _comparison import UNCORRECTED, Table, fetched, in_parallel, processes
-from _regressors import MODELS, Fold, run
+from _comparison import UNCORRECTED, Table, fetched
+from _regressors import Fold, run
+from joblib import Parallel, delayed
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GroupKFold
 from sklearn.utils import Bunch
@@ -44,6 +33,8 @@ from sklearn_raacmm.metrics import (
 MIXES = ["typical", "gravity", "eccentricity"]
 PERFECT = ("-", "perfect model")
 UR10_ROWS = 1500
+# What `run` returns beside a prediction.
+COSTS = ("fit_seconds", "predict_seconds_per_row", "pickle_bytes", "numbers")
 
 
 class Problem(NamedTuple):
@@ -157,7 +148,7 @@ def half_width(gain, places, n_draws=2000):
 
 
 def assess(problem, corrections):
-    """Every measure of a correction, given for the test rows of each fold; 2S and lengths apart."""
+    """Every measure of a correction, given for the test rows of each fold."""
     n = len(problem.folds) - problem.gauge
     labels = np.concatenate([fold.positions[fold.test] for fold in problem.folds[:n]])
     before = np.concatenate(problem.measured[:n])
@@ -182,7 +173,6 @@ def assess(problem, corrections):
             target[repeated], prediction[repeated], groups=labels[repeated]
         ),
     }
-    shown = [("2S", str(g), v) for g, v in zip(np.unique(labels[repeated]), spread, strict=True)]
     if problem.pairs is not None:
         if problem.gauge:
             after = problem.measured[-1] - corrections[-1]
@@ -193,165 +183,59 @@ def assess(problem, corrections):
             some = length_error(lengths[problem.lengths == size], size)
             results[f"length_{size:g}_mean_mm"] = np.abs(some).mean()
             results[f"length_{size:g}_max_mm"] = np.abs(some).max()
-            shown += [(f"{size:g} mm", str(i + 1), e) for i, e in enumerate(some)]
         if len(sizes) > 1:
             # A cone test cannot see the scale: find it with the shorter gauges, judge the longest.
             longest = problem.lengths == sizes[-1]
             scale = lengths[~longest] @ problem.lengths[~longest] / np.sum(lengths[~longest] ** 2)
             results["scaled_mean_mm"] = np.abs(scale * lengths[longest] - sizes[-1]).mean()
-    return results, shown
+    return results
 
 
 def compare(problem, names, jobs):
-    """Print the table of one data set; return a record of every model, and of every place."""
+    """Print the table of one data set; return a record of every model."""
     sizes = [] if problem.lengths is None else np.unique(problem.lengths)
-    table = Table(
-        ("inputs", 24, ""),
-        ("regressor", 26, ""),
-        ("mean", 6, ".4f"),
-        ("max", 6, ".4f"),
-        ("2S mean", 7, ".4f"),
-        ("2S max", 7, ".4f"),
-        ("less", 5, ".0%"),
-        ("of possible", 11, ".0%"),
-        *((f"{size:g} mm", 6, ".4f") for size in sizes),
-        *([("scaled", 6, ".4f")] if len(sizes) > 1 else []),
-        ("R2", 6, ".2f"),
-        ("R2 within", 9, ".2f"),
-        ("fit s", 7, ".2f"),
-        ("us/row", 6, ".1f"),
-        ("kB", 6, ".0f"),
-        ("numbers", 7, ".0f"),
-    )
-    records, details = [], []
+    # Heading of each column, its width and format, and the measure that it shows.
+    columns = {
+        "mean_mm": ("mean", 6, ".4f"),
+        "max_mm": ("max", 6, ".4f"),
+        "two_s_mean_mm": ("2S mean", 7, ".4f"),
+        "two_s_max_mm": ("2S max", 7, ".4f"),
+        "less": ("less", 5, ".0%"),
+        "of_possible": ("of possible", 11, ".0%"),
+        **{f"length_{size:g}_mean_mm": (f"{size:g} mm", 6, ".4f") for size in sizes},
+        **({"scaled_mean_mm": ("scaled", 6, ".4f")} if len(sizes) > 1 else {}),
+        "r2": ("R2", 6, ".2f"),
+        "r2_within": ("R2 within", 9, ".2f"),
+        "fit_seconds": ("fit s", 7, ".2f"),
+        "predict_seconds_per_row": ("s/row", 8, ".1e"),
+        "pickle_bytes": ("bytes", 8, ".0f"),
+        "numbers": ("numbers", 7, ".0f"),
+    }
+    table, records = Table(("inputs", 24, ""), ("regressor", 26, ""), *columns.values()), []
     # What a correction is judged by: the deviation where it is known, else 2S.
     measure = "mean_mm" if problem.folds[0].absolute else "two_s_mean_mm"
     nothing = [np.zeros_like(points) for points in problem.measured]
-    base, places_before = assess(problem, nothing)
-    floor = 0.0
+    base = assess(problem, nothing)
+    possible = None
     if problem.perfect is not None:
-        floor = assess(problem, problem.perfect)[0][measure]
+        possible = base[measure] - assess(problem, problem.perfect)[measure]
 
     def show(name, corrections, costs=None):
-        results, places = assess(problem, corrections)
+        results = assess(problem, corrections)
         gain = base[measure] - results[measure]
-        results["less"] = None if name == UNCORRECTED else gain / base[measure]
-        known = problem.perfect is not None and name != UNCORRECTED
-        results["of_possible"] = gain / (base[measure] - floor) if known else None
-        costs = [None] * 4 if costs is None else np.mean(costs, axis=0)
-        seconds, per_row, size, numbers = costs
-        results |= {"fit_seconds": seconds, "predict_seconds_per_row": per_row}
-        results |= {"pickle_bytes": size, "numbers": numbers}
-        shown = ["mean_mm", "max_mm", "two_s_mean_mm", "two_s_max_mm", "less", "of_possible"]
-        shown += [f"length_{size:g}_mean_mm" for size in sizes]
-        shown += ["scaled_mean_mm"] if len(sizes) > 1 else []
-        cells = [results[key] for key in [*shown, "r2", "r2_within", "fit_seconds"]]
-        cells += [None if per_row is None else 1e6 * per_row]
-        table.row(*name, *cells, None if size is None else size / 1000, numbers)
-        label = {"data": problem.name, "inputs": name[0], "regressor": name[1]}
-        records.append(label | results)
-        for (what, place, before), (*_, after) in zip(places_before, places, strict=True):
-            row = {"measure": what, "place": place, "before_mm": before, "after_mm": after}
-            details.append(label | row)
+        if name != UNCORRECTED:
+            results["less"] = gain / base[measure]
+            if possible is not None:
+                results["of_possible"] = gain / possible
+        if costs is not None:
+            results |= dict(zip(COSTS, np.mean(costs, axis=0), strict=True))
+        table.row(*name, *(results.get(key) for key in columns))
+        records.append({"data": problem.name, "inputs": name[0], "regressor": name[1]} | results)
 
     show(UNCORRECTED, nothing)
-    for i, name in enumerate(names):
-        title = f"{problem.name}, model {i + 1} of {len(names)}: {', '.join(name)}"
-        if not sys.stderr.isatty():
-            print(title, file=sys.stderr, flush=True)
-        results, _ = in_parallel(run, [(name, fold) for fold in problem.folds], jobs, title)
-        show(name, *(list(part) for part in zip(*results, strict=True)))
+    for name in names:
+        calls = (delayed(run)(name, fold) for fold in problem.folds)
+        show(name, *zip(*Parallel(n_jobs=jobs)(calls), strict=True))
     if problem.perfect is not None:
         show(PERFECT, problem.perfect)
-    return records, details
-
-
-def write(path, records):
-    """Write records as CSV; a field that does not apply is left empty."""
-    fields = list(dict.fromkeys(key for record in records for key in record))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fields)
-        writer.writeheader()
-        writer.writerows(records)
-
-
-def problems(args):
-    """Each data set in turn, made or read when its time comes."""
-    mixes, seeds = args.machine, range(args.seed, args.seed + args.seeds)
-    for mix in mixes:
-        for seed in seeds:
-            yield simulated(mix, seed, args.positions, args.poses, args.folds)
-    for arm in args.panda:
-        yield panda(arm, args.data_home)
-    if args.ur10:
-        yield ur10(args.rows, args.data_home)
-
-
-def main(argv=None):
-    """Run the job."""
-    parser = argparse.ArgumentParser(description="Regressors side by side.")
-    parser.add_argument(
-        "--machine", nargs="*", default=MIXES, choices=MIXES, help="simulated arms (default: all)"
-    )
-    parser.add_argument("--positions", type=int, default=10, help="simulated (default: 10)")
-    parser.add_argument("--poses", type=int, default=60, help="at each (default: 60)")
-    parser.add_argument("--folds", type=int, default=5, help="of positions (default: 5)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first simulated arm")
-    parser.add_argument("--seeds", type=int, default=1, help="simulated arms of each kind")
-    parser.add_argument(
-        "--panda", nargs="*", default=[], choices=["panda_3", "panda_2"], help="real arms"
-    )
-    parser.add_argument("--ur10", action="store_true", help="a real robot and a laser tracker")
-    parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
-    parser.add_argument(
-        "--rows", type=int, default=UR10_ROWS, help=f"of the UR10 (default: {UR10_ROWS})"
-    )
-    parser.add_argument("--models", nargs="*", help="only those whose name holds one of these")
-    parser.add_argument("--quick", action="store_true", help="one small simulated arm")
-    parser.add_argument(
-        "--jobs", type=processes, default=-1, help="processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--output", type=Path, default=Path("comparison.csv"), help="file of the table"
-    )
-    args = parser.parse_args(argv)
-    if args.quick:
-        args.machine, args.positions, args.poses, args.folds = ["typical"], 4, 32, 2
-    if not 2 <= args.folds <= args.positions:
-        parser.error(f"--folds must be 2 to {args.positions} (--positions), got {args.folds}.")
-    if not args.output.resolve().parent.is_dir():
-        parser.error(f"no such folder: {args.output.resolve().parent}")
-    names = [
-        name
-        for name in MODELS
-        if not args.models or any(word in ", ".join(name) for word in args.models)
-    ]
-    if not names:
-        parser.error(f"no model's name holds {' or '.join(args.models)}.")
-
-    print("Positions never trained on, nor used to choose a setting. Lengths in mm.")
-    print("mean, max: deviation from the position's mean point (UR10: from the tracker's point);")
-    print("2S: single-point repeatability; less: reduction of its mean (UR10: of the deviation);")
-    print("of possible: share of what a perfect model reduces, which knows all but the noise;")
-    print(
-        "mm mean, max: error of known lengths; R2: plain, and with one free constant per position"
-    )
-    print("(within); fit s: CPU seconds with the choice of settings; us/row: CPU to predict;")
-    print("kB: pickled; numbers: kept by the model in order to predict.")
-    start, records, details = time.perf_counter(), [], []
-    for problem in problems(args):
-        n_folds = len(problem.folds) - problem.gauge
-        rows = sum(len(points) for points in problem.measured[:n_folds])
-        print(f"\n{problem.name}: {rows} rows, {n_folds} folds\n")
-        found = compare(problem, names, args.jobs)
-        records += found[0]
-        details += found[1]
-        # After each data set: who stops the job keeps what it found.
-        write(args.output, records)
-        write(args.output.with_stem(args.output.stem + "_places"), details)
-    print(f"\n{time.perf_counter() - start:.0f} s. Tables: {args.output} and ", end="")
-    print(f"{args.output.with_stem(args.output.stem + '_places')} (by position and placement).")
-
-
-if __name__ == "__main__":
-    main()
+    return records

@@ -1,0 +1,143 @@
+"""The word ``arm``: an arm of a file, a table, lengths or answers, shown and written."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_raacmm.app._cells import TableError, parse_number
+from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._figures import draw_arm
+from sklearn_raacmm.app._files import load_arm, parse_vector
+from sklearn_raacmm.arm import Arm, usual_pose
+from sklearn_raacmm.utils import check_places, write_whole
+
+# Names that drawings and papers give the columns; the first three are needed.
+_COLUMNS = {
+    "a": ("a", "r", "link length", "a_i", "a_i-1"),
+    "alpha": ("alpha", "twist", "alpha_i", "alpha_i-1"),
+    "d": ("d", "joint offset", "d_i"),
+    "theta_offset": ("theta_offset", "theta offset", "offset", "theta", "theta0"),
+    "joint_signs": ("sign", "joint_signs", "direction"),
+    "low": ("lower", "min", "low"),
+    "high": ("upper", "max", "high"),
+    "names": ("joint", "name", "joint name"),
+}
+_ANGLES = ("alpha", "theta_offset", "low", "high")
+_FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
+_DRAWING = r"""
+           elbow: axes 2 and 3 cross, or pass at the elbow offset
+              o
+    upper    / \    fore
+            /   \
+           o     o--( probe
+   shoulder|     wrist: axes 4 and 5 cross, or pass at the wrist offset
+    height |
+         =====  base: axis 1 upright, axis 2 across it
+"""
+_QUESTIONS = (
+    ("shoulder", "height of the shoulder above the base"),
+    ("upper", "shoulder to elbow"),
+    ("fore", "elbow to wrist"),
+    ("probe", "wrist to the centre of the probe"),
+    ("elbow_offset", "how far axes 2 and 3 pass each other, 0 if they cross"),
+    ("wrist_offset", "how far axes 4 and 5 pass each other, 0 if they cross"),
+)
+_ADVICE = """Shoulder to elbow and elbow to wrist decide the scale of the arm: take them from a
+drawing, to half a millimetre, or measure a known distance. The height of the shoulder only says
+where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
+
+
+def arm(options):
+    """Show an arm, and write its file."""
+    given = [options.source, options.dh, options.lengths_222, options.lengths_223]
+    _check_arm_options(options, given)
+    outputs = [path for path in (options.out, options.picture) if path and path != "-"]
+    check_places(outputs, filter(None, [options.source, options.dh]))
+    shown = _meant_arm(options)
+    print(shown)
+    if options.into:
+        text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
+    else:
+        text = shown.to_json()
+    if options.out == "-":
+        options.stdout.write(text)
+    written = {options.out: text} if options.out not in (None, "-") else {}
+    if options.picture:
+        written[options.picture] = draw_arm(shown)
+    write_whole(written)
+    for path in written:
+        print(f"Written to {path}")
+    return 0, json.loads(shown.to_json())
+
+
+def _check_arm_options(options, given):
+    """Refuse options that do not belong together."""
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
+        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
+
+
+def _meant_arm(options):
+    """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
+    if options.lengths_222 or options.lengths_223:
+        layout = "2-2-2" if options.lengths_222 else "2-2-3"
+        lengths = options.lengths_222 or options.lengths_223
+        offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
+        return Arm.from_lengths(layout, *lengths, **offsets)
+    if options.dh:
+        convention = "modified" if options.modified else "standard"
+        return read_dh(options.dh, convention, parse_vector(options.probe or "0,0,0"))
+    if options.source and options.into:
+        return load_arm(options.source)  # --base and --tip are those of the other file
+    if options.source:
+        return load_arm(options.source, options.base, options.tip)
+    if not sys.stdin.isatty():
+        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
+    print(_DRAWING)
+    print(_ADVICE)
+    layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
+    lengths = {name: parse_number(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
+    return Arm.from_lengths(layout, **lengths)
+
+
+def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
+    """Arm of a table, text or a spreadsheet, with one row for each joint.
+
+    Columns are a, alpha, d and, if there are any, theta_offset, sign, lower, upper and joint, in mm
+    and degrees or what the header says; the probe (3,) is in mm.
+    """
+    table = Columns(path, 3)
+    found = {
+        field: next((table.names.index(word) for word in words if word in table.names), None)
+        for field, words in _COLUMNS.items()
+    }
+    missing = [field for field in ("a", "alpha", "d") if found[field] is None]
+    if missing:
+        raise TableError(f"{path} has no column {missing[0]!r}; it has {table}.")
+    rows = list(table.rows([found["a"]]))
+    values = {}
+    for field, column in found.items():
+        if field == "names" and column is not None:
+            values[field] = table.labels(rows, column).tolist()
+        elif column is not None:
+            units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
+            unit = table.units[column] or units[0]
+            if unit not in units:
+                raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
+            values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
+    low, high = values.pop("low", None), values.pop("high", None)
+    if low is not None and high is not None:
+        values["limits"] = list(zip(low, high, strict=True))
+    twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
+    pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
+    return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)
