@@ -4,6 +4,7 @@
     python benchmarks/bench_few_poses.py --gears
     python benchmarks/bench_few_poses.py --curves
     python benchmarks/bench_few_poses.py --narrow
+    python benchmarks/bench_few_poses.py --constants
 
 Of each set of thinned real Pandas some placements are drawn, and of their rows as many as asked
 for. Calibration and model learn from these; all rows of the other placements are left out. Printed
@@ -18,6 +19,11 @@ deviation left over that of the calibrated arm. ``--narrow``: simulated arms in 
 random poses within 0.25 rad of a centre, gravity and eccentric encoders, a tracker's noise of 0.01
 mm. Calibration has taken the easy directions out of what is left, which is where a search of the
 families' variances can stay at zero.
+
+``--constants``: deviations from the mean, the median, the first or the last row of each position of
+simulated single-point tests, and constants of 0 to 0.05 mm a coordinate added to the errors of a
+tracker; printed is what the model leaves at eight other positions, mm: 2S, and of the tracker's
+arms the mean deviation from the truth.
 """
 
 import argparse
@@ -33,6 +39,7 @@ from _arm_folds import read_panda, read_ur10
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
 
 SETS = ("panda_2", "panda_3", "panda_6", "panda_7")
 PLACEMENTS, ROWS, DRAWS = (1, 2, 3, 4), (60, 120, 200), 2
@@ -42,6 +49,13 @@ NOISE_MM, N_OTHERS = 0.01, 400
 COUNTS = (60, 90, 125, 200, 300, 400)
 SOURCES = ("eccentricity", "torsion", "sag", "wobble", "runout")
 KINDS = ("typical", "gravity", "eccentricity")
+FROM = {
+    "mean": lambda y: y.mean(axis=0),
+    "median": lambda y: np.median(y, axis=0),
+    "first row": lambda y: y[0],
+    "last row": lambda y: y[-1],
+}
+CONSTANTS_MM = (0.0, 0.002, 0.004, 0.008, 0.05)
 
 
 def deviation(left):
@@ -206,18 +220,56 @@ def curves(n_draws):
         print(f"{name:22}" + "".join(f"{v:8.3f}" for v in ratios) + f"{rise:12.2f}", flush=True)
 
 
+def left_of(test, y, train, truth=None):
+    """What a model of y leaves at the other positions, mm."""
+    model = ArmResidualRegressor(test.arm)
+    model.fit(test.data[train], y[train], groups=test.groups[train])
+    correction = model.predict(test.data[~train])
+    if truth is not None:
+        return float(np.linalg.norm(truth[~train] - correction, axis=1).mean())
+    left = test.points[~train] - correction
+    return float(single_point_repeatability(left, test.groups[~train]))
+
+
+def constants(draws):
+    """Deviations from something else than the mean, and small constants."""
+    print("deviations from" + "".join(f"{name:>11}" for name in FROM))
+    for mix in KINDS:
+        for seed in range(draws):
+            test = make_single_point(20, 15, machine=mix, random_state=seed)
+            train, cells = test.groups < 12, []
+            for origin in FROM.values():
+                y = test.points.copy()
+                for group in np.unique(test.groups):
+                    rows = test.groups == group
+                    y[rows] -= origin(y[rows])
+                cells.append(left_of(test, y, train))
+            print(f"{mix:15}" + "".join(f"{cell:11.4f}" for cell in cells), flush=True)
+    print("constants, mm  " + "".join(f"{size:>11g}" for size in CONSTANTS_MM))
+    for mix in KINDS:
+        for seed in range(draws):
+            test = make_single_point(20, 15, machine=mix, random_state=seed)
+            truth = test.points - test.simulation.true_points
+            drawn = np.random.default_rng(seed).normal(size=(20, 3))[test.groups]
+            train = test.groups < 12
+            cells = [left_of(test, truth + c * drawn, train, truth) for c in CONSTANTS_MM]
+            print(f"{mix:15}" + "".join(f"{cell:11.4f}" for cell in cells), flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     which = parser.add_mutually_exclusive_group()
-    for name in ("gears", "curves", "narrow"):
+    for name in ("gears", "curves", "narrow", "constants"):
         which.add_argument(f"--{name}", action="store_true")
-    parser.add_argument("--draws", type=int, help="20 arms, or 3 draws of each curve")
+    parser.add_argument("--draws", type=int, help="20 arms, 3 of each curve, 1 of constants")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.gears or options.narrow:
         (gears if options.gears else narrow)(options.draws or 20)
     elif options.curves:
         curves(options.draws or 3)
+    elif options.constants:
+        constants(options.draws or 1)
     else:
         pandas()
 

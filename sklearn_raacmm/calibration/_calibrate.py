@@ -25,7 +25,7 @@ from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
 from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
-from sklearn_raacmm.calibration._result import CalibrationResult, is_angle
+from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
     listed,
@@ -271,7 +271,7 @@ def _identified(fit, names):
     """What the data say of the free parameters, as fields of a `CalibrationResult`."""
     mask = fit.free_mask(fit.is_free)
     free_names = [name for name, is_in in zip(names, mask, strict=True) if is_in]
-    angle = np.array([is_angle(name) for name in names])
+    angle = np.array([name.startswith(ANGLES) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
     unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)

@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
 from sklearn_raacmm.calibration._problem import points_and_jacobian
-from sklearn_raacmm.calibration._result import is_angle
+from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.measurements import base_motions, moved_positions, moved_set_up
 from sklearn_raacmm.utils import Finding, row_numbers
 
@@ -152,7 +152,7 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
     for i in wrong:
         field = names[i].rstrip("0123456789")
         joints.append(int(names[i].removeprefix(field)))
-        factor, unit = (180 / np.pi, "°") if is_angle(names[i]) else (1.0, " mm")
+        factor, unit = (180 / np.pi, "°") if names[i].startswith(ANGLES) else (1.0, " mm")
         parts.append(
             f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
             f"the table says {factor * nominal[i]:.6g}{unit}"
@@ -170,7 +170,9 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
         f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}.",
         advice,
         joints=tuple(sorted(set(joints))),
-        size_mm=float(max((departure[i] for i in wrong if not is_angle(names[i])), default=0)),
+        size_mm=float(
+            max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
+        ),
     )
 
 

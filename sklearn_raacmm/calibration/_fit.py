@@ -24,7 +24,7 @@ from sklearn_raacmm.calibration._problem import (
     points_and_jacobian,
     unpack,
 )
-from sklearn_raacmm.calibration._result import is_angle
+from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.utils import align, robust_scale
 
@@ -104,7 +104,7 @@ class Fit:
         tools = in_brackets(problem.tool_labels, problem.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
-        kind = np.array([int(is_angle(name)) for name in self.names])
+        kind = np.array([int(name.startswith(ANGLES)) for name in self.names])
         lengths = kind == 0
         kind[lengths] = np.where(are_long(self.nominal[: len(kind)][lengths]), 0, 3)
         is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.utils import centred, encode_groups, floats, slip_factors
 
+# What the names of parameters that are angles begin with.
+ANGLES = ("alpha", "theta", "base_r")
 # Rows and combinations that are printed.
 _N_SHOWN = 10
 
@@ -230,7 +232,7 @@ class CalibrationResult:
         for name, nominal, value, sd in zip(
             self.names, self.nominal, self.values, self.standard_deviations, strict=True
         ):
-            factor, unit = (180 / np.pi, "deg") if is_angle(name) else (1.0, "mm")
+            factor, unit = (180 / np.pi, "deg") if name.startswith(ANGLES) else (1.0, "mm")
             note = "  not identified" if name in self.unidentified else ""
             before = f"{nominal * factor:12.4f}" if np.isfinite(nominal) else f"{'':12}"
             sd_text = f"{'held':>11}" if sd == 0 else f"{sd * factor:11.4f}"
@@ -250,8 +252,3 @@ class CalibrationResult:
 def _first(lines):
     more = len(lines) - _N_SHOWN
     return lines if more <= 0 else [*lines[:_N_SHOWN], f"  and {more} more"]
-
-
-def is_angle(name):
-    """Whether the parameter of this name is an angle."""
-    return name.startswith(("alpha", "theta", "base_r"))

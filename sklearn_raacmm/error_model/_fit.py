@@ -14,6 +14,7 @@ from sklearn_raacmm.error_model._columns import (
     factored_columns,
     term_names,
 )
+from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
 from sklearn_raacmm.error_model._gauge import constrained, length_equations, without_motions
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._structures import least_of_the_idle, structures_of
@@ -48,10 +49,11 @@ _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
 
-# Noise variances over those of constants of positions that are compared, in units of a position's
-# weight; steps of the other variances at each, and rounds with a fit at what was found
-# (``benchmarks/bench_constants.py``).
-_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-5.0, 2.0, 0.5), 5, 3
+# Noise variances over those of constants of positions that are compared: smaller constants than the
+# noise are not told from what a model that is not complete leaves alike at the rows of a position.
+# Steps of the other variances at each, and rounds with a fit at what was found
+# (``benchmarks/bench_few_poses.py --constants``).
+_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-4.0, 0.5, 0.5), 3, 2
 
 
 class Rows(NamedTuple):
@@ -140,6 +142,9 @@ def fit_with_constants(rows, positions, terms, with_field):
     fitted = fit_linear_model(rows, terms, with_field)
     if positions is None or rows.codes is not None:
         return fitted
+    n_positions = int(positions.max()) + 1
+    if n_positions < LEAST_POSITIONS or len(positions) < 2 * n_positions:
+        return fitted
     known = np.inf
     for _ in range(_CONSTANT_ROUNDS):
         last, known = known, _known_of_constants(rows, positions, terms, with_field, fitted)
@@ -179,7 +184,7 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
     few, structures, lines = _of_pairs(terms, structures, state.lines, state.pairs)
     total = np.bincount(positions, rows.weights)
     found = {}
-    for known in [np.inf, *(total.mean() * _KNOWN)]:
+    for known in [np.inf, *_KNOWN.tolist()]:
         given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
         problem = Problem(given.sums(few)[0], structures)
         start = lines, state.with_field, state.variance, state.noise_variance
@@ -188,7 +193,8 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
         taken += 0.0 if np.isinf(known) else 0.5 * np.log(rows.y.shape[1] * len(total))
         found[known] = state_there.log_evidence - taken
     known = max(found, key=lambda one: found[one])
-    return 0.0 if known == min(found) else known
+    # At either end nothing is known of them, or they are no larger than the noise.
+    return {_KNOWN[0]: 0.0, _KNOWN[-1]: np.inf}.get(known, known)
 
 
 @stage("linear error model")

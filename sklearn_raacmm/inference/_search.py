@@ -184,7 +184,10 @@ def _first_size(problem, state):
     S, r = S * root * root[:, None], r * root
     best = 1.0, -np.inf
     for v in state.variance[problem.structures.line] * _FIELD_SIZES:
-        factor = root_of(np.eye(len(S)) + v * S)
+        try:
+            factor = root_of(np.eye(len(S)) + v * S)
+        except LinAlgError:  # the rounding of large numbers
+            break
         seen = solve_triangular(factor, r, trans="T", check_finite=False)
         rise = 0.5 * v * (seen @ seen) - np.log(factor.diagonal()).sum()
         best = max(best, (v, float(rise)), key=lambda one: one[1])

@@ -3,6 +3,7 @@
 import json
 import pickle
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -241,7 +242,9 @@ def test_tracker_points_without_labels_are_left_out_by_region():
     arm = Arm.from_name("ur10")
     X = rng.uniform(-2, 2, (200, 6))
     tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
-    learned = learn_correction(arm, X, None, tracker, model=QUICK, cv=3)
+    with warnings.catch_warnings():  # no cause of the model does this
+        warnings.simplefilter("ignore")
+        learned = learn_correction(arm, X, None, tracker, model=QUICK, cv=3)
     labels = learned.scores.table["position"].tolist()
     assert labels == [f"region {i:02d}" for i in range(1, 11)]
     # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
@@ -324,7 +327,8 @@ def test_saved_and_loaded(tmp_path, learned, test_data):
 def test_shows_itself(learned):
     text = str(learned)
     assert learned.verdict in text
-    assert "inside their 95 % intervals" in text
+    assert "inside the model's own 95 % intervals" in text
+    assert "share of the correction that is used" in text
     assert learned.verdict.replace(">", "&gt;") in learned._repr_html_()
     cells = re.findall(r"<td>([^<]*)</td>", learned.scores._repr_html_())
     assert len(cells) == 7 * 6

@@ -1,6 +1,8 @@
 """A model brought up to date: the old one, the new one, and what lies between."""
 
 import warnings
+from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -289,3 +291,20 @@ def test_extra_columns_are_brought_up_to_date(warm_model):
     assert max(tau, key=tau.get) == "direction"
     lags = {term["name"]: term["value"] for term in updated.terms_}
     assert lags["joint 2 lags"] == pytest.approx(16, abs=1.5)
+
+
+def test_a_model_that_is_not_used_is_judged_anew(model):
+    """It can be updated, and the new poses, which it has not seen, say how much of it is used."""
+    refused = deepcopy(model)
+    refused.fading_ = replace(model.fading_, most=0.0)
+    angles, y = rows(60, 1)
+    updated = update_correction(refused, angles, y)
+    assert updated.fading_.most > 0.9
+    assert left(updated, 0) < 0.3 * np.linalg.norm(errors(rows(400, 99)[0]), axis=1).mean()
+    # Nothing fades where the new poses have shown so.
+    assert updated.fading(angles).min() > 0.9
+    # Of noise nothing is used.
+    noise = np.random.default_rng(0).normal(0, 1.0, y.shape)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert update_correction(refused, angles, noise).fading_.most < 0.5
