@@ -231,14 +231,10 @@ REFUSING = [
 CALLS = {name: (function, values.split()) for name, function, values in FUNCTIONS + REFUSING}
 
 
-def table(functions, labels):
-    """Pairs of a function's name and one of its values: labels, or arrays of numbers."""
-    return [
-        pytest.param(name, argument, id=f"{name}-{argument}")
-        for name, _, values in functions
-        for argument in values.split()
-        if (argument == "groups") == labels
-    ]
+def table(functions, without=None):
+    """Pairs of a function's name and one of the values that it takes."""
+    pairs = [(name, value) for name, _, values in functions for value in values.split()]
+    return [pytest.param(*pair, id="-".join(pair)) for pair in pairs if pair[1] != without]
 
 
 def call(name, **changed):
@@ -368,15 +364,16 @@ def close_figures():
     plt.close("all")
 
 
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS, labels=False))
-def test_form_of_the_same_numbers_does_not_matter(name, argument):
+@pytest.mark.filterwarnings("ignore:The points still scatter")  # of no arm
+@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS))
+def test_form_of_the_same_values_does_not_matter(name, argument):
     expected = call(name)
-    for form, changed in SAME.items():
+    for form, changed in (SAME_LABELS if argument == "groups" else SAME).items():
         found = call(name, **{argument: changed(RIGHT[argument])})
         assert_allclose(found, expected, rtol=1e-9, atol=1e-12, err_msg=form)
 
 
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS, labels=False))
+@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS, without="groups"))
 def test_narrow_types_are_worth_what_they_hold(name, argument):
     # Features in float32 come out in float32.
     tolerance = 1e-5 if name.startswith(("PoseFeatures", "ResidualDisplay")) else 1e-9
@@ -399,9 +396,9 @@ def test_narrow_types_are_worth_what_they_hold(name, argument):
         assert_allclose(found, expected, rtol=tolerance, atol=tolerance, err_msg=form)
 
 
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS + REFUSING, labels=False))
-def test_wrong_arrays_get_a_sentence(name, argument):
-    for kind, (spoil, sentence) in WRONG.items():
+@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS + REFUSING))
+def test_wrong_values_get_a_sentence(name, argument):
+    for kind, (spoil, sentence) in (WRONG_LABELS if argument == "groups" else WRONG).items():
         changed = {argument: spoil(RIGHT[argument])}
         if kind in FINE.get(f"{name}-{argument}", ()):
             assert np.all(np.isfinite(call(name, **changed))), kind
@@ -417,23 +414,6 @@ def test_wrong_arrays_get_a_sentence(name, argument):
         assert re.search(sentence, str(caught.value)), f"{kind}: {caught.value}"
 
 
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS + REFUSING, labels=True))
-def test_wrong_labels_get_a_sentence(name, argument):
-    for kind, (spoil, sentence) in WRONG_LABELS.items():
-        with pytest.raises(ValueError) as caught:
-            call(name, groups=spoil(GROUPS))
-        assert re.search(sentence, str(caught.value)), f"{kind}: {caught.value}"
-
-
-@pytest.mark.filterwarnings("ignore:The points still scatter")  # of no arm
-@pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS, labels=True))
-def test_what_labels_are_does_not_matter(name, argument):
-    expected = call(name)
-    for form, changed in SAME_LABELS.items():
-        found = call(name, groups=changed(GROUPS))
-        assert_allclose(found, expected, rtol=1e-9, atol=1e-12, err_msg=form)
-
-
 # -- options ---------------------------------------------------------------------------------------
 
 TEST = make_single_point(6, 8, random_state=0)
@@ -446,31 +426,17 @@ CHAIN = make_pipeline(
 OCTAHEDRON = 5.0 * np.vstack([np.eye(3), -np.eye(3)])
 
 
-@pytest.fixture(scope="module")
-def model():
-    return ArmResidualRegressor(TEST.arm, orders=1, causes=["kinematics"]).fit(
-        TEST.data, TEST.target, groups=TEST.groups
-    )
+learn = partial(learn_correction, *DATA)
+judge = partial(cross_validate_correction, *DATA)
+calibrated = partial(calibrate, ARM, ANGLES, GROUPS)
+updated = partial(update_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
+checked = partial(check_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
+interval = partial(metrics.repeatability_interval, TEST.points, TEST.groups)
+poses = partial(display.ArmPosesDisplay.from_predictions, ANGLES, RESIDUALS)
 
 
-def learn(**options):
-    learn_correction(*DATA, **options)
-
-
-def judge(**options):
-    cross_validate_correction(*DATA, **options)
-
-
-def calibrated(**options):
-    return calibrate(ARM, ANGLES, **{"groups": GROUPS} | options)
-
-
-def fitted(lengths=None, **params):
-    return harmonics(**params).fit(ANGLES, CENTRED, groups=GROUPS, lengths=lengths)
-
-
-def no_columns(causes):
-    harmonics(orders=0, causes=causes).fit(ANGLES, RESIDUALS)
+def fitted(**params):
+    return harmonics(**params).fit(ANGLES, RESIDUALS)
 
 
 def chain(X=ANGLES, y=RESIDUALS, regressor=None):
@@ -478,38 +444,9 @@ def chain(X=ANGLES, y=RESIDUALS, regressor=None):
     return target.fit(X, y)
 
 
-def updated(**options):
-    return update_correction(LINEAR, ANGLES, CENTRED, groups=GROUPS, **options)
-
-
-def checked(**options):
-    return check_correction(LINEAR, ANGLES, CENTRED, groups=GROUPS, **options)
-
-
 def regression(weights=None, **params):
     model = RBFNetRegressor(**{"n_centers": 5, "alpha": 0.1} | params)
     return model.fit(ANGLES, RESIDUALS, weights)
-
-
-def interval(probability):
-    metrics.repeatability_interval(TEST.points, TEST.groups, probability=probability)
-
-
-def sphere(diameter):
-    metrics.probing_size_error(OCTAHEDRON, diameter)
-
-
-def gauge(pairs):
-    metrics.gauge_lengths(POINTS, GROUPS.astype(str), pairs)
-
-
-def figure(kind, points=POINTS, groups=GROUPS, **options):
-    known = options if groups is None else {"groups": groups} | options
-
-    def draw(points=points, **options):
-        return kind.from_predictions(points, RESIDUALS, **known, **options)
-
-    return draw
 
 
 def refused():
@@ -538,9 +475,9 @@ def refused():
         yield function, "date", dates, "'date' parameter"
     for function in (
         calibrated,
-        fitted,
-        lambda lengths: learn_correction(ARM, ANGLES, GROUPS, lengths=lengths),
-        lambda lengths: cross_validate_correction(ARM, ANGLES, GROUPS, lengths=lengths),
+        partial(harmonics().fit, ANGLES, CENTRED, groups=GROUPS),
+        partial(learn_correction, ARM, ANGLES, GROUPS),
+        partial(cross_validate_correction, ARM, ANGLES, GROUPS),
     ):
         no_lists = [[5.0], 5.0, "400 mm", ["0-1: 400"], None]
         yield function, "lengths", no_lists, "length"
@@ -569,22 +506,23 @@ def refused():
     yield chain, "X", [[]], "X has no rows"
     yield chain, "y", [[1, "a", None] + [0] * 37], "y must hold numbers"
     yield chain().predict, "X", [[]], "X has no rows"
-    yield no_columns, "causes", [[]], "no columns"
+    yield partial(fitted, orders=0), "causes", [[]], "no columns"
     several = [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan]
     yield interval, "probability", several, "probability must be between 0 and 1, got"
-    yield sphere, "diameter", [[10, 10]], "one number"
+    yield partial(metrics.probing_size_error, OCTAHEDRON), "diameter", [[10, 10]], "one number"
     yield metrics.probing_form_error, "points", [POINTS * 0], "one plane"
-    yield gauge, "pairs", [[[0, 1]]], "group 0"
+    gauges = partial(metrics.gauge_lengths, POINTS, GROUPS.astype(str))
+    yield gauges, "pairs", [[[0, 1]]], "group 0"
     lengths = partial(metrics.length_error, calibrated=[300])
     yield partial(metrics.length_error, calibrated=[]), "measured", [[]], r"\(0,\)"
     yield partial(lengths, [300]), "statistic", ["rms"], "'rms' is not"
     yield lambda warming: MACHINE.forward(ANGLES, warming_k=warming), "warming", [np.nan], "warming"
     yield lambda n_poses: MACHINE.find_poses([400, 0, 300], n_poses), "n_poses", [-1], "n_poses"
     yield ArmErrors.only, "sag", [1], "unexpected keyword argument 'sag'"
-    yield figure(display.RepeatabilityDisplay, POINTS), "statistic", ["3s"], "'3s' is not"
-    gauges = figure(display.LengthErrorDisplay, pairs=[[0, 1]], lengths=300)
-    yield gauges, "points", [RESIDUALS], "not residuals"
-    poses = figure(display.ArmPosesDisplay, ANGLES, groups=None)
+    repeatability = partial(display.RepeatabilityDisplay.from_predictions, POINTS, RESIDUALS)
+    yield partial(repeatability, groups=GROUPS), "statistic", ["3s"], "'3s' is not"
+    bars = partial(display.LengthErrorDisplay.from_predictions, y_pred=RESIDUALS, **BARS)
+    yield bars, "points", [RESIDUALS], "not residuals"
     yield poses, "max_poses", [0], "max_poses"
     yield poses, "magnification", ["big"], "magnification must be"
     yield poses, "arm", ["panda"], "must be an Arm"
