@@ -17,6 +17,7 @@ from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
 from sklearn_raacmm.utils import (
     Finding,
+    are_deviations,
     check_data,
     check_features,
     check_weights,
@@ -54,7 +55,14 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
     labels, positions = (None, None) if groups is None else encode_groups(groups, len(y))
     codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
-    targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, codes is not None)
+    # Deviations from anything but the mean keep a constant for each position, and are none the less
+    # asked what deviations are asked.
+    deviations = codes is not None or (
+        positions is not None
+        and estimator.offsets == "auto"
+        and are_deviations(y, positions, weights)
+    )
+    targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, deviations)
     report_findings(check_targets(targets))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     if probes is not None:

@@ -152,24 +152,31 @@ def fit_with_constants(rows, positions, terms, with_field):
             break
         given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
         fitted = fit_linear_model(given, terms, with_field)
-    if np.isinf(known) or not known:
+    if np.isinf(known):
         return fitted
     weights = rows.weights * fitted.pose_weight
     total = np.bincount(positions, weights)
     left = rows.y - fitted.model.predict(rows.X)[0]
-    constants = group_sums(left, positions, weights) / (total + known)[:, None]
+    constants = group_sums(left, positions, weights) / np.maximum(total + known, 1e-9)[:, None]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
+    # Deviations from a row of the position are as large as its rows scatter, at most.
+    within = centred(rows.y, positions, rows.weights)
+    scatter = float(np.sqrt(np.average(np.square(within).sum(axis=1), weights=rows.weights)))
     report_findings(
         [
             Finding(
                 "constants-of-positions",
-                f"The references of the positions are off by {size:.2g} mm each (root mean square),"
-                " beside what the arm's own errors explain.",
-                "How well are the references known? The constants are not taken for the arm's.",
+                f"The positions differ by constants of {size:.2g} mm each (root mean square) that "
+                "the causes of the model do not explain.",
+                "How well are the references known, and is a cause missing? The constants are not "
+                "taken for the arm's.",
+                "doubt" if size > 2 * scatter else "note",
                 size_mm=size,
             )
         ]
     )
+    if not known:
+        return fitted
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))
 
 

@@ -295,12 +295,14 @@ def test_the_default_is_the_arms_model_and_the_verdict_says_when_it_does_not_hel
     arm = Arm.from_name("ur10")
     X, groups = rng.uniform(-2, 2, (60, 6)), np.repeat(np.arange(6), 10)
     tracker = arm.forward(X) + rng.normal(scale=0.05, size=(60, 3))
-    learned = learn_correction(arm, X, groups, tracker, cv=3)
+    with pytest.warns(UserWarning, match="The correction is 0"):
+        learned = learn_correction(arm, X, groups, tracker, cv=3)
     assert learned.model.get_params().keys() == ArmResidualRegressor().get_params().keys()
     assert not learned.helps
     assert learned.verdict.startswith("Do not use it: at new positions mean deviation")
     assert "reaches 1" in learned.verdict
-    few = learn_correction(arm, X[:40], groups[:40], tracker[:40], model=QUICK, cv=3)
+    with pytest.warns(UserWarning, match="The correction is 0"):
+        few = learn_correction(arm, X[:40], groups[:40], tracker[:40], model=QUICK, cv=3)
     assert "4 positions are too few to tell; measure at least 5" in few.verdict
 
 
