@@ -211,8 +211,8 @@ def ols(n_centers, X, Y, weights=None, width=0.4, **params):
 
 
 def unexplained(model, X, Y):
-    """Mean over outputs of the share of their variance that is left."""
-    return np.mean(np.mean((Y - model.predict(X)) ** 2, axis=0) / np.var(Y, axis=0))
+    """Share of the outputs' variance that is left, of all together, as the trace has it."""
+    return np.sum(np.mean((Y - model.predict(X)) ** 2, axis=0)) / np.sum(np.var(Y, axis=0))
 
 
 @examples

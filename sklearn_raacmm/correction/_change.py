@@ -12,7 +12,7 @@ from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
 from sklearn_raacmm.error_model import LEAST_POSITIONS, constrained, judge
 from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import centred, ignored_findings
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
@@ -93,11 +93,12 @@ def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
     order = np.random.default_rng(0).permutation(len(labels))
     fold = (order % min(_N_FOLDS, len(labels)))[np.searchsorted(labels, positions) % len(labels)]
     correction, doubt = np.zeros_like(poses.residuals), np.zeros(len(positions))
-    for number in range(fold.max() + 1):
-        out = fold == number
-        rest = poses.at(~out)
-        model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
-        correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
+    with ignored_findings():  # what there is to report is reported of all poses
+        for number in range(fold.max() + 1):
+            out = fold == number
+            rest = poses.at(~out)
+            model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
+            correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
     found = [
         judge(
             poses.residuals,

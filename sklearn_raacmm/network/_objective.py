@@ -29,11 +29,11 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 # Relative error of a standard deviation of the constants that is given.
 GIVEN_TO = 0.05
-# The penalty: size of A; kappa, in standard errors of a slope; inverse width at which further
-# narrowness is penalised. The likelihood weighs the size of the data
+# The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
+# inverse width at which further narrowness is penalised. The likelihood weighs the size of the data
 # by itself; what it does not know is from how many features one was picked. A price that grows with
 # the rows gave up a weak interaction (benchmarks/bench_noise.py).
-PRICE, KAPPA, NARROW = 0.9, 2.0, 0.3
+PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 0.3
 
 
 class Task(NamedTuple):
@@ -98,7 +98,7 @@ class Task(NamedTuple):
         return np.concatenate([by_width[: self.n_widths], by_alpha, by_ratio])
 
 
-def objective(task, theta, data, kernel):
+def objective(task, theta, data, kernel, kappa=KAPPA):
     """Negative log likelihood with the penalty, in nats, and its gradient by theta."""
     log_width, log_alpha, ratio = task.unpack(theta)
     try:
@@ -111,7 +111,8 @@ def objective(task, theta, data, kernel):
     of_signals = np.array([task.reduce(row) for row in of_signals])
     # The signal variance in units of an output's variance, on average over outputs.
     widths, alphas = theta[: task.n_widths], slice(task.n_widths, task.n_widths + task.n_alphas)
-    penalty, of_penalty = _penalty(widths, signals.mean(), of_signals.mean(axis=0), data.n_total)
+    floor = kappa**2 / data.n_total
+    penalty, of_penalty = _penalty(widths, signals.mean(), of_signals.mean(axis=0), floor)
     value += penalty
     gradient += of_penalty
     noise = signals * np.exp(log_alpha)
@@ -130,10 +131,9 @@ def objective(task, theta, data, kernel):
     return value, gradient
 
 
-def _penalty(log_width, signal, of_signal, n_total):
+def _penalty(log_width, signal, of_signal, floor):
     rho2 = np.exp(-2 * log_width)
     price = PRICE * np.log1p(len(log_width))
-    floor = KAPPA**2 / n_total
     slope = signal * rho2
     used = slope / (slope + floor)  # of every feature, between 0 and 1
     narrow = rho2 / NARROW**2
@@ -144,7 +144,7 @@ def _penalty(log_width, signal, of_signal, n_total):
     return value, gradient
 
 
-def minimise(task, theta, data: Data, kernel, steps):
+def minimise(task, theta, data: Data, kernel, steps, kappa=KAPPA):
     """Search from a start; returns where it ends, never worse, and the objective there, nats."""
     unit = data.n_total * data.Y.shape[1]
     # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
@@ -152,7 +152,7 @@ def minimise(task, theta, data: Data, kernel, steps):
     nats = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
 
     def per_observation(theta):
-        value, gradient = objective(task, theta, data, kernel)
+        value, gradient = objective(task, theta, data, kernel, kappa)
         return value / unit, gradient / unit
 
     theta = np.clip(theta, *task.bounds.T)

@@ -40,7 +40,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
-    Use it where trees are too coarse, and a Gaussian process is too slow or too large to export.
     You may need `n_centers` for a given size, `shared` for a small export of several outputs, and
     `loss` for outliers. The order of rows does not matter; an integer weight is so many repeats.
 
