@@ -486,7 +486,8 @@ class Correction:
             one.fading_ = fading
             result = through(one)
             y = result.residuals(angles, points, positions)
-            codes = None if points is not None else np.unique(positions, return_inverse=True)[1]
+            labels: Any = positions
+            codes = None if points is not None else np.unique(labels, return_inverse=True)[1]
             places = np.arange(len(y)) if codes is None else codes
             weights = result.sample_weight
             judged = judge(y, correction, doubt, fading, weights, codes, places, fading.most)

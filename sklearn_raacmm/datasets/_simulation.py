@@ -358,7 +358,7 @@ class SimulatedArm:
         """
         angles = check_angles(angles, 6, "rad")
         points = _points("points", points, (len(angles), 3))
-        forward = partial(self.forward, **state)
+        forward: Any = partial(self.forward, **state)
         angles = _reach(forward, self.true_arm, angles, points)
         missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
         if missed.any():

@@ -145,7 +145,7 @@ def fit_with_constants(rows, positions, terms, with_field):
     n_positions = int(positions.max()) + 1
     if n_positions < LEAST_POSITIONS or len(positions) < 2 * n_positions:
         return fitted
-    known = np.inf
+    known: Any = np.inf
     for _ in range(_CONSTANT_ROUNDS):
         last, known = known, _known_of_constants(rows, positions, terms, with_field, fitted)
         if known == last:

@@ -102,12 +102,12 @@ def _ends(points, groups, pairs) -> Any:
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise ValueError(f"pairs has shape {pairs.shape}; (n_lengths, 2) is needed.")
     index = {label: i for i, label in enumerate(labels.tolist())}
-    ends = [index.get(label) for label in pairs.ravel().tolist()]
-    if None in ends:
-        unknown = pairs.ravel().tolist()[ends.index(None)]
+    found = [index.get(label) for label in pairs.ravel().tolist()]
+    if None in found:
+        unknown = pairs.ravel().tolist()[found.index(None)]
         raise ValueError(f"pairs names the group {unknown!r}, which has no points.")
     means = group_means(points, position)
-    ends = np.array(ends, dtype=int).reshape(-1, 2)
+    ends = np.array(found, dtype=int).reshape(-1, 2)
     return means, ends, labels, points - means[position], position
 
 

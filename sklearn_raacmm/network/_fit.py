@@ -12,6 +12,7 @@ References
 """
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -168,13 +169,16 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
     )
     explained, total = np.square(target).sum(axis=0), float(problem.n_total)
     # The trace of the error reduction, of targets in their own units.
-    units, enough = np.square(problem.spread[of].max() / problem.spread[of]), None
+    units = np.square(problem.spread[of].max() / problem.spread[of])
+    enough: Any = None
     goal = np.zeros(len(of))
     if isinstance(n_centers, float):
         floor = n_centers * np.sum(total / units)
 
-        def enough(_, summed):
+        def within_share(_, summed):
             return np.sum((total - summed) / units) <= floor
+
+        enough = within_share
 
     elif asked is None:
         # Centres are enough as soon as what further ones could still gain, summed over all samples,
@@ -185,9 +189,11 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
         if degrees > NO_FUNCTION:
             goal = explained - TOLERANCE * degrees * units
 
-        def enough(k, summed):
+        def worth_it(k, summed):
             moderate = explained - WORTH * total * units if k >= MODERATE else goal
             return np.all(summed >= np.minimum(goal, moderate))
+
+        enough = worth_it
 
     order, reduction, why = forward_selection(
         coordinates, target, resolution, most, units=units, enough=enough

@@ -68,7 +68,7 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
         return
     targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
     codes = None if groups is None else encode_groups(groups)[1]
-    factor = np.ones(len(given))
+    factor, residuals = np.ones(len(given)), targets
     for _ in range(MAX_FITS):
         residuals = targets - estimator.predict(X).reshape(targets.shape)
         last, factor = factor, biweights(residuals, given, codes)

@@ -72,7 +72,8 @@ class Rows(NamedTuple):
     def some(self, kept: np.ndarray) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        return Rows(*(array[kept] for array in self[:6]), codes)
+        kept_arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
+        return self._replace(**kept_arrays, codes=codes)
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
@@ -138,8 +139,9 @@ class Problem(NamedTuple):
         """Some rows, of whole groups."""
         codes = self.rows.codes
         codes = None if codes is None else codes[part] - codes[part][0]
-        held = (a[part] for a in (self.rows.X, self.root, self.tail, self.basis, self.targets))
-        return Block(*held, part, codes, self.ratio)
+        arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
+        root, tail, basis, targets = arrays
+        return Block(self.rows.X[part], root, tail, basis, targets, part, codes, self.ratio)
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""

@@ -280,11 +280,12 @@ def _linear(data, value, density, error):
     root, weights = np.sqrt(data.weights)[:, None], data.weights
 
     def at(ratio):
-        whitened = (
+        whitened: Any = [
             root * without_constants(a / root, data.codes, weights, ratio)
             for a in (columns, data.targets)
-        )
-        found = linear_evidence(*whitened, data.within, data.n_total - 1, data.n_total)
+        ]
+        flat, targets = whitened
+        found = linear_evidence(flat, targets, data.within, data.n_total - 1, data.n_total)
         extra = 0.0
         if ratio:
             extra = np.log1p(ratio * np.bincount(data.codes, weights)).sum() * data.Y.shape[1] / 2

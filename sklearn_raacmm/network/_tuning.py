@@ -26,7 +26,10 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group
 
     def set_up(degree, ratio=0.0):
         sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
-        return sample, sample if elsewhere is None else extend(sample, *elsewhere, outputs)
+        if elsewhere is None:
+            return sample, sample
+        chunks, n_rows, weight = elsewhere
+        return sample, extend(sample, chunks, n_rows, weight, outputs)
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
