@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration._checks import (
@@ -30,6 +29,7 @@ from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
+    param_checks,
     report_findings,
     slip_factors,
     with_findings,
@@ -44,17 +44,20 @@ _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
-_PRIOR = [Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both"), StrOptions({"auto"})]
+_PRIOR = [
+    param_checks.Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both"),
+    param_checks.StrOptions({"auto"}),
+]
 
 
 @one_blas_thread
-@validate_params(
+@param_checks.validate_params(
     {
         "arm": [Arm],
-        "loss": [StrOptions(set(WEIGHTS))],
+        "loss": [param_checks.StrOptions(set(WEIGHTS))],
         "prior_length_mm": _PRIOR,
         "prior_angle_rad": _PRIOR,
-        "angle_unit": [StrOptions({"rad", "deg"})],
+        "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
     },
     prefer_skip_nested_validation=True,
 )

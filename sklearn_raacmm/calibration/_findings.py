@@ -3,6 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
@@ -74,7 +77,7 @@ def findings_of_fit(fit, result, bare, lengths, poses):
     yield from _poses_alike(fit)
 
 
-def are_wrong(lengths, errors, sigma):
+def are_wrong(lengths: Sequence[Sequence[Any]], errors: np.ndarray, sigma: float) -> np.ndarray:
     """Which known lengths disagree with the rest of the data, (n_lengths,) of bool."""
     sd = np.array([float(entry[3]) for entry in lengths])
     return np.abs(errors) > _LENGTH_OUTLIER * np.maximum(sd, sigma)

@@ -9,7 +9,6 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils._param_validation import HasMethods, StrOptions, validate_parameter_constraints
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
@@ -21,7 +20,13 @@ from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
-from sklearn_raacmm.utils import Finding, call_collecting, encode_groups, report_findings
+from sklearn_raacmm.utils import (
+    Finding,
+    call_collecting,
+    encode_groups,
+    param_checks,
+    report_findings,
+)
 
 
 def learn_correction(
@@ -135,10 +140,10 @@ def learn_correction(
     ((5, 3), (5, 3))
     """
     # `validate_params` would name this function where a parameter of the model is wrong.
-    validate_parameter_constraints(
+    param_checks.validate_parameter_constraints(
         {
-            "angle_unit": [StrOptions({"rad", "deg"})],
-            "model": [HasMethods(["fit", "predict", "get_params"]), None],
+            "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
+            "model": [param_checks.HasMethods(["fit", "predict", "get_params"]), None],
             "cv": ["cv_object"],
             "n_jobs": [Integral, None],
             "progress": [callable, None],

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import chi
-from sklearn.utils._param_validation import Interval, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
@@ -31,6 +30,7 @@ from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
     one_warning,
+    param_checks,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -139,9 +139,9 @@ class CorrectionCheck:
 
 
 @one_blas_thread
-@validate_params(
+@param_checks.validate_params(
     {
-        "false_alarm_rate": [Interval(Real, 0, 0.5, closed="neither")],
+        "false_alarm_rate": [param_checks.Interval(Real, 0, 0.5, closed="neither")],
         "refitted": ["array-like", str],
         "arm": [Arm, None],
         "date": [str, calendar, None],

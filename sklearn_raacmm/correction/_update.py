@@ -8,14 +8,19 @@ from datetime import date as calendar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, judged_fading
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, report_findings
+from sklearn_raacmm.utils import (
+    Finding,
+    call_collecting,
+    one_blas_thread,
+    param_checks,
+    report_findings,
+)
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # benchmarks/bench_after_the_lab.py series have 1.0 to 1.9.
@@ -23,7 +28,7 @@ _STRANGE = 10.0
 
 
 @one_blas_thread
-@validate_params(
+@param_checks.validate_params(
     {"arm": [Arm, None], "date": [str, calendar, None]}, prefer_skip_nested_validation=True
 )
 def update_correction(

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sklearn.utils import Bunch
-from sklearn.utils._param_validation import Interval, StrOptions, validate_params
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
@@ -21,6 +20,7 @@ from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import param_checks
 
 PANDA_URL = (
     "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"
@@ -41,14 +41,15 @@ _CONSTRAINTS = {
     "download_if_missing": ["boolean"],
     "return_X_y": ["boolean"],
     "as_frame": ["boolean"],
-    "n_retries": [Interval(Integral, 0, None, closed="left")],
-    "delay": [Interval(Real, 0, None, closed="left")],
+    "n_retries": [param_checks.Interval(Integral, 0, None, closed="left")],
+    "delay": [param_checks.Interval(Real, 0, None, closed="left")],
     "base_url": [str, None],
 }
 
 
-@validate_params(
-    _CONSTRAINTS | {"arm": [StrOptions({"panda_2", "panda_3"})]}, prefer_skip_nested_validation=True
+@param_checks.validate_params(
+    _CONSTRAINTS | {"arm": [param_checks.StrOptions({"panda_2", "panda_3"})]},
+    prefer_skip_nested_validation=True,
 )
 def fetch_panda_ball_socket(
     arm: str = "panda_3",
@@ -158,7 +159,7 @@ def fetch_panda_ball_socket(
     return pack(data, return_X_y, as_frame, split_by="placements")
 
 
-@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def fetch_ur10_tracker(
     *,
     data_home: str | PathLike[str] | None = None,

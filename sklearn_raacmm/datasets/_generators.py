@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import Bunch, check_random_state, check_scalar
-from sklearn.utils._param_validation import validate_params
 
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.utils import (
+    floats,
+    param_checks,
+)
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -34,7 +36,7 @@ _CONSTRAINTS = {
 }
 
 
-@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_single_point(
     n_positions: int = 10,
     n_poses: int = 100,
@@ -134,7 +136,7 @@ def make_single_point(
     return pack(data, return_X_y, as_frame)
 
 
-@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_gauge(
     lengths: ArrayLike = (300.0, 500.0),
     n_placements: int = 10,

@@ -10,8 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import MultiOutputMixin, RegressorMixin
-from sklearn.utils._param_validation import Interval, StrOptions
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._checks import (
@@ -26,9 +24,12 @@ from sklearn_raacmm.error_model._in_use import FittedArmModel
 from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.utils import (
+    MultiOutputMixin,
+    RegressorMixin,
     VersionedEstimator,
     many_without_weight,
     one_blas_thread,
+    param_checks,
     report_findings,
     whole_fit,
 )
@@ -153,12 +154,15 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
 
     _parameter_constraints: dict = {
         "arm": [Arm, None],
-        "angle_unit": [StrOptions({"rad", "deg"})],
+        "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
         "extra": ["array-like"],
-        "orders": [Interval(Integral, 0, 1000, closed="both"), "array-like"],
+        "orders": [param_checks.Interval(Integral, 0, 1000, closed="both"), "array-like"],
         "causes": ["array-like"],
-        "offsets": ["boolean", StrOptions({"auto"})],
-        "fade": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"})],
+        "offsets": ["boolean", param_checks.StrOptions({"auto"})],
+        "fade": [
+            param_checks.Interval(Real, 0, None, closed="left"),
+            param_checks.StrOptions({"auto"}),
+        ],
     }
 
     def __init__(
@@ -259,7 +263,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
                 model = with_honest_intervals(model, left_out, rows, positions, fading.most)
         self.fading_ = fading
         model = replace(model, n_positions=float(positions.max() + 1))
-        self.linear_model_ = model
+        self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
         report_findings(many_without_weight(fitted.pose_weight))

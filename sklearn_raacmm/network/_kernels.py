@@ -6,6 +6,7 @@ gradient with respect to any width needs: no square root, hence no division by a
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -63,7 +64,7 @@ def _matern52(s, slope=False):
 
 # Functions of the scaled squared distances, 1 at distance 0, which they may overwrite; if asked
 # for, with the derivative by the squared distance.
-KERNELS: dict[str, Callable] = {
+KERNELS: dict[str, Callable[..., Any]] = {
     "gaussian": _gaussian,
     "matern32": _matern32,
     "matern52": _matern52,

@@ -5,9 +5,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils import check_random_state, check_scalar
-from sklearn.utils._param_validation import Interval, StrOptions
 
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
@@ -20,11 +18,14 @@ from sklearn_raacmm.network._read import (
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
+    MultiOutputMixin,
+    RegressorMixin,
     VersionedEstimator,
     check_features,
     check_flags,
     check_shapes,
     one_blas_thread,
+    param_checks,
     whole_fit,
 )
 
@@ -166,21 +167,28 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     _parameter_constraints: dict = {
         "n_centers": [
-            Interval(Integral, 1, None, closed="left"),
-            Interval(Real, 0, 1, closed="neither"),
-            StrOptions({"auto"}),
+            param_checks.Interval(Integral, 1, None, closed="left"),
+            param_checks.Interval(Real, 0, 1, closed="neither"),
+            param_checks.StrOptions({"auto"}),
         ],
-        "kernel": [StrOptions({"auto", *KERNELS}), "array-like"],
+        "kernel": [param_checks.StrOptions({"auto", *KERNELS}), "array-like"],
         "length_scale": [
-            Interval(Real, 0, None, closed="neither"),
-            StrOptions({"auto", "isotropic"}),
+            param_checks.Interval(Real, 0, None, closed="neither"),
+            param_checks.StrOptions({"auto", "isotropic"}),
             "array-like",
         ],
-        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
-        "degree": [Interval(Integral, -1, 1, closed="both"), StrOptions({"auto"})],
-        "max_centers": [Interval(Integral, 1, None, closed="left"), None],
+        "alpha": [
+            param_checks.Interval(Real, 0, None, closed="left"),
+            param_checks.StrOptions({"auto"}),
+            "array-like",
+        ],
+        "degree": [
+            param_checks.Interval(Integral, -1, 1, closed="both"),
+            param_checks.StrOptions({"auto"}),
+        ],
+        "max_centers": [param_checks.Interval(Integral, 1, None, closed="left"), None],
         "shared": ["boolean"],
-        "loss": [StrOptions({"auto", "squared", "tukey"})],
+        "loss": [param_checks.StrOptions({"auto", "squared", "tukey"})],
         "random_state": ["random_state"],
     }
 

@@ -7,8 +7,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.base import TransformerMixin
-from sklearn.utils._param_validation import StrOptions
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted
 
 from sklearn_raacmm.arm import (
@@ -20,7 +18,13 @@ from sklearn_raacmm.arm import (
     dh_theta,
     probe_points,
 )
-from sklearn_raacmm.utils import VersionedEstimator, check_features, whole_fit
+from sklearn_raacmm.utils import (
+    TransformerMixin,
+    VersionedEstimator,
+    check_features,
+    param_checks,
+    whole_fit,
+)
 
 _ORIGIN = (0.0, 0.0, 0.0)
 _TURN = 2 * np.pi
@@ -83,9 +87,9 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
 
     _parameter_constraints: dict = {
         "arm": [Arm, None],
-        "angle_unit": [StrOptions({"rad", "deg"})],
-        "encoding": [StrOptions({"angle", "periodic"})],
-        "joints": [StrOptions({"pose", "all"})],
+        "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
+        "encoding": [param_checks.StrOptions({"angle", "periodic"})],
+        "joints": [param_checks.StrOptions({"pose", "all"})],
         "append_azimuth": ["boolean"],
     }
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
-from sklearn.base import RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 from sklearn.utils import _safe_indexing, check_array, check_consistent_length, get_tags
-from sklearn.utils._param_validation import HasMethods, StrOptions
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import check_is_fitted, validate_data
 
@@ -37,6 +36,7 @@ from sklearn_raacmm.residuals._positions import (
     takes_groups,
 )
 from sklearn_raacmm.utils import (
+    RegressorMixin,
     VersionedEstimator,
     are_deviations,
     check_weights,
@@ -44,6 +44,7 @@ from sklearn_raacmm.utils import (
     floats,
     is_plain,
     one_warning,
+    param_checks,
     refuse_disguised,
     report_findings,
     whole_fit,
@@ -119,8 +120,8 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     __metadata_request__fit = {"groups": True}
 
     _parameter_constraints: dict = {
-        "regressor": [HasMethods(["fit", "predict"]), None],
-        "azimuth": [StrOptions({"appended"}), callable, None],
+        "regressor": [param_checks.HasMethods(["fit", "predict"]), None],
+        "azimuth": [param_checks.StrOptions({"appended"}), callable, None],
     }
 
     def __init__(

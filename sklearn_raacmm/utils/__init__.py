@@ -58,7 +58,13 @@ from sklearn_raacmm.utils._robust import (
     tukey_weights,
 )
 from sklearn_raacmm.utils._shapes import check_shapes
-from sklearn_raacmm.utils._sklearn import one_blas_thread
+from sklearn_raacmm.utils._sklearn import (
+    MultiOutputMixin,
+    RegressorMixin,
+    TransformerMixin,
+    one_blas_thread,
+    param_checks,
+)
 from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
 from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import stage, whole_fit

@@ -1,4 +1,4 @@
-"""What several modules take from scikit-learn with types of their own."""
+"""What the estimators take from scikit-learn's private modules, and types for its mixins."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,7 +6,9 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+import numpy as np
 from sklearn import base
+from sklearn.utils import _param_validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -21,8 +23,20 @@ if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
         def __sklearn_tags__(self) -> Any: ...
         def get_metadata_routing(self) -> Any: ...
 
+    class RegressorMixin:
+        def score(self, X: Any, y: Any, *args: Any, **kwargs: Any) -> float: ...
+
+    class TransformerMixin:
+        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> np.ndarray: ...
+        def set_output(self, *, transform: str | None = None) -> Self: ...
+
+    class MultiOutputMixin: ...
+
 else:
-    BaseEstimator = base.BaseEstimator
+    BaseEstimator, MultiOutputMixin = base.BaseEstimator, base.MultiOutputMixin
+    RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
+
+param_checks: Any = _param_validation
 
 
 def one_blas_thread(function: Function) -> Function:
