@@ -263,7 +263,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
                 model = with_honest_intervals(model, left_out, rows, positions, fading.most)
         self.fading_ = fading
         model = replace(model, n_positions=float(positions.max() + 1))
-        self.linear_model_: LinearModel = model
+        self.linear_model_ = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
         report_findings(many_without_weight(fitted.pose_weight))
