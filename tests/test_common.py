@@ -141,6 +141,7 @@ def test_sklearn_checks(estimator, check):
     check(adapted(estimator, check))
 
 
+@pytest.mark.exhaustive
 @parametrize_with_checks([*{type(estimator): estimator for estimator in ESTIMATORS}.values()])
 def test_sklearn_checks_with_metadata_routing(estimator, check):
     with config_context(enable_metadata_routing=True):

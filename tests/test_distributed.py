@@ -50,6 +50,7 @@ def rows(n=6000):
     return X, y, rng.uniform(0.5, 2, n)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a signal that cannot be caught")
 def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path):
     X, y, weights = rows()
@@ -73,7 +74,7 @@ def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path
     np.testing.assert_allclose(model.predict(X), expected, atol=1e-10)
 
 
-@pytest.mark.parametrize("backend", ["loky", "dask"])
+@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.exhaustive)])
 def test_search_over_positions_with_weights_on_workers(backend, client):
     test = make_single_point(n_positions=6, n_poses=10, random_state=0)
     weights = np.random.default_rng(0).uniform(0.5, 2, len(test.data))

@@ -24,9 +24,15 @@ from sklearn_raacmm.utils._versioned import VersionedEstimator, link_template
 
 DOC = Path(__file__).resolve().parent.parent / "doc"
 PAGES = sorted([*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")])
+# Pages whose examples take five seconds or more; that of the first steps always runs.
+LONG = {"recipes.md", "scale.md", "metadata_routing.md"}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=pytest.mark.exhaustive if p.name in LONG else ()) for p in PAGES],
+    ids=lambda page: page.name,
+)
 def test_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where the pages write their files
     flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS

@@ -21,10 +21,6 @@ SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
 SHOWN = {
     "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
     "plot_arm_poses": (1, ""),
-    "plot_grid_search": (
-        "[RBFNetRegressor(random_state=0)]",
-        "[RBFNetRegressor(20, length_scale=2.0, alpha=0.1)]",
-    ),
     "plot_how_many_poses": (1, "poses"),
     "plot_learn_correction": (1, "It repeats better at new positions"),
     "plot_newrb": (1, "neurons, mean squared error"),
@@ -93,6 +89,7 @@ def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
     assert said in capsys.readouterr().out
 
 
+@pytest.mark.exhaustive
 def test_the_search_finds_the_best_of_its_own_table(run_alone, capsys):
     page, pictures = run_alone("plot_grid_search")
     assert len(pictures) == 1
@@ -137,6 +134,7 @@ def test_own_csv_is_corrected(monkeypatch, capsys):
     assert len(plt.get_fignums()) == 1
 
 
+@pytest.mark.exhaustive
 def test_live_arm(run_alone, capsys):
     page, pictures = run_alone("plot_live_arm")
     output = capsys.readouterr().out

@@ -216,6 +216,7 @@ for i in range(n):
 """
 
 
+@pytest.mark.exhaustive
 def test_threads_and_processes_write_one_file(tmp_path):
     """Readers see the whole of one writer's file, never a mixture, and nobody fails."""
     n_lines = 20_000

@@ -131,6 +131,7 @@ np.savez(sys.argv[3], **predicted)
 """
 
 
+@pytest.mark.exhaustive
 def test_loads_in_another_process_and_on_another_python(fitted, data, tmp_path):
     np.save(tmp_path / "X.npy", data.data)
     joblib.dump(fitted, tmp_path / "models")

@@ -217,6 +217,7 @@ def test_a_wrong_dimension_loses_no_row(book):
     assert len(read_table(book, 6).rows) == 4
 
 
+@pytest.mark.exhaustive
 def test_what_unpacks_to_gigabytes_is_refused(book):
     with (
         zipfile.ZipFile(book, "a", zipfile.ZIP_DEFLATED) as archive,

@@ -66,6 +66,7 @@ print(loaded)
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
 def test_killed_at_each_file_a_folder_is_the_old_or_the_new(tmp_path):
     done = subprocess.run(

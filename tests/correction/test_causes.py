@@ -20,6 +20,7 @@ def codes_of(learned):
     return [finding.code for finding in learned.findings]
 
 
+@pytest.mark.exhaustive
 def test_directions_are_worth_something_where_joints_have_play(with_play):
     test = with_play
     plain = learn_correction(test.nominal_arm, test.data, test.groups, model=SMALL, cv=3)
@@ -37,6 +38,7 @@ def test_directions_are_worth_something_where_joints_have_play(with_play):
         learned.correct(test.data[:5], extra={"payload": 1.0})
 
 
+@pytest.mark.exhaustive
 def test_a_cause_that_is_none_is_not_kept():
     test = make_single_point(8, 20, random_state=1)
     noise = np.random.default_rng(0).normal(20, 2, len(test.data))

@@ -61,6 +61,7 @@ def test_errors_at_other_places_are_as_large_as_is_said(learned):
     assert 0.4 < np.sqrt(np.mean(np.square(of_coordinates))) < 1.4
 
 
+@pytest.mark.exhaustive
 def test_three_deviations_have_three_names(learned):
     _, correction = learned[0]
     angles = correction.angles[:20]
@@ -80,6 +81,7 @@ def test_three_deviations_have_three_names(learned):
         correction.distances(angles[:10], angles[:9])
 
 
+@pytest.mark.exhaustive
 def test_the_verdict_says_what_is_not_known_of_lengths(learned):
     assert learned[0][1].verdict.startswith("It helps at new positions")
     test = make_single_point(8, 20, random_state=0)

@@ -130,6 +130,7 @@ def test_slipped_probes_are_found_and_nothing_else(test_data):
     assert "row 7 (0)" in str(learned)
 
 
+@pytest.mark.exhaustive
 def test_lengths_are_judged_where_both_ends_were_left_out():
     data = make_gauge(400, n_placements=6, n_poses=12, random_state=3)
     lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
@@ -202,6 +203,7 @@ def two_probes():
     return theta, np.arange(320) % 8, points, tools, arms, turned
 
 
+@pytest.mark.exhaustive
 def test_several_probes_are_learnt_together(tmp_path):
     """The model belongs to all of them, whichever is named first; each has its own vector."""
     theta, groups, points, tools, arms, turned = two_probes()
@@ -338,6 +340,7 @@ def test_shows_itself(learned):
     assert cells[::6] == list("ABCDEFG")
 
 
+@pytest.mark.exhaustive
 def test_progress_and_processes_change_nothing(test_data, learned):
     seen = []
     scores = cross_validate_correction(

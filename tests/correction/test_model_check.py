@@ -111,6 +111,7 @@ def test_a_base_that_has_moved_is_not_taken_for_a_change_of_the_arm(model, seed)
     assert "settle" in drifting.advice
 
 
+@pytest.mark.exhaustive
 def test_what_is_real_and_small_is_said_to_be_small(model):
     """A knock of 2 arc seconds shows in 1000 poses: by less than half of 26 um."""
     check = check_correction(model, *rows(1000, 9, knock(3, 2)))

@@ -42,6 +42,7 @@ def test_the_order_is_one_of_short_ways():
     assert way(np.arange(30)) < min(map(way, within))
 
 
+@pytest.mark.exhaustive
 def test_what_cannot_be_reached_is_said():
     far = [[3000, 0, 0], [3500, 100, 100]]
     with pytest.raises(ValueError, match="only 0 of 8 places that were tried are reached"):

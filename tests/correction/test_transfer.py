@@ -153,6 +153,7 @@ def test_gain_is_that_of_two_normal_densities(credulous):
     assert entry["gain_nats"] == pytest.approx(of_make - of_poses, abs=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_single_point_tests():
     """Measuring arms that yield alike under their weight: 3 positions of the new one."""
     options = {"orders": 6, "causes": ["gravity", "kinematics"]}

@@ -239,6 +239,7 @@ def test_softening_grows_with_the_cube_of_the_load():
     assert moved[2] < moved[0] / 2
 
 
+@pytest.mark.exhaustive
 def test_drift_is_the_warming_that_the_thermometer_shows():
     errors = ArmErrors.only(warming_k=1, drift_k=2)
     test = make_single_point(3, 10, machine=errors)
@@ -286,6 +287,7 @@ def test_a_perfect_model_knows_the_new_sources(source):
     assert metrics.single_point_repeatability(test.points, test.groups) > 1e-3
 
 
+@pytest.mark.exhaustive
 def test_slipped_poses_have_left_their_cone():
     errors = ArmErrors.only(slip_share=0.2, slip_mm=0.5)
     test = make_single_point(4, 50, machine=errors, random_state=1)

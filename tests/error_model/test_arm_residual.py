@@ -52,6 +52,7 @@ def eccentric():
     return arm, theta, y + np.random.default_rng(2).normal(0, 0.003, y.shape), y
 
 
+@pytest.mark.exhaustive
 def test_chance_does_not_look_like_a_harmonic():
     """Of 40 fits to noise, few find more than the lowest orders, which cost next to nothing."""
     arm = ARMS["standard"]
@@ -90,6 +91,7 @@ def test_the_number_offered_hardly_matters(eccentric):
     assert_allclose(few.coef_, many.coef_, rtol=1e-2)
 
 
+@pytest.mark.exhaustive
 def test_standard_deviations_are_honest(eccentric):
     """Over ten draws of the noise, the error of the prediction is what is said of it."""
     arm, theta, _, truth = eccentric

@@ -147,7 +147,10 @@ def left_at_unseen_positions(test, values, extra):
     return left
 
 
-@pytest.mark.parametrize("name", CAUSES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n == "payload" else pytest.mark.exhaustive) for n in CAUSES],
+)
 def test_a_cause_is_found_and_noise_costs_nothing(name):
     sizes, extra, share = CAUSES[name]
     test = make_single_point(16, 10, machine=ArmErrors(**sizes), random_state=1)

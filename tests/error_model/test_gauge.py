@@ -106,7 +106,8 @@ def errors_over_deviations(name, seed, single_point):
     return (error / std)[~train]
 
 
-@pytest.mark.parametrize("single_point", [pytest.param(False, marks=pytest.mark.exhaustive), True])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("single_point", [False, True])
 def test_deviations_are_right_on_three_arms(single_point):
     """Monte Carlo: root mean square of error over deviation is 1, 95 % lie within 1.96."""
     found = [

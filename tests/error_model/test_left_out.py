@@ -47,7 +47,8 @@ def without_motion(field, points, groups, train):
     return field - motions(points) @ found
 
 
-@pytest.mark.parametrize("single_point", [pytest.param(False, marks=pytest.mark.exhaustive), True])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("single_point", [False, True])
 def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_point):
     """Monte Carlo over arms and errors: root mean square of error over deviation is 1."""
     squares, of_lengths, kept = [], [], []
@@ -151,6 +152,7 @@ def test_repeats_and_weights_have_the_same_blocks():
 
 
 @pytest.mark.exhaustive
+@pytest.mark.filterwarnings("ignore:The positions differ by constants")  # of that cause
 def test_intervals_hold_where_a_cause_is_missing():
     """Simulated arms with errors that no column has: posterior too sure, intervals right."""
     raw, honest = [], []

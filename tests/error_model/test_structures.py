@@ -80,7 +80,7 @@ def test_orders_of_gears_are_found_by_default():
 
 @pytest.mark.parametrize(
     ("n_rows", "offsets"),
-    [(3000, True), (3000, False), pytest.param(12_000, True, marks=pytest.mark.exhaustive)],
+    [(3000, False), *(pytest.param(n, True, marks=pytest.mark.exhaustive) for n in (3000, 12_000))],
 )
 def test_evidence_does_not_run_away(n_rows, offsets):
     """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""

@@ -111,6 +111,7 @@ def test_the_standard_deviation_of_data_with_little_noise(tmp_path, noise, degre
     np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     """Fewer directions than centres: all centres count, where once the last were left out."""
     rng = np.random.default_rng(0)

@@ -154,6 +154,7 @@ def test_scalers(build, data, scaler):
     np.testing.assert_allclose(build(model)("correct", X, 3), model.predict(X), rtol=0, atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_network_and_linear_models_by_themselves(build):
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (60, 4))
@@ -242,6 +243,7 @@ def test_a_direction_that_is_given_is_checked(build):
     assert np.isfinite(got[1:]).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
 def test_compiles_as_cpp_and_without_undefined_behaviour(build, data, compiler):
     both = of_arm(data.arm, "kinematics", "wobble", orders=2)
@@ -490,7 +492,9 @@ def agree(call, model, X, with_std=True):
         np.testing.assert_allclose(got_std, std, rtol=rtol, atol=1e-12)
 
 
-@pytest.mark.parametrize("fade", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize(
+    "fade", [0.5, *(pytest.param(fade, marks=pytest.mark.exhaustive) for fade in (0.0, 2.0))]
+)
 def test_fading(build, data, fade):
     model = of_arm(data.arm, "kinematics", "wobble", orders=2, fade=fade)
     model.fit(data.data, data.target)

@@ -100,6 +100,7 @@ np.save(sys.argv[2], compiled.predict(np.load(sys.argv[3])))
 """
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_a_pickle_compiles_anew_elsewhere(model, data, tmp_path):
     compiled = load_c(model)

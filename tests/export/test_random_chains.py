@@ -123,6 +123,7 @@ def test_every_way_gives_what_predict_gives(tmp_path, seed):
             np.testing.assert_allclose(spread, deviation, rtol=1e-6, atol=1e-12, err_msg=way)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("seed", [4])  # of an arm

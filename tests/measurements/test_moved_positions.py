@@ -175,6 +175,7 @@ def test_the_warning_names_position_rows_and_size():
     assert not list(moved_positions(left, angles, np.ones(len(left)), labels, NOISE**2))
 
 
+@pytest.mark.exhaustive
 def test_the_one_call_counts_all_rows():
     """Rows after a step may be outliers, which the model does not see."""
     test, angles, groups, first = moved_test("typical", 7)

@@ -46,7 +46,7 @@ SETTINGS = {
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.exhaustive if name == "linear tail" else ())
+        pytest.param(name, marks=pytest.mark.exhaustive if name != "shared, a share" else ())
         for name in SETTINGS
     ],
 )

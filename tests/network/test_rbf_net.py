@@ -204,6 +204,7 @@ def test_nearly_noise_free_data_are_fitted_down_to_their_noise():
     assert np.sqrt(model.noise_variance_) == pytest.approx(1e-4, rel=0.3)
 
 
+@pytest.mark.exhaustive
 def test_deviations_survive_a_file_that_holds_little():
     X, y, _ = smooth(200)
     Y = np.column_stack([y, y**2, np.sin(y)])

@@ -24,7 +24,9 @@ def rms(model, f):
     return np.sqrt(np.mean((np.reshape(model.predict(X), (1000, -1))[:, 0] - truth) ** 2))
 
 
-@pytest.mark.parametrize(("share", "q"), [(0.02, 2), (0.1, 1)])
+@pytest.mark.parametrize(
+    ("share", "q"), [pytest.param(0.02, 2, marks=pytest.mark.exhaustive), (0.1, 1)]
+)
 def test_outliers_cost_little(share, q):
     X, (y, f), bad = table(share, q=q)
     clean = RBFNetRegressor(random_state=0).fit(X, f + (y - f) * ~bad.reshape(-1, *[1] * (q - 1)))

@@ -94,6 +94,7 @@ def test_a_gaussian_process_against_generalised_least_squares():
     assert_allclose(model.predict(new), kernel(new, X) @ weights, atol=1e-7)
 
 
+@pytest.mark.exhaustive
 def test_kernel_ridge_is_where_turns_end():
     X, y, groups = deviations()
     inner = KernelRidge(kernel="rbf", alpha=0.3, gamma=0.5)
@@ -126,6 +127,7 @@ def test_trees_take_turns():
     assert_allclose(known.predict(X), by_hand.predict(X), atol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_a_regressor_that_takes_groups_is_handed_them():
     X, y, groups = deviations()
     names = np.array(list("uvwxyz"))[groups]
