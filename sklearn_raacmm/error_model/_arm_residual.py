@@ -250,9 +250,11 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
         fitted = fit_with_constants(rows, of_constants, terms, with_field)
+        # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
+        with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
         left_out = leave_out(fitted, terms, positions, rows.weights)
-        model = with_honest_intervals(fitted.model, left_out, rows, positions)
+        model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
         self.judgement_ = None
@@ -260,7 +262,8 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
             judged = *left_out[:2], fading, robust, rows.codes, positions
             fading, self.judgement_ = judge(rows.y, *judged)
             if 0 < fading.most < 1:
-                model = with_honest_intervals(model, left_out, rows, positions, fading.most)
+                of_share = left_out, with_constants, positions, fading.most
+                model = with_honest_intervals(model, *of_share)
         self.fading_ = fading
         model = replace(model, n_positions=float(positions.max() + 1))
         self.linear_model_ = model

@@ -30,6 +30,7 @@ from sklearn_raacmm.inference import (
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
+    are_deviations,
     centred,
     chunks,
     group_sums,
@@ -183,7 +184,8 @@ def fit_with_constants(rows, positions, terms, with_field):
 def _known_of_constants(rows, positions, terms, with_field, fitted):
     """Noise variance over that of the constants, by the evidence of what a fit has chosen.
 
-    Infinite: there are none; 0: nothing is known of them. With W the weight of a position its
+    Infinite: there are none; 0: nothing is known of them, as of residuals that are deviations from
+    a mean, a median or a row of their position. With W the weight of a position its
     constant takes ``log(1 + W / known) / 2`` of the log evidence, for x, y and z each. Their
     variance is one more number, which costs half the logarithm of how many there are (Schwarz).
     """
@@ -200,8 +202,10 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
         taken += 0.0 if np.isinf(known) else 0.5 * np.log(rows.y.shape[1] * len(total))
         found[known] = state_there.log_evidence - taken
     known = max(found, key=lambda one: found[one])
-    # At either end nothing is known of them, or they are no larger than the noise.
-    return {_KNOWN[0]: 0.0, _KNOWN[-1]: np.inf}.get(known, known)
+    if known == _KNOWN[-1]:  # they are no larger than the noise
+        return np.inf
+    unknown = known == _KNOWN[0] and are_deviations(rows.y, positions, rows.weights)
+    return 0.0 if unknown else known
 
 
 @stage("linear error model")
