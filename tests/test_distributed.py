@@ -74,7 +74,8 @@ def test_a_worker_killed_in_the_middle_of_a_fit_changes_nothing(client, tmp_path
     np.testing.assert_allclose(model.predict(X), expected, atol=1e-10)
 
 
-@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("backend", ["loky", "dask"])
 def test_search_over_positions_with_weights_on_workers(backend, client):
     test = make_single_point(n_positions=6, n_poses=10, random_state=0)
     weights = np.random.default_rng(0).uniform(0.5, 2, len(test.data))

@@ -24,8 +24,8 @@ from sklearn_raacmm.utils._versioned import VersionedEstimator, link_template
 
 DOC = Path(__file__).resolve().parent.parent / "doc"
 PAGES = sorted([*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")])
-# Pages whose examples take five seconds or more; that of the first steps always runs.
-LONG = {"recipes.md", "scale.md", "metadata_routing.md"}
+# Pages whose examples take five seconds or more, and the first page, which is much of README.md.
+LONG = {"get_started.md", "index.md", "recipes.md", "scale.md", "metadata_routing.md"}
 
 
 @pytest.mark.parametrize(

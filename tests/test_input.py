@@ -373,6 +373,7 @@ def test_form_of_the_same_values_does_not_matter(name, argument):
         assert_allclose(found, expected, rtol=1e-9, atol=1e-12, err_msg=form)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS, without="groups"))
 def test_narrow_types_are_worth_what_they_hold(name, argument):
     # Features in float32 come out in float32.

@@ -42,9 +42,8 @@ def held():
     return tracemalloc.get_traced_memory()[0]
 
 
-@pytest.mark.parametrize(
-    "name", ["network", "chain", pytest.param("harmonics", marks=pytest.mark.exhaustive)]
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", ["network", "chain", "harmonics"])
 def test_memory_does_not_grow(name):
     model, (X, y) = MODELS[name], data(200)
 

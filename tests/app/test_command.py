@@ -198,6 +198,7 @@ def test_export_compiles_and_says_the_same(learned, tmp_path, capsys):
     np.testing.assert_allclose([float(v) for v in printed.split()], expected, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     """Its lengths are off, its probe seats badly, and there is nothing else: exit code 3."""
     machine = other_make.OtherMake(2, error=0)
@@ -221,6 +222,7 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
     assert "note: Do not use it" in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
     machine = other_make.OtherMake(3, error=3.0)
     readings = machine.rng.uniform(-1.2, 1.2, (120, 7))

@@ -210,7 +210,8 @@ def test_labels_of_tools_are_the_same_in_every_block():
     ("cones", "correct new.csv --extra =cone", "names '', and"),
     ("warm", "correct new.csv --extra temperature=cone", "'temperature', and this correction"),
     ("cones", "register new_points.csv --points x,y", "needs three columns"),
-    ("cones", "register on_a_line.csv --points x,y,z", "spread in all directions"),
+    pytest.param("cones", "register on_a_line.csv --points x,y,z", "spread in all directions",
+                 marks=pytest.mark.exhaustive),
     ("cones", "update more_points.csv --points x,y,z --lengths new.csv", "length"),
     ("cones", "move --probe 0,250", "three numbers"),
 ])  # fmt: skip

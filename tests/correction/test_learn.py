@@ -263,10 +263,15 @@ def test_tracker_points_without_labels_are_left_out_by_region():
     [
         make_pipeline(
             PoseFeatures(angle_unit="deg", append_azimuth=True, joints="all", encoding="periodic"),
-            CylindricalResidualTarget(make_pipeline(StandardScaler(), RBFNetRegressor(20))),
+            CylindricalResidualTarget(
+                make_pipeline(StandardScaler(), RBFNetRegressor(20, length_scale=1.0, alpha=0.1))
+            ),
         ),
         CylindricalResidualTarget(
-            make_pipeline(PoseFeatures(joints="all", encoding="periodic"), RBFNetRegressor(20)),
+            make_pipeline(
+                PoseFeatures(joints="all", encoding="periodic"),
+                RBFNetRegressor(20, length_scale=1.0, alpha=0.1),
+            ),
             azimuth=Arm.from_name("ur10").azimuth,
         ),
         make_pipeline(

@@ -129,7 +129,13 @@ def gauge_errors(gauge, correction, length):
     return errors[gauge.lengths == length]
 
 
-@pytest.fixture(scope="module", params=["gravity", "typical", "eccentricity"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "gravity",
+        *(pytest.param(m, marks=pytest.mark.exhaustive) for m in ("typical", "eccentricity")),
+    ],
+)
 def gauges(request):
     """Simulated: cones, and gauges of 300 and 500 mm in other places."""
     options = {"machine": request.param, "random_state": 4}

@@ -106,7 +106,9 @@ def rounding(net, features):
 @pytest.mark.parametrize("compiler", COMPILERS or ["none"])
 @pytest.mark.parametrize("form", [form_a, form_b])
 @pytest.mark.parametrize("joints", ["pose", "all"])
-@pytest.mark.parametrize("encoding", ["angle", "periodic"])
+@pytest.mark.parametrize(
+    "encoding", [pytest.param("angle", marks=pytest.mark.exhaustive), "periodic"]
+)
 def test_agrees_with_predict(build, data, compiler, form, joints, encoding):
     net = RBFNetRegressor(random_state=0)
     model = form(data.arm, net=net, joints=joints, encoding=encoding).fit(data.data, data.target)

@@ -36,6 +36,9 @@ ARM, TRUE, N = TEST.arm, TEST.simulation.true_points, len(TEST.data)
 TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1]).apply(TRUE) + [2500, -900, 400]
 TRACKER += np.random.default_rng(0).normal(0, 0.01, TRACKER.shape)
 HALF = np.arange(N) >= N // 2
+# What calibrates and fits many times, by what other functions of the table are made of.
+TAKE_LONG = ("learn_tracker", "cross_validate_cones", "update_tracker", "calibrate_tracker")
+LONG = pytest.mark.exhaustive
 SMALL = ArmResidualRegressor(ARM, orders=2)
 
 
@@ -310,8 +313,10 @@ def find_codes(name, data):
 
 @pytest.mark.parametrize(
     ("name", "make", "expected"),
-    [line[:1] + line[2:] for line in MISTAKES],
-    ids=[f"{name}: {what}" for name, what, *_ in MISTAKES],
+    [
+        pytest.param(name, *rest, marks=LONG if name in TAKE_LONG else (), id=f"{name}: {what}")
+        for name, what, *rest in MISTAKES
+    ],
 )
 def test_each_mistake_is_named_by_its_function(name, make, expected):
     found = find_codes(name, make())
@@ -337,7 +342,9 @@ CLEAN |= dict.fromkeys(
 CLEAN |= dict.fromkeys(["fit_tracker", "update_tracker"], lambda: of(OF, "tracker"))
 
 
-@pytest.mark.parametrize("name", CLEAN)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=LONG if n in TAKE_LONG else ()) for n in CLEAN]
+)
 def test_clean_data_raise_no_finding(name):
     notes = {"outliers", "lengths-unknown", "drift-of-run"}
     assert not find_codes(name, CLEAN[name]()) - notes
