@@ -333,7 +333,7 @@ def function(program, tables, name, faded_below):
     writer = _Writer(program, tables)
     real, ops = tables.real, program.ops
     # What predict takes; single precision ends before.
-    most = tables.literal(min(LARGEST, np.finfo(tables.dtype).max))
+    most = tables.literal(min(LARGEST, float(np.finfo(tables.dtype).max)))
     tables.helpers["all_finite"] = ALL_FINITE.format(real=real, most=most)
     outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
     for out, i in program.outputs.items():

@@ -326,6 +326,8 @@ def linear_model(chain, linear, fading):
         # Seven digits do where no correction depends on more.
         root = root.astype(np.float32) if small else root
         used = np.flatnonzero(np.any(root, axis=1))
+        if not len(used):
+            return p.constant(np.zeros(3))
         return p(
             "variances", vectors, p.take(sizes, used), vector=vector[used], root=root[used], **given
         )
