@@ -211,7 +211,7 @@ def in_c(model, folder, X, expected, fade):
                 yield label, 1e6 * seconds / len(rows), gap
 
 
-def in_python(model, X, expected, fade):
+def in_python(model, _, X, expected, fade):
     """The same for ways that are called from Python, one row per call."""
     compiled = load_c(model, fade=fade)
     gap = np.abs(compiled.predict(X) - expected).max()
