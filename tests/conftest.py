@@ -35,6 +35,11 @@ def pytest_addoption(parser):
         action="store_true",
         help="run the tests marked exhaustive, too, which take many minutes",
     )
+    parser.addoption(
+        "--part",
+        metavar="K/N",
+        help="of the tests marked exhaustive only every Nth, from the Kth on; K counts from 0",
+    )
 
 
 def pytest_configure(config):
@@ -46,11 +51,14 @@ def pytest_collection_modifyitems(config, items):
         file = item.path.relative_to(ROOT).as_posix()
         if {file, f"{file}::{getattr(item, 'originalname', '')}"} & SLOW:
             item.add_marker(pytest.mark.slow)
-    if not config.getoption("--exhaustive"):
-        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
-        if left_out:
-            config.hook.pytest_deselected(items=left_out)
-            items[:] = [item for item in items if item not in left_out]
+    left_out = [item for item in items if item.get_closest_marker("exhaustive")]
+    if config.getoption("--exhaustive"):
+        k, n = map(int, (config.getoption("--part") or "0/1").split("/"))
+        left_out = [item for i, item in enumerate(left_out) if i % n != k % n]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        gone = set(left_out)
+        items[:] = [item for item in items if item not in gone]
 
 
 def data_dir(name):
