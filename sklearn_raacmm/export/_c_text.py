@@ -85,7 +85,7 @@ class Tables:
 
     def literal(self, value):
         """One number."""
-        single = self.dtype is np.float32 or isinstance(value, np.float32)
+        single = self.dtype is np.float32 or getattr(value, "dtype", None) == np.float32
         with np.errstate(over="ignore"):
             number = np.float32(value) if single else np.float64(value)
         if not np.isfinite(number):
