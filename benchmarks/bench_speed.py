@@ -13,7 +13,9 @@ standard deviations and no outliers.
 what counts is how often it is done.
 
 ``row``: a fitted model in C, in ONNX and in Python, and the files' sizes. C is timed in a loop in
-C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread.
+C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread. Flash is text and
+data of gcc -O2. With ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there,
+too: 2000 poses, the default model.
 """
 
 import argparse
@@ -34,6 +36,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from _arm_folds import read_ur10
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import Ridge
@@ -164,16 +167,21 @@ def models(data):
             ),
         )
 
-    found = {
-        "network, 60 centres": chain(60),
-        "network, 266 centres": chain(266),
-        "linear model of the arm": ArmResidualRegressor(arm, orders=3),
-        "the same without fading": ArmResidualRegressor(arm, orders=3, fade=0),
-    }
+    found = {"network, 60 centres": chain(60), "network, 266 centres": chain(266)}
     for model in found.values():
-        groups = {"groups": data.groups} if isinstance(model, ArmResidualRegressor) else {}
-        model.fit(data.data, data.target, **groups)
+        model.fit(data.data, data.target)
+    found["model of the arm"] = ArmResidualRegressor(arm)
+    found["model of the arm"].fit(data.data, data.target, groups=data.groups)
     return found
+
+
+def of_ur10(data_home):
+    """The default model of 2000 poses of a real robot, and the other poses."""
+    angles, points, _ = read_ur10("A", data_home)
+    rows, rest = np.split(np.random.default_rng(0).permutation(len(angles)), [2000])
+    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
+    model = ArmResidualRegressor(first.arm).fit(angles[rows], first.residuals_mm)
+    return model, np.concatenate([angles[rows], angles[rest]])
 
 
 def one_by_one(call, X, n_rows=200):
@@ -181,9 +189,9 @@ def one_by_one(call, X, n_rows=200):
     return best(lambda: [call(row) for row in X[:n_rows]], 3) / n_rows
 
 
-def in_c(model, folder, X, expected):
+def in_c(model, folder, X, expected, fade):
     """Rows of the table for one model in C: name, microseconds, gap."""
-    source, _ = export_c(model, folder / "arm.c", std=True)
+    source, _ = export_c(model, folder / "arm.c", std=True, fade=fade)
     (folder / "loop.c").write_text(LOOP)
     out = np.empty((len(X), 3))
     place = ctypes.c_void_p
@@ -203,9 +211,9 @@ def in_c(model, folder, X, expected):
                 yield label, 1e6 * seconds / len(rows), gap
 
 
-def in_python(model, X, expected):
+def in_python(model, _, X, expected, fade):
     """The same for ways that are called from Python, one row per call."""
-    compiled = load_c(model)
+    compiled = load_c(model, fade=fade)
     gap = np.abs(compiled.predict(X) - expected).max()
     yield "`load_c`, one row per call", 1e6 * one_by_one(compiled.predict, X), gap
     yield "`load_c`, one batch", 1e6 * best(lambda: compiled.predict(X)) / len(X), gap
@@ -214,7 +222,7 @@ def in_python(model, X, expected):
 
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
-        converted = to_onnx(model).SerializeToString()
+        converted = to_onnx(model, fade=fade).SerializeToString()
         session = onnxruntime.InferenceSession(
             converted, options, providers=["CPUExecutionProvider"]
         )
@@ -237,35 +245,55 @@ def _digits(microseconds):
     return f"{microseconds:.{0 if microseconds >= 10 else 1}f}"
 
 
-def table(n_rows):
+def flash_kb(source):
+    """Text and data of the compiled file, kB: what a controller keeps of it."""
+    if not all(map(shutil.which, ("gcc", "size"))):
+        return "-"
+    compiled = source.with_suffix(".o")
+    command = ["gcc", "-std=c99", "-O2", "-c", source, "-o", compiled]
+    subprocess.run(command, check=True)
+    printed = subprocess.run(["size", compiled], check=True, capture_output=True, text=True).stdout
+    return f"{sum(map(int, printed.splitlines()[1].split()[:2])) / 1e3:.0f}"
+
+
+def table(n_rows, data_home):
     """Lines of Markdown."""
     data = make_single_point(n_positions=12, n_poses=40, random_state=0)
-    # Poses that the models know: C takes longer where corrections fade.
-    X = data.data[np.random.default_rng(0).integers(len(data.data), size=n_rows)]
-    found, sizes, gaps, names = {}, {}, [], []
-    for name, model in models(data).items():
-        names.append(name)
+    columns = {
+        f"{name}{', fade exact' if fade == 'exact' else ''}": (model, data.data, fade)
+        for name, model in models(data).items()
+        for fade in (["small", "exact"] if isinstance(model, ArmResidualRegressor) else ["small"])
+    }
+    if data_home:
+        model, poses = of_ur10(data_home)
+        for fade in ("small", "exact"):
+            columns[f"UR10, fade {fade}"] = model, poses, fade
+    found, sizes, gaps = {}, {}, {}
+    for name, (model, poses, fade) in columns.items():
+        # Poses that the models know: C takes longer where corrections fade.
+        X = poses[np.random.default_rng(0).integers(len(poses), size=n_rows)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             expected = model.predict(X)
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
-            for way in (in_c(model, folder, X, expected), in_python(model, X, expected)):
-                for label, microseconds, gap in way:
+            for way in (in_c, in_python):
+                for label, microseconds, gap in way(model, folder, X, expected, fade):
                     found.setdefault(label, {})[name] = _digits(microseconds)
-                    gaps.append(gap)
-            for label, std in (("C source, kB", False), ("C source with std, kB", True)):
-                source, _ = export_c(model, folder / "arm.c", std=std)
-                sizes.setdefault(label, {})[name] = f"{source.stat().st_size / 1e3:.0f}"
-    head = [f"| µs per row | {' | '.join(names)} |", f"|---{'|---' * len(names)}|"]
+                    gaps[name] = max(gaps.get(name, 0.0), gap)
+            for label, std in (("", False), (" with std", True)):
+                source, _ = export_c(model, folder / "arm.c", std=std, fade=fade)
+                kb = f"{source.stat().st_size / 1e3:.0f}"
+                sizes.setdefault(f"C source{label}, kB", {})[name] = kb
+                sizes.setdefault(f"flash{label}, kB", {})[name] = flash_kb(source)
+        label = "largest distance to `predict`, mm"
+        sizes.setdefault(label, {})[name] = f"{gaps[name]:.0e}"
+    head = [f"| µs per row | {' | '.join(columns)} |", f"|---{'|---' * len(columns)}|"]
     body = [
-        f"| {label} | {' | '.join(cells.get(name, '-') for name in names)} |"
+        f"| {label} | {' | '.join(cells.get(name, '-') for name in columns)} |"
         for label, cells in {**found, **sizes}.items()
     ]
-    note = (
-        f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}; "
-        f"all answers within {max(gaps):.0e} mm of `predict`."
-    )
+    note = f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}."
     return [*head, *body, "", note]
 
 
@@ -303,11 +331,12 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("part", choices=["calibrate", "python", "row"])
     parser.add_argument("--rows", type=int, default=20_000, help="of a model")
+    parser.add_argument("--data", help="folder of the real data")
     parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
     args = parser.parse_args(argv)
     if args.part != "row":
         return (calibrations if args.part == "calibrate" else python)()
-    lines = table(args.rows)
+    lines = table(args.rows, args.data)
     print("\n".join(lines))
     if args.write:
         text = PAGE.read_text(encoding="utf-8")

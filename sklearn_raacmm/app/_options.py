@@ -57,7 +57,7 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std --any-probe",
+        "--model --c --onnx --name --std --any-probe --fade",
     ),
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
@@ -156,6 +156,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--name": {"default": "arm_correction", "help": "name of the C functions"},
     "--std": _flag("standard deviations in C, too"),
     "--any-probe": _flag("functions in C take the vector of the probe, too"),
+    "--fade": {
+        "choices": ("small", "exact", "none"), "default": "small",
+        "help": "how the correction fades where little is known: from small tables (small), as in "
+        "Python (exact), not at all (none)",
+    },
     # -- arms
     "--lengths-222": _LENGTHS | {"help": "lengths in mm of a 2-2-2 arm"},
     "--lengths-223": _LENGTHS | {"help": "lengths in mm of a 2-2-3 arm"},

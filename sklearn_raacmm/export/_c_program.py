@@ -15,10 +15,12 @@ from sklearn_raacmm.export._c_templates import (
     FRAMES,
     HELPERS,
     KERNEL_LOOPS,
+    LESS,
     TURNS,
     VARIANCES,
     exponential,
 )
+from sklearn_raacmm.utils import LARGEST
 
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
@@ -312,11 +314,13 @@ class _Writer:
 
     def _variances(self, number, op):
         self.declare(number)
-        root = op.given["root"]
+        root, less = op.given["root"], int(op.given.get("less", 0))
         n, packed, length = _packed(root)
+        more = root.shape[1] - less if less else n
         note = "of the coefficients' covariance, row by row"
         self.put(*VARIANCES.format(
-            real=self.real, v=f"v{number}", m=len(root), r=n,
+            real="float" if root.dtype == np.float32 else self.real, v=f"v{number}",
+            m=len(root), r=n, more=more, less=LESS.format(more=more, r=n) if less else "",
             axes=self.ops[op.inputs[0]].size // 3, length=length,
             vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
             vector=self.tables("vector", op.given["vector"], "of each column"),
@@ -328,7 +332,9 @@ def function(program, tables, name, faded_below):
     """A static function that computes the outputs of a program; it returns a status."""
     writer = _Writer(program, tables)
     real, ops = tables.real, program.ops
-    tables.helpers["all_finite"] = ALL_FINITE.format(real=real)
+    # What predict takes; single precision ends before.
+    most = tables.literal(min(LARGEST, float(np.finfo(tables.dtype).max)))
+    tables.helpers["all_finite"] = ALL_FINITE.format(real=real, most=most)
     outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
     for out, i in program.outputs.items():
         writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")

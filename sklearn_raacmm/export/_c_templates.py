@@ -28,10 +28,11 @@ static inline {real} less({real} a, {real} b)
 """,
 }
 ALL_FINITE = """\
+/* 0 for NaN and infinity, too. */
 static int all_finite(const {real} *v, int n)
 {{
     for (int i = 0; i < n; ++i)
-        if (!isfinite(v[i]))
+        if (!(v[i] >= -{most} && v[i] <= {most}))
             return 0;
     return 1;
 }}
@@ -74,7 +75,7 @@ VARIANCES = """\
         int filled = 0;
         do {{
             {length}
-            const {real} size = {sizes}[c];
+            const {real} size = ({real}){sizes}[c];
             for (int i = 0; i < n; ++i)
                 shared[i] += size * row[i];
             filled = n;
@@ -82,19 +83,22 @@ VARIANCES = """\
             ++c;
         }} while (c < {m} && {vector}[c] == a);
         for (int k = 0; k < 3; ++k) {{
-            const {real} along = {vectors}[{axes} * k + a];
+            const {real} along = ({real}){vectors}[{axes} * k + a];
             for (int i = 0; i < filled; ++i)
                 dot[k][i] += along * shared[i];
         }}
     }}
     for (int k = 0; k < 3; ++k) {{
         {real} sum = 0;
-        for (int i = 0; i < {r}; ++i)
-            sum += dot[k][i] * dot[k][i];
+        for (int i = 0; i < {more}; ++i)
+            sum += dot[k][i] * dot[k][i];{less}
         {v}[k] = sum;
     }}
 }}
 """
+LESS = """
+        for (int i = {more}; i < {r}; ++i)
+            sum -= dot[k][i] * dot[k][i];"""
 # From the squared scaled distance s in v[c] to the radial function, a loop over all centres for
 # each line: only loops without branches and calls are computed for several centres at once.
 # {f} is the suffix of the precision, {most} where falling_exp ends.

@@ -60,12 +60,13 @@ def comment(lines, width=96):
 class Tables:
     """Literals of one precision, and tables of constants and helping functions, each there once.
 
-    Literals are the shortest decimals that read back as the same number.
+    Literals are the shortest decimals that read back as the same number. Tables of float32 are of
+    single precision in any case.
     """
 
     def __init__(self, dtype):
         self.real, self.n_bytes = dtype, 0  # of all tables written so far
-        self.literal_type = np.float64 if dtype == "double" else np.float32
+        self.dtype = np.float64 if dtype == "double" else np.float32
         self.suffix = "" if dtype == "double" else "f"
         self.helpers, self._texts, self._names = {}, [], {}
 
@@ -84,8 +85,9 @@ class Tables:
 
     def literal(self, value):
         """One number."""
+        single = self.dtype is np.float32 or getattr(value, "dtype", None) == np.float32
         with np.errstate(over="ignore"):
-            number = self.literal_type(value)
+            number = np.float32(value) if single else np.float64(value)
         if not np.isfinite(number):
             raise ValueError(
                 f"The model holds {float(value):g}, which is not a finite {self.real}: it cannot "
@@ -94,16 +96,19 @@ class Tables:
         text = np.format_float_scientific(number, trim="-", exp_digits=1)
         if 1e-4 <= abs(number) < 1e9 or number == 0:
             text = np.format_float_positional(number, trim="0")
-        return text + self.suffix
+        return text + "f" * single
 
     def table(self, name, array, note=""):
         """A static constant array of one or two dimensions, of numbers or of whole numbers."""
         array = np.asarray(array)
         kind, literal, size = "int", str, 4
         if array.dtype.kind == "f":
-            kind, literal, size = self.real, self.literal, np.dtype(self.literal_type).itemsize
+            kind = "float" if array.dtype == np.float32 else self.real
+            literal, size = self.literal, 4 if kind == "float" else 8
         else:
             array = array.astype(int)
+            if np.all(np.abs(array) < 2**15):
+                kind, size = "short", 2
         self.n_bytes += size * array.size
         shape = "".join(f"[{n}]" for n in array.shape)
         if array.ndim == 1:

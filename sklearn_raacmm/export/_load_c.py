@@ -162,6 +162,7 @@ def load_c(
     *,
     std: bool = False,
     cache_dir: str | PathLike[str] | None = None,
+    fade: Any = "small",
 ) -> CompiledModel:
     """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
 
@@ -179,6 +180,9 @@ def load_c(
         Folder to keep the library in, which must be the user's own. None: the environment variable
         SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
         written, nothing is kept.
+
+    fade : {"small", "exact", False}, default="small"
+        How a correction fades, see :func:`export_c`.
 
     Returns
     -------
@@ -208,7 +212,14 @@ def load_c(
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
     check_flags(std=std)
-    return _compiled(build_program(model, std), "double", cache_dir)
+    check_fade(fade)
+    return _compiled(build_program(model, std, fade=fade), "double", cache_dir)
+
+
+def check_fade(fade):
+    """Refuse what cannot be how a correction fades."""
+    if not (fade is False or (isinstance(fade, str) and fade in ("small", "exact"))):
+        raise ValueError(f"fade must be 'small', 'exact' or False, got {fade!r:.60}.")
 
 
 def _compiled(program, dtype, folder, flags=_FLAGS):

@@ -13,13 +13,13 @@ from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.error_model import (
     LOAD,
     PUSH,
-    SHIFT,
     ArmResidualRegressor,
     column_table,
     force_on_probe,
 )
 from sklearn_raacmm.export._networks import network
-from sklearn_raacmm.export._program import Builder
+from sklearn_raacmm.export._program import Builder, hash_program, pruned, run
+from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
 from sklearn_raacmm.export._steps import (
     KNOWN,
     REGRESSORS,
@@ -45,9 +45,10 @@ _TINY = 1e-30
 class _Chain:
     """A chain that adds its operations to a program, and the arm that its angles belong to."""
 
-    def __init__(self, model, p, std, any_probe):
+    def __init__(self, model, p, std, any_probe, fade, poses):
         self.p, self.std, self.x, self.any_probe = p, std, p.x, any_probe
-        self.arm, self.unit = find_arm(model)
+        self.fade, self.poses = fade, poses
+        self.model, (self.arm, self.unit) = model, find_arm(model)
         self.trust = None
 
     def angles(self):
@@ -93,8 +94,12 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def build_program(model, std=False, any_probe=False):
+def build_program(model, std=False, any_probe=False, fade="exact", poses=None):
     """The program of a fitted model; ValueError names a step that cannot be exported.
+
+    With `fade` "small" the share of a correction that fades is nearly that of ``predict``, also at
+    `poses` (n, n_inputs), and from few numbers, unless `any_probe`; with False nothing fades. The
+    fingerprint is that of the exact program.
 
     Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
     three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``, if
@@ -111,7 +116,8 @@ def build_program(model, std=False, any_probe=False):
             "its length: export a model for each probe, model.with_arm(arm)."
         )
     p = Builder(n_inputs(model) + 3 * any_probe)
-    chain, steps = _Chain(model, p, std, any_probe), list(leaves(model))
+    fade = "exact" if fade == "small" and any_probe else fade
+    chain, steps = _Chain(model, p, std, any_probe, fade, poses), list(leaves(model))
     y, v = _read(chain, steps, p.x)
     y = p("finite", y, p("join", p.x, y))
     outputs = {"y": y}
@@ -131,6 +137,8 @@ def build_program(model, std=False, any_probe=False):
         extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
         about |= {"angle_unit": chain.unit, "extra": extra}
     about["flat"] = bool(p.size(y) == 1 and is_flat(model))
+    if chain.fade != "exact":
+        about["fingerprint"] = hash_program(build_program(model, any_probe=any_probe))
     return p.program(outputs, about)
 
 
@@ -281,7 +289,7 @@ def scaler(p, step, x):
 def arm_model(chain, step):
     """Correction and variance (or None) of an `ArmResidualRegressor`, faded."""
     p, linear, fading = chain.p, step.linear_model_, step.fading_
-    y, v, doubt = linear_model(chain, linear, fading.factor > 0)
+    y, v, doubt = linear_model(chain, linear, fading)
     y = p("mul", y, fading.most) if fading.most > 0 else p.constant(np.zeros(3))
     if doubt is not None:
         share = p.constant(1.0)
@@ -295,7 +303,7 @@ def arm_model(chain, step):
     return y, v if step.helps_ or v is None else p("max", v, fading.size_mm**2 / 3)
 
 
-def linear_model(chain, linear, fades):
+def linear_model(chain, linear, fading):
     """Correction of a `LinearModel`, variances, and squared doubt; each None where not needed."""
     p, arm = chain.p, linear.arm
     table = column_table(arm, linear.terms)
@@ -304,7 +312,7 @@ def linear_model(chain, linear, fades):
         return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
     # Columns that share a vector stand together; large groups last, where rows of a triangle are
     # long anyway.
-    vector = np.where(table["kind"] == SHIFT, n_axes, 0) + 3 * table["frame"] + table["axis"]
+    vector = axis_numbers(table, arm.n_joints)
     order = np.lexsort([vector, np.bincount(vector)[vector]])
     vectors = _vectors(chain)
     sizes = p.take(_sizes(chain, linear, table, vectors), order)
@@ -312,22 +320,84 @@ def linear_model(chain, linear, fades):
     matrix = np.zeros((2 * n_axes, m))
     matrix[vector, np.arange(m)] = linear.coef[order]
     y = p("dots", vectors, p.affine(sizes, matrix))
+    small = chain.fade != "exact"
 
-    def variances(half):
+    def variances(root, **given):
+        # Seven digits do where no correction depends on more.
+        root = root.astype(np.float32) if small else root
+        used = np.flatnonzero(np.any(root, axis=1))
+        if not len(used):
+            return p.constant(np.zeros(3))
+        return p(
+            "variances", vectors, p.take(sizes, used), vector=vector[used], root=root[used], **given
+        )
+
+    def triangle(half):
         # Any root gives the same variances; a triangle has half the entries.
-        root = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
-        return p("variances", vectors, sizes, vector=vector, root=root)
+        return np.asarray(np.linalg.qr(half[order].T, mode="r")).T
 
-    v = variances(linear.gauge_free_half) if chain.std else None
-    if not fades:
+    v = variances(triangle(linear.gauge_free_half)) if chain.std else None
+    if not (fading.factor > 0 and chain.fade):
         return y, v, None
-    same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
-    of_fading = v if same else variances(linear.fading_half)
-    doubt = p("dots", of_fading, p.constant(np.ones(3)))
+    found = _small_doubt(chain, linear, fading) if small else None
+    if found is not None:
+        doubt = p.sum(variances(found.root[order], less=found.less))
+        if len(found.joints):
+            doubt = p("add", doubt, _of_joints(chain, found, vectors))
+        doubt = p("max", p("add", doubt, found.constant), 0.0)
+    else:
+        same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
+        doubt = p.sum(v if same else variances(triangle(linear.fading_half)))
     if chain.any_probe:
         ratio = chain.lever_ratio()
         doubt = p("div", doubt, p("mul", ratio, ratio))
     return y, v, doubt
+
+
+def _small_doubt(chain, linear, fading):
+    factors = np.ones(chain.p.size(chain.x))
+    factors[: chain.arm.n_joints] = np.pi / 180 if chain.unit == "deg" else 1.0
+    poses = poses_from_far_to_near(chain.model, lambda rows: _doubt(linear, rows * factors))
+    if chain.poses is not None:
+        poses = np.concatenate([poses, chain.poses])
+    return small_doubt(linear, fading, poses * factors)
+
+
+def _doubt(linear, rows):
+    return linear.predict_with_doubt(rows)[2]
+
+
+def compare_shares(model, exact, program):
+    """By how much the shares of a correction differ: a sentence for the file."""
+    exact, program = (pruned(p, ("trust",)) for p in (exact, program))
+    poses = poses_from_far_to_near(
+        model, lambda rows: -run(exact, rows)["trust"][:, 0], n=60, seed=10_000
+    )
+    off = run(program, poses)["trust"] - run(exact, poses)["trust"]
+    return (
+        f"fade small: the share of the correction is within {np.abs(off).max():.1e} of predict's "
+        f"at {len(poses)} poses, root mean square {np.sqrt(np.mean(off**2)):.1e}"
+    )
+
+
+def _of_joints(chain, small, vectors):
+    """What the waves of joints add to the squared doubt, by the series of each."""
+    p, (n, q) = chain.p, small.series.shape
+    axes = p.size(vectors) // 3
+    at = small.vectors[:, None] + axes * np.arange(3)
+    turns = p.take(vectors, at.ravel())
+    squares = p.affine(p("mul", turns, turns), np.kron(np.eye(n), np.ones((1, 3))))
+    orders = np.arange(1, q // 2 + 1)
+    waves = p(
+        "waves",
+        chain.angles(),
+        joint=np.repeat(small.joints, q),
+        order=np.tile(np.concatenate([orders, -orders]), n),
+    )
+    matrix = np.zeros((n, n * q))
+    for i, row in enumerate(small.series):
+        matrix[i, i * q : (i + 1) * q] = row
+    return p("dots", squares, p.affine(waves, matrix, small.means))
 
 
 def _vectors(chain):

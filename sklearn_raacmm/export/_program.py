@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.utils import LARGEST
+
 
 class Op(NamedTuple):
     """One operation: its name in `OPERATIONS`, values that go in, its constants, its size."""
@@ -101,6 +103,10 @@ class Builder:
         """Euclidean length, one number."""
         return self("sqrt", self("dots", x, x))
 
+    def sum(self, x):
+        """The sum of a value's numbers."""
+        return self("dots", x, np.ones(self.size(x)))
+
     def program(self, outputs, about):
         return pruned(Program(tuple(self.ops), outputs, about), outputs)
 
@@ -124,7 +130,12 @@ def pruned(program, names):
 
 
 def hash_program(program):
-    """SHA-256 of every operation and constant that the prediction is made of."""
+    """SHA-256 of every operation and constant that the prediction is made of.
+
+    A program that is nearly another has that one's.
+    """
+    if "fingerprint" in program.about:
+        return program.about["fingerprint"]
     digest = hashlib.sha256()
     for op in pruned(program, ("y",)).ops:
         digest.update(repr((op.name, op.inputs, op.size, _bytes(op.given))).encode())
@@ -169,7 +180,8 @@ def _dots(rows, x):
 
 
 def _finite(y, x):
-    return y + (0.0 * x).sum(axis=1, keepdims=True)
+    """NaN where a number is NaN or larger than ``predict`` takes."""
+    return _within(y, x, -LARGEST, LARGEST)
 
 
 def _within(y, x, low, high):
@@ -228,15 +240,16 @@ def _radial(x, kernel, centers, shift, inverse_width):
     return _RADIAL[kernel](s)
 
 
-def _variances(vectors, sizes, vector, root):
-    """Squared lengths of ``root' columns``, for x, y and z.
+def _variances(vectors, sizes, vector, root, less=0):
+    """Squared lengths of ``root' columns``, for x, y and z; the last `less` are taken off.
 
     Column c is its size times one of the vectors. Those of x come first: (3, number of vectors).
     """
     n = vectors.shape[1] // 3
     columns = vectors[:, np.add.outer(n * np.arange(3), vector).ravel()].reshape(-1, 3, len(vector))
     dots = (columns * sizes.reshape(-1, 1, len(vector))) @ root
-    return (dots * dots).sum(axis=2)
+    signs = np.where(np.arange(root.shape[1]) < root.shape[1] - less, 1.0, -1.0)
+    return (dots * dots * signs).sum(axis=2)
 
 
 # Values (n, size) go in, constants by their names, (n, size) comes out.

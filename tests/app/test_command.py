@@ -178,7 +178,7 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
 def test_export_compiles_and_says_the_same(learned, tmp_path, capsys):
     folder, _, readings, _ = learned
-    assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
+    assert main(["export", "--model", str(folder), "--c", str(tmp_path), "--fade", "exact"]) == 0
     printed = capsys.readouterr().out.strip().removeprefix("Written: ").split()
     assert sorted(printed) == sorted(map(str, tmp_path.iterdir()))
     header = (tmp_path / "arm_correction.h").read_text()

@@ -68,7 +68,7 @@ def library(folder, compiler, source, *flags):
 
 def in_c(folder, compiler, model, X, std):
     """Mean, and deviation or None, of the compiled file, with every warning an error."""
-    source, header = export_c(model, folder / "arm.c", std=std)
+    source, header = export_c(model, folder / "arm.c", std=std, fade="exact")
     loaded, place = library(folder, compiler, source, "-O1", *STRICT), ctypes.c_void_p
     verb = "correct" if "arm_correct(" in header.read_text() else "predict"
     q = np.reshape(model.predict(X[:1]), -1).size
@@ -92,5 +92,7 @@ def ways_out(folder, model, X, std=False):
         import onnxruntime
     except ImportError:
         return
-    session = onnxruntime.InferenceSession(to_onnx(model, std=std).SerializeToString())
+    session = onnxruntime.InferenceSession(
+        to_onnx(model, std=std, fade="exact").SerializeToString()
+    )
     yield "ONNX", *session.run(None, {"X": X}), *([] if std else [None])

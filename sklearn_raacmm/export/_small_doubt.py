@@ -1,0 +1,168 @@
+"""What a correction fades by, with a tenth of the numbers: for controllers with little memory.
+
+The squared doubt at a pose is ``sum over x, y, z of a' P a``, a the model's columns and P their
+covariance: m columns need m^2 / 2 numbers. Here the waves of one joint are taken for themselves:
+they turn the probe about one axis, so that what they add is the squared displacement per turn times
+a periodic function of that joint's angle, a Fourier series. What is left of P, between joints and
+of all other columns, is nearly of low rank where poses are reached: the largest of its eigenvalues,
+positive and negative, in the metric of columns at poses from far to near.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.error_model import SHIFT, TURN, column_table
+from sklearn_raacmm.export._steps import typical_rows
+
+# Waves of one joint about one axis that are taken for themselves, if there are so many.
+_MANY = 24
+# Orders of the series of a joint. UR10, 2000 poses, orders up to 400: shares off by at most 0.205
+# with 16, 0.060 with 40, 0.042 with 100 and with all (``benchmarks/bench_export.py --orders``).
+_ORDERS = 100
+# By how much a share may be off at the poses that choose the rank.
+_OFF = 0.006
+# Columns that together add no more than this share of the residuals are left out of the root.
+_NOTHING = 0.01
+# Poses at which the rank is chosen: so many far ones, and where each has gone by so many steps.
+_POSES, _STEPS = 150, 16
+# Angles at which a joint's periodic function is evaluated for its series.
+_ANGLES = 4096
+
+
+class SmallDoubt(NamedTuple):
+    """What stands for the covariance that a correction fades by."""
+
+    root: np.ndarray  # (m, r): squared lengths of ``root' columns`` are added
+    less: int  # but those of so many last columns are taken off
+    joints: np.ndarray  # (n_series,), from 0
+    vectors: np.ndarray  # (n_series,): which axis each turns about
+    series: np.ndarray  # (n_series, 2 * _ORDERS): cosines, then sines, of order 1 and up
+    means: np.ndarray  # (n_series,)
+    constant: float  # mm^2
+
+
+def axis_numbers(table, n_joints):
+    """Which axis each column of a table turns about or goes along: turns first."""
+    return np.where(table["kind"] == SHIFT, 3 * (n_joints + 1), 0) + (
+        3 * table["frame"] + table["axis"]
+    )
+
+
+def poses_from_far_to_near(model, doubt, n=_POSES, seed=0):
+    """Poses (rows of X): random ones, and where each goes to have less doubt, input by input.
+
+    `doubt` is a function of rows. A fitted model does not keep its poses: they were where it has
+    little doubt.
+    """
+    rows = typical_rows(model, n, seed)
+    known, found = doubt(rows), [rows]
+    for _ in range(_STEPS):
+        rows = rows.copy()
+        for i in range(rows.shape[1]):
+            seed += 1
+            moved = rows.copy()
+            moved[:, i] = typical_rows(model, n, seed)[:, i]
+            then = doubt(moved)
+            better = then < known
+            rows[better], known[better] = moved[better], then[better]
+        found.append(rows)
+    return np.concatenate(found)
+
+
+def small_doubt(linear, fading, angles):
+    """The smallest that is as good at poses (angles in rad and extra columns), or None.
+
+    None where it would have no fewer numbers than the whole.
+    """
+    table = column_table(linear.arm, linear.terms)
+    covariance = linear.fading_half @ linear.fading_half.T
+    of_axis = axis_numbers(table, linear.arm.n_joints)
+    blocks = _blocks(table, of_axis)
+    between = covariance.copy()
+    for block in blocks:
+        between[np.ix_(block, block)] = 0.0
+    columns = np.concatenate([linear.columns(part) for part in np.array_split(angles, 20)])
+    flat = columns.reshape(-1, columns.shape[2])
+    exact = _over_axes(np.square(flat @ linear.fading_half)).sum(axis=1)
+    size = fading.size_mm**2
+    # The share changes by so much with the squared doubt.
+    weights = 1.0 / np.square(size + fading.factor**2 * exact)
+    weights /= weights.sum()
+    metric = (flat * np.repeat(weights, 3)[:, None]).T @ flat
+    values, turned = np.linalg.eigh(metric)
+    root = np.sqrt(np.maximum(values, 1e-10 * values.max()))
+    half, inverse = (turned * root) @ turned.T, (turned / root) @ turned.T
+    values, turned = np.linalg.eigh(half @ between @ half)
+    order = np.argsort(-np.abs(values))
+    values, directions = values[order], inverse @ turned[:, order]
+    joints = table["joint"][[block[0] for block in blocks]] if blocks else np.zeros(0, dtype=int)
+    parts = [_series(table, block, covariance) for block in blocks]
+    means = np.array([mean for mean, _ in parts])
+    series = np.reshape([row for _, row in parts], (len(blocks), 2 * _ORDERS))
+    of_blocks = np.zeros(len(angles))
+    for block, joint, mean, row in zip(blocks, joints, means, series, strict=True):
+        phase = np.outer(angles[:, joint], np.arange(1, _ORDERS + 1))
+        waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+        of_blocks += _squared_turn(table, block, columns) * (mean + waves @ row)
+    along = _over_axes(np.square(flat @ directions))
+    sums = of_blocks[:, None] + np.cumsum(values * along, axis=1)
+    constants = weights @ (exact[:, None] - sums)
+    share = fading.share(np.sqrt(exact))
+    for rank in range(1, len(table) // 2):
+        found = np.maximum(sums[:, rank - 1] + constants[rank - 1], 0.0)
+        if np.abs(fading.share(np.sqrt(found)) - share).max() <= _OFF:
+            break
+    else:
+        return None
+    signs = np.argsort(values[:rank] < 0, kind="stable")
+    root = directions[:, signs] * np.sqrt(np.abs(values[signs]))
+    # What a column of the model adds, mm: those that add next to nothing have no row.
+    sizes = np.linalg.norm(root, axis=1) * np.sqrt(3 * np.square(flat).mean(axis=0))
+    ascending = np.argsort(sizes)
+    little = np.cumsum(np.square(sizes[ascending])) < (_NOTHING * fading.size_mm) ** 2
+    root[ascending[little]] = 0.0
+    vectors = of_axis[[block[0] for block in blocks]] if blocks else np.zeros(0, dtype=int)
+    constant = float(constants[rank - 1])
+    less = int(np.count_nonzero(values[:rank] < 0))
+    return SmallDoubt(root, less, joints, vectors, series, means, constant)
+
+
+def _over_axes(values):
+    """Sums over x, y and z of rows (3 n, m)."""
+    return values.reshape(-1, 3, *values.shape[1:]).sum(axis=1)
+
+
+def _blocks(table, of_axis):
+    """Columns of each joint's waves about each axis, where there are many."""
+    waves = np.flatnonzero((table["kind"] == TURN) & (table["order"] != 0) & (table["by"] < 0))
+    keys = np.stack([of_axis[waves], table["joint"][waves]])
+    unique, place = np.unique(keys, axis=1, return_inverse=True)
+    found = (waves[place.ravel() == i] for i in range(unique.shape[1]))
+    return [block for block in found if len(block) >= _MANY]
+
+
+def _waves(order, unit, angles):
+    phase = np.outer(angles, np.abs(order))
+    return np.where(order > 0, np.cos(phase), np.sin(phase)) * unit
+
+
+def _series(table, block, covariance):
+    """Mean, cosines and sines of what a joint's waves add at its angles, per rad^2 of a turn."""
+    angles = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
+    waves = _waves(table["order"][block], table["unit"][block], angles)
+    values = ((waves @ covariance[np.ix_(block, block)]) * waves).sum(axis=1)
+    found = np.fft.rfft(values) / _ANGLES
+    low = 2 * found[1 : _ORDERS + 1]
+    return found[0].real, np.concatenate([low.real, -low.imag])
+
+
+def _squared_turn(table, block, columns):
+    """Squared displacement (n,) of the probe per rad about the axis of a block."""
+    order, unit = table["order"][block], table["unit"][block]
+    # A cosine and the sine of the same order.
+    pair = [np.flatnonzero(order == k)[0] for k in (order[0], -order[0])]
+    return np.square(columns[:, :, block[pair]] / unit[pair]).sum(axis=(1, 2))

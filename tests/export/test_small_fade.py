@@ -1,0 +1,110 @@
+"""A correction that fades by small tables: nearly as in ``predict``, from far fewer numbers."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.export import _small_doubt, export_c, fingerprint, load_c, to_onnx
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._program import run
+
+from ._chains import COMPILERS, angles_everywhere, of_arm
+
+needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler found")
+
+
+def fitted(mix, **params):
+    data = make_single_point(n_positions=10, n_poses=30, machine=mix, random_state=3)
+    model = of_arm(data.arm, "gravity", "kinematics", "wobble", **params)
+    unit = np.rad2deg if params.get("angle_unit") == "deg" else np.array
+    return model.fit(unit(data.data), data.target, groups=data.groups), unit(data.data)
+
+
+@pytest.fixture(scope="module")
+def models():
+    return {
+        "typical": fitted("typical"),
+        "degrees": fitted("gravity", angle_unit="deg"),
+    }
+
+
+def poses(model, X):
+    rows = angles_everywhere(6, 500)[:1500]
+    return np.concatenate([X, np.rad2deg(rows) if model.angle_unit == "deg" else rows])
+
+
+def numbers(program):
+    return sum(np.size(v) for op in program.ops if op.name == "variances" for v in op.given["root"])
+
+
+@pytest.mark.parametrize(
+    ("name", "many"), [("typical", 24), ("degrees", 24), ("typical", 4), ("degrees", 4)]
+)
+def test_the_share_is_nearly_that_of_predict(models, monkeypatch, name, many):
+    """By the formula of the documentation, at poses that took no part in the choice.
+
+    With `many` 4, all waves of a joint about an axis add a function of that joint, as in models of
+    high orders.
+    """
+    monkeypatch.setattr(_small_doubt, "_MANY", many)
+    model, X = models[name]
+    rows = poses(model, X)
+    rad = np.deg2rad(rows) if model.angle_unit == "deg" else rows
+    linear, fading = model.linear_model_, model.fading_
+    doubt = np.square(linear.columns(rad) @ linear.fading_half).sum(axis=(1, 2))
+    size = fading.size_mm**2
+    expected = size / (size + fading.factor**2 * np.maximum(doubt - fading.known_mm**2, 0.0))
+    small, exact = build_program(model, fade="small"), build_program(model)
+    found = run(small, rows)["trust"][:, 0]
+    np.testing.assert_allclose(run(exact, rows)["trust"][:, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.02)
+    assert np.ptp(expected) > 0.2
+    assert numbers(small) < 0.5 * numbers(exact)
+    sizes = [op.size for op in small.ops if op.name == "waves"]
+    assert sum(size % 200 == 0 for size in sizes) == (many == 4)
+
+
+@needs_compiler
+def test_every_file_gives_what_the_small_program_gives(models, tmp_path):
+    onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    for name, (model, X) in models.items():
+        rows = poses(model, X)
+        expected = run(build_program(model, fade="small"), rows)["y"]
+        # Tables of the doubt have seven digits.
+        atol = 1e-5 * np.abs(expected).max()
+        found = load_c(model, cache_dir=tmp_path / "cache").predict(rows)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
+        session = onnxruntime.InferenceSession(to_onnx(model).SerializeToString())
+        np.testing.assert_allclose(session.run(None, {"X": rows})[0], expected, rtol=0, atol=atol)
+        source, header = export_c(model, tmp_path / f"{name}.c", poses=X)
+        assert "fade small: the share of the correction is within" in header.read_text()
+        whole = export_c(model, tmp_path / "exact.c", fade="exact")[0]
+        assert source.stat().st_size < 0.7 * whole.stat().st_size
+        assert fingerprint(model) in header.read_text()
+
+
+@needs_compiler
+def test_nothing_fades_where_that_is_asked_for(models, tmp_path):
+    model, X = models["typical"]
+    rows = poses(model, X)
+    expected = model.fading_.most * model.linear_model_.predict(rows)[0]
+    compiled = load_c(model, fade=False, cache_dir=tmp_path / "cache")
+    np.testing.assert_allclose(compiled.predict(rows), expected, rtol=0, atol=1e-12)
+    header = export_c(model, tmp_path / "arm.c", fade=False)[1].read_text()
+    assert "nothing fades" in header
+    assert "arm_trust" not in header
+
+
+@needs_compiler
+def test_refuses_what_predict_refuses(models, tmp_path):
+    model, X = models["typical"]
+    compiled = load_c(model, fade="exact", cache_dir=tmp_path / "cache")
+    program = build_program(model)
+    for value in (1.1e50, -1e60, 1.8e308, np.inf, np.nan):
+        row = X[:1].copy()
+        row[0, 2] = value
+        with pytest.raises(ValueError, match=r"refused|infinity|NaN"):
+            model.predict(row)
+        assert np.isnan(compiled.predict(row)).all()
+        assert np.isnan(run(program, row)["y"]).all()
+        assert compiled.status(row[0]) == 2
