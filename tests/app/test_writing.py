@@ -280,6 +280,9 @@ def test_a_word_nearly_right_is_named(capsys):
         with pytest.raises(SystemExit):
             main(arguments.split())
         assert f"Was {near} meant?" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main("correct t --model=a --out=b --points x".split())
+    assert "--points is an option of learn, check, register, update only" in capsys.readouterr().err
 
 
 def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):
