@@ -281,7 +281,7 @@ def test_a_word_nearly_right_is_named(capsys):
             main(arguments.split())
         assert f"Was {near} meant?" in capsys.readouterr().err
     with pytest.raises(SystemExit):
-        main("correct t --model=a --out=b --points x".split())
+        main(["correct", "t", "--model=a", "--out=b", "--points", "x"])
     assert "--points is an option of learn, check, register, update only" in capsys.readouterr().err
 
 
