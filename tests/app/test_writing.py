@@ -72,12 +72,12 @@ print(loaded)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
 def test_killed_at_each_file_a_folder_is_the_old_or_the_new(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path / "out"), "20"],
+        [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path / "out"), "36"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     loaded = json.loads(done.stdout.splitlines()[-1])
-    assert len(loaded) == 20
+    assert len(loaded) == 36
     assert set(loaded) == {0, 1}
 
 
