@@ -26,7 +26,7 @@ from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, natural_order
+from sklearn_raacmm.utils import check_places, digest_of, natural_order
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -35,13 +35,15 @@ _FALSE_ALARM = 0.01
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
+# Files of a folder that show what one correction has done.
+_OF_ONE_CORRECTION = ("report.html", "corrected.csv")
 # Parts of the model that have changed by less than this share of what is usual are not named.
 _NAMED_TAU = 0.1
 
 
 def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
-    saved, out = _open_correction(options)
+    saved = _open_correction(options)
     today, lengths = _read_today(options, saved.arm)
     new = saved.register(today.angles, today.positions, today.points, lengths)
     y = new.calibration.residuals(today.angles, today.points, today.positions)
@@ -56,14 +58,15 @@ def register(options):
         print(f"The correction holds with it: {usual:.3f} mm is usual.")
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
-    _save(new, out, "register", facts | {"n_poses": len(today.angles)})
+    _save(new, options, "register", facts, today)
     return (OK if holds else CHANGED), facts | {"left_mm": left}
 
 
 def update(options):
     """Register, and bring the correction up to date with the same poses."""
-    saved, out = _open_correction(options)
+    saved = _open_correction(options)
     today, lengths = _read_today(options, saved.arm)
+    _refuse_used_poses(saved, today)
     measured = today.angles, today.positions, today.points, lengths
     new = saved.update(*measured, date=options.date or date.today().isoformat())
     y = new.calibration.residuals(today.angles, today.points, today.positions)
@@ -86,13 +89,13 @@ def update(options):
     )
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"tau": tau, "before_mm": before, "after_mm": after}
-    _save(new, out, "update", facts | {"n_poses": len(today.angles)})
+    _save(new, options, "update", facts, today)
     return OK, facts
 
 
 def move(options):
     """Move the correction to a probe whose vector is known."""
-    saved, out = _open_correction(options)
+    saved = _open_correction(options)
     new = saved.move(parse_vector(options.probe))
     facts = _print_moves(None, saved, new)
     tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints))
@@ -104,7 +107,7 @@ def move(options):
         f"The corrections are now of {new_mm:.3f} mm (rms over all poses), before {old_mm:.3f} mm."
     )
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    _save(new, out, "move", facts)
+    _save(new, options, "move", facts)
     return OK, facts
 
 
@@ -205,11 +208,11 @@ def highest_mean(learnt, n, rate):
 
 
 def _open_correction(options):
-    """The saved correction, and the folder to write."""
+    """The saved correction, where its folder can be written."""
     out = Path(options.out or options.model)
     read = [getattr(options, "table", None), *(correction_files(options.model) * bool(options.out))]
     check_places([out / "correction.json"], filter(None, read))
-    return load_correction(options.model), out
+    return load_correction(options.model)
 
 
 def _read_today(options, arm):
@@ -278,10 +281,42 @@ def _print_moves(title, old, new):
     return facts
 
 
-def _save(correction, out, word, facts):
-    """Write the folder with what was done added to its history."""
+def _save(correction, options, word, facts, today=None):
+    """Write the folder with what was done added to its history, and put aside what is no longer so.
+
+    A report and corrected points of the correction before get another name.
+    """
+    out = Path(options.out or options.model)
     done = {"date": date.today().isoformat(), "what": word, **facts}
+    if today is not None:
+        done |= {"n_poses": len(today.angles), "poses": _fingerprint(today)}
     history = [*correction.facts.get("history", []), done]
     correction = replace(correction, facts=correction.facts | {"history": history})
-    written = correction.save(out, {"card.md": f"{describe(correction.model)}\n"})
+    steps = "".join(f"- {step['date']}: {step['what']}\n" for step in history)
+    card = f"{describe(correction.model)}\n## History\n\n- learnt: {correction.verdict}\n{steps}"
+    written = correction.save(out, {"card.md": card})
     print(f"Written to {out}: {', '.join(path.name for path in written)}")
+    aside = []
+    for name in _OF_ONE_CORRECTION:
+        if (path := out / name).is_file():
+            aside.append(path.replace(path.with_stem(f"{path.stem}_before_{word}")))
+    if aside:
+        print(
+            f"{' and '.join(path.name for path in aside)} in it are of the correction before. "
+            "raacmm correct makes new points."
+        )
+
+
+def _fingerprint(today):
+    """Of the angles that were measured: the same poses have the same."""
+    return digest_of(np.ascontiguousarray(today.angles).tobytes())
+
+
+def _refuse_used_poses(saved, today):
+    """Refuse poses that have updated this correction before: they would count twice."""
+    for step in saved.facts.get("history", []):
+        if step["what"] == "update" and step.get("poses") == _fingerprint(today):
+            raise TableError(
+                f"these {len(today.angles)} poses have updated this correction on {step['date']}: "
+                "measure new ones."
+            )

@@ -202,10 +202,15 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message):
         wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)
-        near = (
-            get_close_matches((wrong[1] or wrong[2]).split("=")[0], self.known, 1) if wrong else ()
-        )
-        super().error(f"{message}. Was {near[0]} meant?" if near else message)
+        if wrong:
+            given = (wrong[1] or wrong[2]).split("=")[0]
+            words = [word for word, (*_, names) in WORDS.items() if given in names.split()]
+            near = get_close_matches(given, self.known, 1)
+            if words:
+                message = f"{given} is an option of {', '.join(words)} only"
+            elif near:
+                message = f"{message}. Was {near[0]} meant?"
+        super().error(message)
 
 
 def make_parser():

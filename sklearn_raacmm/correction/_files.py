@@ -14,9 +14,18 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import Finding, digest_of, whole_file, write_whole
+from sklearn_raacmm.utils import (
+    Finding,
+    digest_of,
+    locked,
+    remove_left_over,
+    whole_file,
+    write_whole,
+)
 
 _FACTS = "correction.json"
+# Of the folder. Format 1 had no fingerprint of the facts; it is read as it is.
+_FORMAT = 2
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
 TRUSTED_TYPES = [
@@ -64,15 +73,26 @@ def load_model(folder: Any, content: bytes) -> Any:
 def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -> Any:
     """Write ``correction.json``, with the fingerprints of all other files, and these files.
 
-    Whatever interrupts the writing, the folder holds the old correction or this one.
+    Whatever interrupts the writing, the folder holds the old correction or this one. Of several
+    that write at the same time, the last is there, whole.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     facts = facts | {"files": {name: digest_of(content) for name, content in contents.items()}}
+    facts["format"] = _FORMAT
+    facts["fingerprint"] = _fingerprint(facts)
     contents = {_FACTS: json.dumps(facts, indent=1, ensure_ascii=False) + "\n", **contents}
     paths = {folder / name: content for name, content in contents.items()}
-    write_whole(paths)
+    with locked(folder):
+        write_whole(paths)
+        remove_left_over(folder)
     return list(paths)
+
+
+def _fingerprint(facts):
+    """Of all facts but itself, however they are spaced."""
+    others = {name: value for name, value in facts.items() if name != "fingerprint"}
+    return digest_of(json.dumps(others, sort_keys=True))
 
 
 def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
@@ -80,21 +100,41 @@ def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
     folder = Path(folder)
     if not (folder / _FACTS).is_file():
         raise FileNotFoundError(f"{folder} has no {_FACTS}; learning a correction writes one.")
+    with locked(folder, shared=True):
+        facts = _read_facts(folder / _FACTS)
+        return facts, [_read_file(folder, name, facts["files"].get(name)) for name in names]
+
+
+def _read_facts(path):
+    """Facts that nobody has changed since they were written."""
     try:
-        facts = json.loads((folder / _FACTS).read_text(encoding="utf-8"))
-        digests = {name: facts["files"].get(name) for name in names}
+        facts = json.loads(path.read_text(encoding="utf-8"))
+        files, version = facts["files"], facts.get("format", 1)
+        known = version == 1 or (version == _FORMAT and facts["fingerprint"] == _fingerprint(facts))
+        files.get("arm.json")
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise ValueError(f"{folder / _FACTS} holds no correction: learn again.") from None
-    contents = []
-    for name, digest in digests.items():
-        if not digest:
-            raise FileNotFoundError(f"{folder} was written without {name}.")
-        content = whole_file(folder / name, digest)
-        if content is None:
-            state = "not the one" if (folder / name).exists() else "missing, the one"
-            raise ValueError(
-                f"{folder}: {name} is {state} that {_FACTS} was written with: copy the whole "
-                "folder again, or learn again."
-            )
-        contents.append(content)
-    return facts, contents
+        raise ValueError(f"{path} holds no correction: learn again.") from None
+    if known:
+        return facts
+    if isinstance(version, int) and version > _FORMAT:
+        raise ValueError(
+            f"{path} has format {version}, of a newer version of sklearn_raacmm: this one reads up "
+            f"to {_FORMAT}. Install the newer one."
+        )
+    raise ValueError(
+        f"{path} was changed after it was written: its fingerprint is another. Copy the whole "
+        "folder again, or learn again."
+    )
+
+
+def _read_file(folder, name, digest):
+    if not digest:
+        raise FileNotFoundError(f"{folder} was written without {name}.")
+    content = whole_file(folder / name, digest)
+    if content is None:
+        state = "not the one" if (folder / name).exists() else "missing, the one"
+        raise ValueError(
+            f"{folder}: {name} is {state} that {_FACTS} was written with: copy the whole folder "
+            "again, or learn again."
+        )
+    return content

@@ -21,6 +21,8 @@ from sklearn_raacmm.utils._chunks import chunk_size, chunks
 from sklearn_raacmm.utils._files import (
     check_places,
     digest_of,
+    locked,
+    remove_left_over,
     whole_file,
     write_whole,
 )

@@ -6,11 +6,21 @@
 import glob
 import hashlib
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+# Names that `write_whole` gives to files until they are complete.
+_LEFT_OVER = re.compile(r".+\.[0-9a-f]{16}\.[0-9a-f]{8}\.tmp")
 
 
 def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
@@ -31,11 +41,21 @@ def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
             raise IsADirectoryError(f"A file is to be written, but this is a folder: {path}.")
         if place.exists() and not place.is_file():
             raise OSError(f"{path} is no ordinary file, and only such files are written.")
+        if os.name == "nt" and place.exists():
+            _try_to_replace(place)
         folder = next(above for above in place.resolve().parents if above.exists())
         if not folder.is_dir():
             raise NotADirectoryError(f"{folder} is a file, and no folder for {place.name}.")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(f"Nothing can be written into the folder {folder}.")
+
+
+def _try_to_replace(place):
+    """Refuse a file that another program holds open: on Windows it cannot be replaced."""
+    try:
+        place.replace(place)
+    except OSError as error:
+        raise PermissionError(f"Close {place}: it cannot be replaced ({error}).") from None
 
 
 def digest_of(content: str | bytes) -> str:
@@ -58,7 +78,8 @@ def whole_file(path: Any, digest: str) -> bytes | None:
 def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     """Write files beside their places, and rename them when all are complete.
 
-    What goes wrong while writing, such as a full disk, leaves files of these names as they were.
+    What goes wrong while writing, such as a full disk, leaves files of these names as they were. If
+    only a name cannot be given, the content stays beside its place, and the error says where.
     Threads and processes may write one name at the same time: whoever reads gets the whole of one
     of their files. The files are renamed in the order given. If the first holds the fingerprints
     of the others, `whole_file` finds each of them at every moment after the first is in place.
@@ -70,7 +91,7 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
             raise FileNotFoundError(f"No such folder: {place.parent}.")
         if place.is_dir():
             raise IsADirectoryError(f"A file is to be written, but this is a folder: {place}.")
-    complete = []
+    complete, failed = [], {}
     try:
         for place, content in zip(places, contents.values(), strict=True):
             content = content.encode() if isinstance(content, str) else content
@@ -87,7 +108,40 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
             if place.exists():
                 shutil.copymode(place, beside)
         for place, beside in zip(places, complete, strict=True):
-            beside.replace(place)
+            try:
+                beside.replace(place)
+            except OSError as error:
+                failed[beside] = f"{place} cannot be replaced ({error}); its content is in {beside}"
+                if place == places[0]:  # the others belong to it
+                    failed |= dict.fromkeys(complete, failed[beside])
+                    break
     finally:
         for beside in complete:
-            beside.unlink(missing_ok=True)
+            if beside not in failed:
+                beside.unlink(missing_ok=True)
+    if failed:
+        raise OSError(f"{'; '.join(dict.fromkeys(failed.values()))}.")
+
+
+def remove_left_over(folder: Any) -> None:
+    """Remove what `write_whole` has left in a folder when it was killed."""
+    for path in Path(folder).glob("*.tmp"):
+        if _LEFT_OVER.fullmatch(path.name):
+            path.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: Any, shared: bool = False) -> Iterator[None]:
+    """Wait until no other process or thread writes into this folder (nor reads, unless `shared`).
+
+    The lock goes with the process that holds it. Windows has none for folders.
+    """
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)

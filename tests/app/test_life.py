@@ -1,6 +1,7 @@
 """The words for the life of an arm: register, update, move, check; by cones and by a tracker."""
 
 import json
+import re
 from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
@@ -142,9 +143,19 @@ def test_update_keeps_a_history_and_move_takes_a_known_vector(folder, tmp_path, 
     saved = Correction.load(tmp_path)
     assert len(saved.model.updates_) == 1
     assert saved.facts["history"][-1]["n_poses"] == 40
-    code, printed = run(capsys, "move", *words, "--probe", "0,0,250")
+    code, printed = run(capsys, "update", folder / "more.csv", "--model", tmp_path)
+    assert (code, "these 40 poses have updated this correction on 20" in printed) == (2, True)
+    # What shows the correction before gets another name.
+    for name in ("report.html", "corrected.csv"):
+        (tmp_path / name).write_text(name)
+    code, printed = run(capsys, "move", "--model", tmp_path, "--probe", "0,0,250")
     assert (code, "register the probe" in printed) == (0, True)
     assert Correction.load(tmp_path).arm.probe.tolist() == [0, 0, 250]
+    assert "report_before_move.html and corrected_before_move.csv in it are of the" in printed
+    assert (tmp_path / "report_before_move.html").read_text() == "report.html"
+    assert not (tmp_path / "report.html").exists()
+    card = (tmp_path / "card.md").read_text(encoding="utf-8")
+    assert re.search(r"- learnt: .*\n- 20[-0-9]+: update\n- 20[-0-9]+: move\n$", card)
 
 
 @pytest.fixture

@@ -3,9 +3,11 @@
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,12 +72,12 @@ print(loaded)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
 def test_killed_at_each_file_a_folder_is_the_old_or_the_new(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path / "out"), "20"],
+        [sys.executable, "-W", "ignore", "-c", KILLED, str(tmp_path / "out"), "36"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     loaded = json.loads(done.stdout.splitlines()[-1])
-    assert len(loaded) == 20
+    assert len(loaded) == 36
     assert set(loaded) == {0, 1}
 
 
@@ -92,10 +94,78 @@ def test_a_folder_put_together_by_hand_is_refused(tmp_path):
         read_folder(tmp_path / "two", ["model.skops"])
     with pytest.raises(FileNotFoundError, match=r"was written without model\.joblib"):
         read_folder(tmp_path / "two", ["model.joblib"])
+    facts = json.loads((tmp_path / "one" / "correction.json").read_text())
+    for changed in (facts | {"x": "two"}, facts | {"std_factor": -1}, facts | {"format": 1.5}):
+        (tmp_path / "two" / "correction.json").write_text(json.dumps(changed))
+        with pytest.raises(ValueError, match="was changed after it was written: its fingerprint"):
+            read_folder(tmp_path / "two", ["arm.json"])
+    (tmp_path / "two" / "correction.json").write_text(json.dumps(facts | {"format": 3}))
+    with pytest.raises(ValueError, match=r"has format 3, of a newer version.* reads up to 2"):
+        read_folder(tmp_path / "two", ["arm.json"])
+    # Folders of the version before have no fingerprint.
+    old = {key: value for key, value in facts.items() if key not in ("format", "fingerprint")}
+    (tmp_path / "two" / "correction.json").write_text(json.dumps(old))
+    (tmp_path / "two" / "arm.json").write_text("one")
+    assert read_folder(tmp_path / "two", ["arm.json"])[1] == [b"one"]
     for text in ("{", "[]", "{}", '{"files": 3}'):
         (tmp_path / "two" / "correction.json").write_text(text)
         with pytest.raises(ValueError, match="holds no correction: learn again"):
             read_folder(tmp_path / "two", ["arm.json"])
+
+
+# Writes folders of one letter, 100 times; or reads, 500 times, what must be of one letter alone.
+AT_ONCE = """
+import sys
+from sklearn_raacmm.correction._files import read_folder, write_folder
+folder, letter = sys.argv[1:]
+contents = dict.fromkeys(("arm.json", "model.skops"), letter * 5000)
+for _ in range(100 if letter != "read" else 0):
+    write_folder(folder, {"x": letter}, contents)
+for _ in range(500 if letter == "read" else 0):
+    facts, contents = read_folder(folder, ["arm.json", "model.skops"])
+    assert set(contents) == {(facts["x"] * 5000).encode()}
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders have no locks on Windows")
+def test_two_writers_and_a_reader_at_once(tmp_path):
+    write_folder(tmp_path, {"x": "a"}, dict.fromkeys(("arm.json", "model.skops"), "a" * 5000))
+    left = tmp_path / f"model.skops.{'0' * 16}.{'1' * 8}.tmp"  # of a process that was killed
+    left.write_text("old")
+    other = tmp_path / "notes.tmp"
+    other.write_text("mine")
+    command = [sys.executable, "-c", AT_ONCE, str(tmp_path)]
+    started = [subprocess.Popen([*command, letter]) for letter in ("a", "b", "read")]
+    assert [process.wait() for process in started] == [0, 0, 0]
+    names = {"correction.json", "arm.json", "model.skops", "notes.tmp"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_what_cannot_get_its_name_stays_beside_it(tmp_path, monkeypatch):
+    """As on Windows, where a program holds a table open."""
+    write_folder(tmp_path, {"x": "old"}, {"arm.json": "old", "corrected.csv": "old"})
+    replace = Path.replace
+
+    def refuses(self, place):
+        if Path(place).name == refused:
+            raise PermissionError("in use")
+        return replace(self, place)
+
+    monkeypatch.setattr(Path, "replace", refuses)
+    for refused, kept in (("corrected.csv", "new"), ("correction.json", "old")):
+        new = {"arm.json": "new", "corrected.csv": f"points of {refused}"}
+        with pytest.raises(
+            OSError, match=rf"{refused} cannot be replaced \(in use\); its conte"
+        ) as e:
+            write_folder(tmp_path, {"x": "new"}, new)
+        beside = Path(re.search(r"its content is in (.*)\.$", str(e.value))[1])
+        assert beside.name.startswith(refused)
+        facts, contents = read_folder(tmp_path, ["arm.json"])
+        assert (facts["x"], contents) == (kept, [kept.encode()])
+        monkeypatch.setattr(Path, "replace", replace)
+        write_folder(tmp_path, {"x": "old"}, {"arm.json": "old", "corrected.csv": "old"})
+        assert not list(tmp_path.glob("*.tmp"))
+        monkeypatch.setattr(Path, "replace", refuses)
 
 
 def test_places_are_checked_before_the_work(tmp_path):
@@ -210,6 +280,9 @@ def test_a_word_nearly_right_is_named(capsys):
         with pytest.raises(SystemExit):
             main(arguments.split())
         assert f"Was {near} meant?" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["correct", "t", "--model=a", "--out=b", "--points", "x"])
+    assert "--points is an option of learn, check, register, update only" in capsys.readouterr().err
 
 
 def test_whoever_closes_the_pipe_has_enough(places, monkeypatch):
