@@ -13,6 +13,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
@@ -49,7 +50,8 @@ class Joint(NamedTuple):
 def read_chain(source, base=None, tip=None):
     """Joints from base to tip of a URDF or of UR's kinematics, path or text.
 
-    With the robot's name, the file's text, and a name of the source for messages.
+    With those from the file's first link to the base if they are all fixed, else none; the robot's
+    name, the file's text, and a name of the source for messages.
     """
     if not isinstance(source, str | PathLike):
         raise TypeError(f"source must be a path or the text of a URDF file, got {source!r:.60}.")
@@ -64,9 +66,13 @@ def read_chain(source, base=None, tip=None):
     if _UR_FILE.search(text):
         if base or tip:
             raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
-        return _ur_joints(text, where), "", text, where
+        return _ur_joints(text, where), [], "", text, where
     elements, name = _joints(text, where)
-    return [_joint(e, where) for e in _chain(elements, base, tip, where)], name, text, where
+    chain, mount = _chain(elements, base, tip, where)
+    if any(element.get("type") != "fixed" for element in mount):
+        mount = []  # the base moves, and nobody knows where up is
+    chain, mount = ([_joint(e, where) for e in part] for part in (chain, mount))
+    return chain, mount, name, text, where
 
 
 def _joints(text, where):
@@ -93,7 +99,7 @@ def _joints(text, where):
 
 
 def _chain(joints, base, tip, where):
-    """Joints from base to tip."""
+    """Joints from base to tip, and those from the first link to the base."""
     by_child = {}
     for joint in joints:
         child = joint.find("child").get("link")
@@ -104,13 +110,16 @@ def _chain(joints, base, tip, where):
     tip = _one_of(sorted(set(by_child) - parents), tip, "tip", {*by_child}, where)
     roots = sorted(parents - set(by_child))
     base = _one_of(roots, base, "base", parents, where)
-    chain, link = [], tip
+    chain, mount, link = [], [], tip
     while link != base:
         if link not in by_child or len(chain) > len(joints):
             raise ValueError(f"{where}: no chain leads from {base!r} to {tip!r}.")
         chain.append(by_child[link])
         link = chain[-1].find("parent").get("link")
-    return chain[::-1]
+    while link in by_child and len(mount) < len(joints):
+        mount.append(by_child[link])
+        link = mount[-1].find("parent").get("link")
+    return chain[::-1], mount[::-1]
 
 
 def _one_of(ends, given, what, links, where):
@@ -308,6 +317,10 @@ def urdf_text(arm):
     last[:3, 3] += last[:3, :3] @ arm.probe
     rows.append(("probe_joint", last, None, ()))
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
+    if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
+        mount = np.eye(4)
+        mount[:3, :3] = turn_between(arm.up, [0.0, 0.0, 1.0])
+        rows, links = [("mount", mount, None, ()), *rows], ["world", *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
     for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):
@@ -327,6 +340,11 @@ def urdf_text(arm):
             lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def turn_between(first, second):
+    """Shortest rotation that takes one direction to another, which may be the opposite one."""
+    return Rotation.align_vectors(np.array([second]), np.array([first]))[0].as_matrix()
 
 
 def _along(length, angle):

@@ -12,6 +12,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     column_table,
     term_columns,
+    vertical,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
 from sklearn_raacmm.error_model._fading import LEAST_POSITIONS, Fading, Judgement, judge
@@ -43,4 +44,5 @@ __all__ = [
     "smooth_shares",
     "term_columns",
     "unseen_variance",
+    "vertical",
 ]
