@@ -68,7 +68,8 @@ def plan_poses(
         base, from a quarter to 85 % of the reach away, up to 45 % of it high.
     lean_deg : float or None, default=60
         How far the probe may lean from the vertical, ``arm.up``, degrees; no frame of the wrist may
-        be lower than the cone then. None: a probe that may come from anywhere, as a ball in a magnet.
+        be lower than the cone then. None: a probe that may come from anywhere, as a ball in a
+        magnet.
     random_state : int, RandomState instance or None, default=0
         Draws the places and poses that are tried.
 

@@ -19,10 +19,10 @@ from sklearn_raacmm.error_model._checks import (
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, judge
-from sklearn_raacmm.error_model._fit import fit_with_constants
 from sklearn_raacmm.error_model._in_use import FittedArmModel
 from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
+from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.utils import (
     MultiOutputMixin,
     RegressorMixin,
@@ -249,7 +249,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         with_field = isinstance(self.orders, Integral)
         known = groups is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
-        fitted = fit_with_constants(rows, of_constants, terms, with_field)
+        fitted, terms = fit_with_vertical(rows, of_constants, terms, with_field)
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows

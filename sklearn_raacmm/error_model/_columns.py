@@ -105,12 +105,14 @@ def _gravity(arm):
     """Turns of each frame about each of its axes, by the torque of each load beyond.
 
     With e the `vertical`, the torque of unit weight about the axis u through o is
-    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach.
+    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. A cantilever does
+    not only turn where it is held: its end slopes, too, about the axis of the torque that a load at
+    its beginning would have about its end. Hence the frame before.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
     for frame in range(n + 1):
         for axis in range(3):
-            for load in range(frame + 1, n + 2):
+            for load in [*range(max(frame - 1, 0), frame), *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
                 yield Column(name, GRAVITY, LOAD, frame, axis, unit, load=load)
@@ -368,7 +370,7 @@ def _factored(arm, angles, plan, terms, out):
     if terms.extra:
         if probes is not None:  # each grows in proportion to itself
             factor[:, plan.grown] *= probes[:, plan.grown_axis] / arm.probe[plan.grown_axis]
-        force = force_on_probe(terms.extra, values, plan.up)
+        force = force_on_probe(terms.extra, values, arm.up)
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
         factor[:, plan.given] *= values[:, plan.by] - plan.reference
     rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)

@@ -188,11 +188,10 @@ def _fields(points, up):
     is horizontal and turns with the arm: to bend about it is to bend about x and y together with a
     stretch, for it lies above the base.
     """
-    x, y, z = points.T
-    none = np.zeros_like(x)
+    x, y, _ = points.T
     fields = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
     fields += [np.cross(axis, points) for axis in np.eye(3)]
-    fields += [points, np.column_stack([x, y, none])]
+    fields += [points, np.column_stack([x, y, np.zeros_like(x)])]
     fields += [(turn @ up)[:, None] * turn for turn in fields[3:6]]
     flat = np.stack(fields, axis=2).reshape(3 * len(points), -1)
     size = np.linalg.norm(flat, axis=0)

@@ -387,7 +387,7 @@ def _sizes(chain, linear, table, vectors):
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
         from_zero = [(name, (0.0,)) for name, _ in extra]
-        unit_forces = force_on_probe(from_zero, np.eye(len(extra)), vertical(arm, linear.terms)).T
+        unit_forces = force_on_probe(from_zero, np.eye(len(extra)), arm.up).T
         force = p.affine(p("sub", values, mean), unit_forces)
         turns = 3 * table["frame"][pushed] + table["axis"][pushed]
         at = np.arange(3) * 2 * n_axes + turns[:, None]
