@@ -13,7 +13,6 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
@@ -23,6 +22,8 @@ _MANY_DECIMALS, _LAST_UNITS = 6, 3
 _BRANCHES_SHOWN = 6
 # Cosines smaller than this are rounding.
 _ROUNDING = 1e-12
+# Cosine below which the shortest rotation between directions is one in two steps.
+_OPPOSITE = -0.9
 # Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
 # ur_description: origins of joints about z, in m and rad.
 _UR_JOINTS = {
@@ -343,8 +344,15 @@ def urdf_text(arm):
 
 
 def turn_between(first, second):
-    """Shortest rotation that takes one direction to another, which may be the opposite one."""
-    return Rotation.align_vectors(np.array([second]), np.array([first]))[0].as_matrix()
+    """Shortest rotation that takes one unit vector to another."""
+    v, u = np.asarray(first), np.asarray(second)
+    if u @ v < _OPPOSITE:  # half a turn on the way: about any axis across
+        across = np.cross(v, np.eye(3)[np.argmin(np.abs(v))])
+        across /= np.linalg.norm(across)
+        return turn_between(across, u) @ turn_between(v, across)
+    x, y, z = np.cross(v, u)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + u @ v)
 
 
 def _along(length, angle):

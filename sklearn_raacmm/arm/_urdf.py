@@ -81,7 +81,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         # The file's frame goes where the table's frame has gone, exactly onto the new axis.
         frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
         along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
-        frame[:3, :3] = _turn(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
+        frame[:3, :3] = turn_between(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
         at = point if k == len(joints) - 1 else frame[:3, 3]
         foot = new[i][:3, 3]
         frame[:3, 3] = foot + ((at - foot) @ along) * along
@@ -140,7 +140,7 @@ def _straighten(directions, points, tip):
         foot = abs(np.cross(gap, v) @ normal) / sine**2
         if foot <= _FARTHEST_FOOT * max(size, 1.0):
             continue
-        turn = _turn(v, u if u @ v > 0 else -u)
+        turn = turn_between(v, u if u @ v > 0 else -u)
         about = points[i + 1]
         for j in range(i + 1, len(directions)):
             directions[j] = turn @ directions[j]
@@ -152,13 +152,6 @@ def _straighten(directions, points, tip):
             f"probe by up to {sine * size:.2g} mm."
         )
     return directions, points, tip
-
-
-def _turn(v, u):
-    """Rotation that takes the unit vector v to u, nearly the same one."""
-    x, y, z = np.cross(v, u)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + u @ v)
 
 
 def _table(directions, points, tip):
