@@ -75,7 +75,8 @@ def transferred_model(models, arm, X, y, groups=None):
     if not models:
         return None
     prior = _pooled([model.linear_model_ for model in models], arm)
-    own = clone(models[0]).set_params(arm=arm, angle_unit="rad").fit(X, y, groups=groups)
+    own = clone(models[0]).set_params(arm=arm, angle_unit="rad")
+    own.fit(X, y, groups=False if groups is None else groups)
     # Its calibration holds what the extra columns do in the mean of its own rows.
     of_own = own.linear_model_.terms
     prior = replace(prior, terms=prior.terms._replace(extra=of_own.extra, up=of_own.up))

@@ -20,6 +20,8 @@ _OF_ALWAYS = ("gram", "moment", "cross")
 _GOLDEN = (1 + np.sqrt(5)) / 2
 _AXES = np.array([[0, 1, _GOLDEN], [0, -1, _GOLDEN], [1, _GOLDEN, 0], [-1, _GOLDEN, 0],
                   [_GOLDEN, 0, 1], [_GOLDEN, 0, -1]]) / np.hypot(1, _GOLDEN)  # fmt: skip
+# Poses of which a direction is found at most: more take time and turn it by less than a degree.
+_ENOUGH = 600
 # Rounds of a fit and a search: of a direction that is far off the fit has taken poses for outliers.
 _ROUNDS = 4
 # Steps of the variances at a direction; steps of the search in rad, the last of which finds it to a
@@ -58,6 +60,8 @@ def _higher(fitted, terms, with_field):
     changes signs only: of both the one is taken along which the arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
+    if len(rows.X) > _ENOUGH:
+        rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
     idle = frozenset(np.flatnonzero(state.variance == IDLE_SD**2).tolist())
     structures = structures_of(rows.arm, terms, with_field, idle)
     few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
