@@ -5,6 +5,7 @@
     python benchmarks/bench_after_the_lab.py probes              # three minutes
     python benchmarks/bench_after_the_lab.py plan                # two minutes
     python benchmarks/bench_after_the_lab.py transfer --panda    # three minutes
+    python benchmarks/bench_after_the_lab.py mounts              # four minutes
 
 ``series``: a model is fitted to series A of a real UR10 and used on series B: the tracker was set
 up anew and its target sits elsewhere on the flange. From some poses of B base and tool are found,
@@ -34,6 +35,11 @@ The misleading make has other gears, hardly any eccentricity and compliances of 
 Measuring arms are simulated by `make_single_point`, and with ``--panda`` one real Panda is the
 start for the other one, some of its placements being known.
 
+``mounts``: five measuring arms in a cone test and five robots before a tracker, each upright, on
+the ceiling, inclined by 45 degrees and on a wall: mean 2S at positions left out, um, where ``up``
+is stated and where it is left at its default and found by the data; also over that of the same arm
+upright, of means and of the worst arm.
+
 The real data are looked for where `_arm_folds` says.
 """
 
@@ -55,6 +61,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.correction._transfer import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.error_model import angles_for
 from sklearn_raacmm.metrics import single_point_repeatability
 
 ARCSEC = np.pi / 180 / 3600
@@ -294,9 +301,9 @@ def plan(options):
 class Robot:
     """An individual of a make; its nominal table is the UR10's."""
 
-    def __init__(self, make, seed, misleading=False):
+    def __init__(self, make, seed, misleading=False, up=(0, 0, 1)):
         common, own = (np.random.default_rng(part) for part in ([7, make], [8, make, seed]))
-        self.nominal = Arm.from_name("ur10", probe=(0, 0, 93))
+        self.nominal = Arm.from_name("ur10", probe=(0, 0, 93), up=up)
         change = {f: getattr(self.nominal, f) + own.normal(0, 0.2, 6) for f in ("a", "d")}
         for field, sd in (("alpha", 3e-4), ("theta_offset", 5e-4)):
             change[field] = getattr(self.nominal, field) + own.normal(0, sd, 6)
@@ -321,7 +328,8 @@ class Robot:
             turns += self.eccentric[:, k] * np.cos((k + 1) * angles - self.phase[:, k])
         turns += self.teeth * np.cos(self.gears * angles - self.teeth_phase)
         jacobian = self.arm.jacobian(angles)
-        turns += self.compliance * jacobian[:, 2] / 1200  # torque of a weight at the probe
+        # The torque of a weight at the probe.
+        turns += self.compliance * (self.arm.up @ jacobian) / 1200
         points = self.arm.forward(angles) - np.einsum("nij,nj->ni", jacobian, turns * ARCSEC)
         return points @ self.turn.T + [1500, -300, 200] + rng.normal(0, noise_mm, points.shape)
 
@@ -427,7 +435,70 @@ def transfer(options):
         transfer_pandas(2)
 
 
-PARTS = {"series": series, "months": months, "probes": probes, "plan": plan, "transfer": transfer}
+# -- on walls and ceilings -----------------------------------------------------------------------
+
+MOUNTS = {"upright": (0, 0, 1), "ceiling": (0, 0, -1), "45 degrees": (1, 0, 1), "wall": (1, 0, 0)}
+
+
+def left_by(arms, X, y, groups, train):
+    """Mean 2S, um, at positions left out: without a model, and with one for each of some arms."""
+    models = [
+        ArmResidualRegressor(arm).fit(X[train], y[train], groups=groups[train]) for arm in arms
+    ]
+    lefts = [y[~train], *(y[~train] - model.predict(X[~train]) for model in models)]
+    return [1000 * single_point_repeatability(left, groups[~train]) for left in lefts]
+
+
+def mounted_measuring_arm(seed, up):
+    """A single-point test with gravity, every third of 24 cones left out."""
+    machine = SimulatedArm("gravity", random_state=seed, up=up)
+    test = make_single_point(24, 25, machine=machine, random_state=seed)
+    arms = test.arm, test.arm.replace(up=(0, 0, 1))
+    return left_by(arms, test.data, test.target, test.groups, test.groups % 3 > 0)
+
+
+def mounted_robot(seed, up):
+    """A robot and a tracker: 300 poses learnt, and 24 others at each of 12 points."""
+    robot, rng = Robot(0, seed, up=up), np.random.default_rng([10, seed])
+    start = rng.uniform(-2, 2, (12, 6))
+    groups = np.repeat(np.arange(12), 24)
+    aim = robot.nominal.forward(start)[groups]
+    near = start[groups] + rng.normal(0, 0.5, (len(groups), 6))
+    others, _ = angles_for(robot.nominal, lambda angles, rows: 0.0, aim, near)
+    found = np.isfinite(others[:, 0])
+    X = np.vstack([rng.uniform(-2, 2, (300, 6)), others[found]])
+    train = np.arange(len(X)) < 300
+    groups = np.r_[np.arange(100, 400), groups[found]]
+    points = robot.measure(X, rng)
+    result = calibrate(robot.nominal, X[train], points=points[train])
+    y = result.residuals(X, points)
+    return left_by((result.arm, result.arm.replace(up=(0, 0, 1))), X, y, groups, train)
+
+
+def mounts(options):
+    names = ("no correction", "up stated", "up found")
+    for title, measure in (("cone test", mounted_measuring_arm), ("tracker", mounted_robot)):
+        every = {
+            mount: np.array([measure(seed, up) for seed in range(options.seeds)])
+            for mount, up in MOUNTS.items()
+        }
+        show(f"{title}: 2S, um", names, {m: values.mean(axis=0) for m, values in every.items()})
+        of_upright = {
+            m: values.mean(axis=0) / every["upright"].mean(axis=0) for m, values in every.items()
+        }
+        show(f"{title}: over upright", names, of_upright)
+        worst = {m: (values / every["upright"]).max(axis=0) for m, values in every.items()}
+        show(f"{title}: over upright, worst arm", names, worst)
+
+
+PARTS = {
+    "series": series,
+    "months": months,
+    "probes": probes,
+    "plan": plan,
+    "transfer": transfer,
+    "mounts": mounts,
+}
 
 
 def main():

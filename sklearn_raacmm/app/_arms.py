@@ -59,6 +59,10 @@ def arm(options):
     outputs = [path for path in (options.out, options.picture) if path and path != "-"]
     check_places(outputs, filter(None, [options.source, options.dh]))
     shown = _meant_arm(options)
+    if options.up:
+        shown = shown.replace(
+            up=parse_vector(options.up, "--up needs three numbers, such as 0,0,1")
+        )
     print(shown)
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)

@@ -165,11 +165,11 @@ def find_rows(options, arm, labelled=True):
     )
 
 
-def parse_vector(text):
-    """The three numbers of ``--probe X,Y,Z``, mm."""
+def parse_vector(text, meant="--probe needs three numbers in mm, such as 0,0,250"):
+    """The three numbers of ``--probe X,Y,Z``, mm, or of another option."""
     vector = [parse_number(cell) for cell in text.split(",")]
     if len(vector) != 3:
-        raise TableError(f"--probe needs three numbers in mm, such as 0,0,250, got {text!r}.")
+        raise TableError(f"{meant}, got {text!r}.")
     return vector
 
 

@@ -63,7 +63,7 @@ WORDS = {
         "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --into --out --picture",
+        "--modified --probe --up --into --out --picture",
     ),
     "plan": (
         "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -173,6 +173,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--dh": {"metavar": "TABLE", "help": "table of a, alpha, d and theta offset"},
     "--modified": _flag("the table of --dh is in the modified convention"),
     "arm --probe": {"metavar": "X,Y,Z", "help": "probe centre in the last frame, mm, for --dh"},
+    "--up": {
+        "metavar": "X,Y,Z",
+        "help": "direction against gravity in the base frame; 0,0,1: the arm stands upright",
+    },
     "--into": {
         "metavar": "FILE",
         "help": "write the arm's numbers into a copy of the robot's own URDF or UR kinematics",

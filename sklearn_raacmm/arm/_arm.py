@@ -60,6 +60,12 @@ class Arm:
         Names of the joints, as in the robot's own description.
     limits : array-like of shape (n_joints, 2), default=None
         Lower and upper limit of each joint angle in rad; infinite where a joint has none.
+    up : array-like of shape (3,), default=(0, 0, 1)
+        Direction against gravity in the base frame, of any length: kept as a unit vector. The
+        default is an arm that stands upright; an arm whose base's x axis points to the ceiling,
+        as on a wall, has (1, 0, 0), and one that hangs from the ceiling (0, 0, -1). The columns of
+        gravity in `ArmResidualRegressor`, payloads, and the probe's lean in `plan_poses` follow it.
+        The axis of azimuths and of the cylindrical frame remains the base's z axis.
 
     Attributes
     ----------
@@ -96,6 +102,7 @@ class Arm:
     name: str = ""
     names: tuple[Any, ...] = ()
     limits: np.ndarray | None = None
+    up: Any = (0.0, 0.0, 1.0)
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -114,6 +121,7 @@ class Arm:
             name: str = "",
             names: Sequence[str] = (),
             limits: ArrayLike | None = None,
+            up: ArrayLike = (0.0, 0.0, 1.0),
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -159,7 +167,9 @@ class Arm:
     def __repr__(self) -> str:
         name = f" {self.name!r}" if self.name else ""
         probe = ", ".join(f"{value:g}" for value in self.probe)
-        return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm>"
+        up = ", ".join(f"{value:g}" for value in self.up)
+        up = "" if up == "0, 0, 1" else f", up ({up})"
+        return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm{up}>"
 
     def __str__(self) -> str:
         header = "joint  sign      a/mm   alpha/deg      d/mm  offset/deg"
@@ -403,7 +413,9 @@ class Arm:
         -------
         Arm
             In the modified convention. Points are in the frame of the link `base` wherever a
-            Denavit-Hartenberg table can start from it; else a warning says from where.
+            Denavit-Hartenberg table can start from it; else a warning says from where. `up` is the
+            z axis of the file's first link, such as "world", if only fixed joints lead from it to
+            `base`.
 
         Raises
         ------
@@ -441,7 +453,9 @@ class Arm:
         Returns
         -------
         str
-            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad.
+            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad. Where the arm
+            does not stand upright a link ``world`` comes first: read such a file with
+            ``base="base_link"``.
         """
         return _write_text(urdf_text(self), path)
 
@@ -471,7 +485,8 @@ class Arm:
         -------
         str
             The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
-            there the probe's distance from the last axis is left out.
+            there the probe's distance from the last axis is left out. Another `up` than the file's
+            turns the fixed joint between its first link and `base`, if there is one.
 
         Raises
         ------

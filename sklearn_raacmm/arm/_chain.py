@@ -22,6 +22,8 @@ _MANY_DECIMALS, _LAST_UNITS = 6, 3
 _BRANCHES_SHOWN = 6
 # Cosines smaller than this are rounding.
 _ROUNDING = 1e-12
+# Cosine below which the shortest rotation between directions is one in two steps.
+_OPPOSITE = -0.9
 # Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
 # ur_description: origins of joints about z, in m and rad.
 _UR_JOINTS = {
@@ -49,7 +51,8 @@ class Joint(NamedTuple):
 def read_chain(source, base=None, tip=None):
     """Joints from base to tip of a URDF or of UR's kinematics, path or text.
 
-    With the robot's name, the file's text, and a name of the source for messages.
+    With those from the file's first link to the base if they are all fixed, else none; the robot's
+    name, the file's text, and a name of the source for messages.
     """
     if not isinstance(source, str | PathLike):
         raise TypeError(f"source must be a path or the text of a URDF file, got {source!r:.60}.")
@@ -64,9 +67,13 @@ def read_chain(source, base=None, tip=None):
     if _UR_FILE.search(text):
         if base or tip:
             raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
-        return _ur_joints(text, where), "", text, where
+        return _ur_joints(text, where), [], "", text, where
     elements, name = _joints(text, where)
-    return [_joint(e, where) for e in _chain(elements, base, tip, where)], name, text, where
+    chain, mount = _chain(elements, base, tip, where)
+    if any(element.get("type") != "fixed" for element in mount):
+        mount = []  # the base moves, and nobody knows where up is
+    chain, mount = ([_joint(e, where) for e in part] for part in (chain, mount))
+    return chain, mount, name, text, where
 
 
 def _joints(text, where):
@@ -93,7 +100,7 @@ def _joints(text, where):
 
 
 def _chain(joints, base, tip, where):
-    """Joints from base to tip."""
+    """Joints from base to tip, and those from the first link to the base."""
     by_child = {}
     for joint in joints:
         child = joint.find("child").get("link")
@@ -104,13 +111,16 @@ def _chain(joints, base, tip, where):
     tip = _one_of(sorted(set(by_child) - parents), tip, "tip", {*by_child}, where)
     roots = sorted(parents - set(by_child))
     base = _one_of(roots, base, "base", parents, where)
-    chain, link = [], tip
+    chain, mount, link = [], [], tip
     while link != base:
         if link not in by_child or len(chain) > len(joints):
             raise ValueError(f"{where}: no chain leads from {base!r} to {tip!r}.")
         chain.append(by_child[link])
         link = chain[-1].find("parent").get("link")
-    return chain[::-1]
+    while link in by_child and len(mount) < len(joints):
+        mount.append(by_child[link])
+        link = mount[-1].find("parent").get("link")
+    return chain[::-1], mount[::-1]
 
 
 def _one_of(ends, given, what, links, where):
@@ -308,6 +318,10 @@ def urdf_text(arm):
     last[:3, 3] += last[:3, :3] @ arm.probe
     rows.append(("probe_joint", last, None, ()))
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
+    if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
+        mount = np.eye(4)
+        mount[:3, :3] = turn_between(arm.up, [0.0, 0.0, 1.0])
+        rows, links = [("mount", mount, None, ()), *rows], ["world", *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
     for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):
@@ -327,6 +341,18 @@ def urdf_text(arm):
             lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def turn_between(first, second):
+    """Shortest rotation that takes one unit vector to another."""
+    v, u = np.asarray(first), np.asarray(second)
+    if u @ v < _OPPOSITE:  # half a turn on the way: about any axis across
+        across = np.cross(v, np.eye(3)[np.argmin(np.abs(v))])
+        across /= np.linalg.norm(across)
+        return turn_between(across, u) @ turn_between(v, across)
+    x, y, z = np.cross(v, u)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + u @ v)
 
 
 def _along(length, angle):

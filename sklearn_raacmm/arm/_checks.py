@@ -38,6 +38,7 @@ def check_fields(arm: Any) -> dict[str, Any]:
         "pose_frames": check_pair("pose_frames", arm.pose_frames, 0, n),
         "names": check_names(arm.names, n),
         "limits": check_limits(arm.limits, n),
+        "up": check_direction("up", arm.up),
     }
     if np.any(np.abs(checked["joint_signs"]) != 1):
         raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
@@ -75,6 +76,18 @@ def check_numbers(name, value, size, unit, bound, broadcast=False):
     array = array + 0.0  # a copy of our own, in which -0.0 is 0.0: they are the same arm
     array.flags.writeable = False
     return array
+
+
+def check_direction(name, value):
+    """A unit vector, read-only, of a vector of any length."""
+    vector = check_numbers(name, value, 3, "", MAX_LENGTH_MM)
+    length = np.linalg.norm(vector)
+    if not length > MIN_LENGTH_MM:
+        raise ValueError(f"{name} must be a vector with a direction, got {value!r:.60}.")
+    if abs(length - 1) > 4 * np.finfo(float).eps:  # a unit vector stays the same to the last bit
+        vector = vector / length
+        vector.flags.writeable = False
+    return vector
 
 
 def check_names(names, n):

@@ -26,7 +26,7 @@ _JSON_KEYS = {
     "pose_frames": "pose_frames",
 }
 # These may be missing.
-_OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad"}
+_OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad", "up": "up"}
 
 
 def read_fields(source: Any) -> tuple[dict[str, Any], str]:
@@ -63,6 +63,8 @@ def json_text(arm: Any) -> str:
     if arm.limits is not None:  # JSON has no infinity
         shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
         content["limits_rad"] = shown.tolist()
+    if arm.up.tolist() != [0, 0, 1]:  # files of upright arms are read by earlier versions, too
+        content["up"] = arm.up.tolist()
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -139,8 +139,8 @@ def axis_vectors(
     """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
     Of angles (n, n_joints) in rad: what a turn about each axis, x, y and z of the base, of frame 1
-    and so on, does to the probe, mm per rad, then the axes themselves, (n, 3, 6 n_frames); and x
-    and y of the frames' origins and of the probe, (n, 2, n_frames + 1) mm.
+    and so on, does to the probe, mm per rad, then the axes themselves, (n, 3, 6 n_frames); and
+    the frames' origins and the probe, (n, 3, n_frames + 1) mm.
     """
     frames = frame_columns(arm, dh_theta(arm, angles))
     probe = probe_from_frames(arm, frames, probes)
@@ -150,7 +150,7 @@ def axis_vectors(
     vectors = np.empty((len(angles), 3, 2 * n_axes))
     vectors[:, :, :n_axes] = np.moveaxis(cross(axes, lever).reshape(3, n_axes, -1), 2, 0)
     vectors[:, :, n_axes:] = np.moveaxis(axes.reshape(3, n_axes, -1), 2, 0)
-    places = np.concatenate([frames[:, 3, :2], probe[None, :2]]).transpose(2, 1, 0)
+    places = np.concatenate([frames[:, 3], probe[None]]).transpose(2, 1, 0)
     return vectors, places
 
 

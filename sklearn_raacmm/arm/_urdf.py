@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._chain import edited, read_chain
+from sklearn_raacmm.arm._chain import Joint, edited, read_chain, turn_between
 from sklearn_raacmm.utils import warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -17,6 +17,7 @@ _PARALLEL = 1e-12
 # Feet of a common normal farther than so many lengths of the arm make no sense of two axes that
 # somebody meant to be parallel.
 _FARTHEST_FOOT = 10.0
+_NO_JOINT = Joint("", np.eye(4), None, ())
 # The arm's base frame is the file's where the first axis is so near to what the table can say, mm.
 _SAME_MM = 1e-10
 # Calibration turns axes by a degree or so: farther ones belong to another arm, rad.
@@ -26,10 +27,10 @@ _SAME_ARM = 0.2
 def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     """The arm of a robot's own file, see `Arm.from_urdf`, and how it stands in the file.
 
-    That is the pose of its base in the file's base frame (4, 4), the chain of joints, the text of
-    the file, and its name for messages.
+    That is the pose of its base in the file's base frame (4, 4), the chain of joints, the joints
+    above the base, the text of the file, and its name for messages.
     """
-    joints, name, text, where = read_chain(source, base, tip)
+    joints, mount, name, text, where = read_chain(source, base, tip)
     frames = _frames(joints)
     moving = [(f, joint) for f, joint in zip(frames, joints, strict=True) if joint.axis is not None]
     n = len(moving)
@@ -41,17 +42,20 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     table, probe, placed = _table(directions, points, tip_point)
     parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
     limits = np.array([joint.limits for _, joint in moving])
+    # The first link of a file stands upright: its z axis is the vertical.
+    up = placed[:3, :3].T @ _frames([*mount, _NO_JOINT])[-1][2, :3]
     arm = cls(
         **table, probe=probe, convention="modified", name=name,
         **usual_pose(n, parallel, "modified"), names=tuple(joint.name for _, joint in moving),
         limits=limits if np.isfinite(limits).any() else None,
+        up=np.where(np.abs(up) > _PARALLEL, up, 0.0),
     )  # fmt: skip
-    return arm, placed, joints, text, where
+    return arm, placed, joints, mount, text, where
 
 
 def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
-    nominal, placed, joints, text, where = read_urdf(type(arm), original, base, tip)
+    nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
     same = (nominal.convention, nominal.n_joints) == (arm.convention, arm.n_joints)
     if not same or np.any(nominal.joint_signs != arm.joint_signs):
         raise ValueError(
@@ -77,7 +81,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         # The file's frame goes where the table's frame has gone, exactly onto the new axis.
         frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
         along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
-        frame[:3, :3] = _turn(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
+        frame[:3, :3] = turn_between(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
         at = point if k == len(joints) - 1 else frame[:3, 3]
         foot = new[i][:3, 3]
         frame[:3, 3] = foot + ((at - foot) @ along) * along
@@ -93,6 +97,16 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
             f"{where}: the probe is {off_mm:.4g} mm beside the last axis, and no fixed joint "
             f"after {last.name!r} could say so: add one with a link."
         )
+    if np.abs(arm.up - nominal.up).max() > _SAME_MM:
+        if mount:
+            turn = np.eye(4)
+            turn[:3, :3] = turn_between(placed[:3, :3] @ arm.up, placed[:3, :3] @ nominal.up)
+            origins[mount[-1].name] = mount[-1].origin @ turn
+        else:
+            warn_user(
+                f"{where}: no fixed joint above the base could say that up is "
+                f"{np.round(arm.up, 6).tolist()} there: only the arm's own file says so."
+            )
     return edited(text, origins)
 
 
@@ -126,7 +140,7 @@ def _straighten(directions, points, tip):
         foot = abs(np.cross(gap, v) @ normal) / sine**2
         if foot <= _FARTHEST_FOOT * max(size, 1.0):
             continue
-        turn = _turn(v, u if u @ v > 0 else -u)
+        turn = turn_between(v, u if u @ v > 0 else -u)
         about = points[i + 1]
         for j in range(i + 1, len(directions)):
             directions[j] = turn @ directions[j]
@@ -138,13 +152,6 @@ def _straighten(directions, points, tip):
             f"probe by up to {sine * size:.2g} mm."
         )
     return directions, points, tip
-
-
-def _turn(v, u):
-    """Rotation that takes the unit vector v to u, nearly the same one."""
-    x, y, z = np.cross(v, u)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + u @ v)
 
 
 def _table(directions, points, tip):

@@ -67,8 +67,9 @@ def plan_poses(
         Lowest and highest x, y and z where cones can stand, base frame, mm. None: all around the
         base, from a quarter to 85 % of the reach away, up to 45 % of it high.
     lean_deg : float or None, default=60
-        How far the probe may lean from the vertical, degrees; no frame of the wrist may be lower
-        than the cone then. None: a probe that may come from anywhere, as a ball in a magnet.
+        How far the probe may lean from the vertical, ``arm.up``, degrees; no frame of the wrist may
+        be lower than the cone then. None: a probe that may come from anywhere, as a ball in a
+        magnet.
     random_state : int, RandomState instance or None, default=0
         Draws the places and poses that are tried.
 
@@ -161,9 +162,9 @@ def _stands(arm, angles, place, lean_deg):
     line = place - frames[:, -1, :, 3]
     length = np.linalg.norm(line, axis=1)
     # A probe of no length has no direction.
-    upright = (-line[:, 2] >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
+    upright = (-line @ arm.up >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
     half = arm.n_joints // 2
-    return upright & (frames[:, half:-1, 2, 3] >= place[2]).all(axis=1)
+    return upright & (frames[:, half:-1, :, 3] @ arm.up >= place @ arm.up).all(axis=1)
 
 
 def _spread(points, n):

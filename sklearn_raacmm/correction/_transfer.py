@@ -75,9 +75,11 @@ def transferred_model(models, arm, X, y, groups=None):
     if not models:
         return None
     prior = _pooled([model.linear_model_ for model in models], arm)
-    own = clone(models[0]).set_params(arm=arm, angle_unit="rad").fit(X, y, groups=groups)
+    own = clone(models[0]).set_params(arm=arm, angle_unit="rad")
+    own.fit(X, y, groups=False if groups is None else groups)
     # Its calibration holds what the extra columns do in the mean of its own rows.
-    prior = replace(prior, terms=prior.terms._replace(extra=own.linear_model_.terms.extra))
+    of_own = own.linear_model_.terms
+    prior = replace(prior, terms=prior.terms._replace(extra=of_own.extra, up=of_own.up))
     of_offsets = groups if own.linear_model_.offsets else None
     poses = NewPoses(own, X, y, of_offsets, None)
     linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE)
@@ -135,7 +137,7 @@ def _why_not(model, kept, arm, n_columns):
 
 def _families(terms):
     """What terms of several arms have to have in common."""
-    return terms._replace(harmonics=None, extra=tuple(name for name, _ in terms.extra))
+    return terms._replace(harmonics=None, extra=tuple(name for name, _ in terms.extra), up=())
 
 
 def _pooled(linears, arm):

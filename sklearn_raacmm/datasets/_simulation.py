@@ -40,6 +40,9 @@ class SimulatedArm:
         Sizes of the error sources, or the name of a mix, see :meth:`ArmErrors.from_name`.
     random_state : int, RandomState instance or None, default=0
         Draws the individual: the same one has the same draws whatever the sizes.
+    up : array-like of shape (3,), default=(0, 0, 1)
+        Direction against gravity in the base frame, see `Arm`. Poses are those of the upright arm:
+        cones open towards the base's z axis whatever its direction.
 
     Attributes
     ----------
@@ -66,7 +69,7 @@ class SimulatedArm:
     z_i . sum (r_k - O_i) x F_k, over the weights F_k at r_k beyond it. A tube of length L with
     its own weight w per length and a load F at its end sinks by (w L^4 / 8 + F L^3 / 3) / EI and
     slopes by (w L^3 / 6 + F L^2 / 2) / EI, times the cosine of its elevation (the textbook's
-    cantilever); EI follows from the sag. Gravity points along the base's -z.
+    cantilever); EI follows from the sag.
 
     Examples
     --------
@@ -82,13 +85,14 @@ class SimulatedArm:
         errors: ArmErrors | str = "typical",
         *,
         random_state: int | np.random.RandomState | None = 0,
+        up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> None:
         self.errors: ArmErrors = (
             errors if isinstance(errors, ArmErrors) else ArmErrors.from_name(errors)
         )
         # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
         rng = check_random_state(random_state)
-        self.nominal_arm: Arm = Arm.from_name("aacmm6")
+        self.nominal_arm: Arm = Arm.from_name("aacmm6", up=up)
         self.reach: float = float(
             self.nominal_arm.d[[2, 4]].sum() + np.linalg.norm(self.nominal_arm.probe)
         )
@@ -171,7 +175,7 @@ class SimulatedArm:
         warming = _per_row("warming_k", warming, len(angles))
         torques = self._torques(axes, origin)
         payload = _per_row("payload_n", payload_n, len(angles))
-        pulled = (axes * np.cross(levers / 1e3, [0.0, 0.0, -1.0])).sum(axis=2) * payload
+        pulled = (axes * np.cross(levers / 1e3, -self.true_arm.up)).sum(axis=2) * payload
         lag = np.zeros(angles.shape)
         if directions is not None:
             lag = -self._play / 2 * _points("directions", directions, angles.shape)
@@ -223,19 +227,19 @@ class SimulatedArm:
         torques = np.zeros(axes.shape[:2])
         for k, weight in weights.items():
             levers = (origin[:, k, None] - origin[:, :k]) / 1e3  # m
-            moments = np.cross(levers, [0.0, 0.0, -weight])
+            moments = np.cross(levers, -weight * self.true_arm.up)
             torques[:, :k] += (axes[:, :k] * moments).sum(axis=2)
         return torques
 
     def _bending(self, origin, probe, own_weight=1, payload: Any = 0.0):
         """How far the tubes bend under their own weight (0 or 1 times) and a payload in N."""
         upper, elbow, forearm, wrist = self._loads()
-        moved = np.zeros_like(probe)
+        moved, up = np.zeros_like(probe), self.true_arm.up
         for k, (start, end, load) in enumerate(((2, 3, elbow + forearm + wrist), (4, 5, wrist))):
             tube = origin[:, end] - origin[:, start]
             length = np.linalg.norm(tube, axis=1, keepdims=True)
             along = tube / length
-            across = np.array([0.0, 0.0, -1.0]) + along[:, 2:] * along
+            across = (along @ up)[:, None] * along - up
             weight = (upper, forearm)[k]  # w L
             # sag_um is that of the horizontal tube under its own weight and load.
             unit = self.errors.sag_um[k] * 1e-3 / (weight / 8 + load / 3)

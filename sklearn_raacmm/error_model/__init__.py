@@ -13,6 +13,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     column_table,
     term_columns,
+    vertical,
 )
 from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
 from sklearn_raacmm.error_model._fading import LEAST_POSITIONS, Fading, Judgement, judge
@@ -45,4 +46,5 @@ __all__ = [
     "smooth_shares",
     "term_columns",
     "unseen_variance",
+    "vertical",
 ]

@@ -19,14 +19,15 @@ from sklearn_raacmm.error_model._checks import (
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, judge
-from sklearn_raacmm.error_model._fit import fit_with_constants
 from sklearn_raacmm.error_model._in_use import FittedArmModel
 from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
+from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.utils import (
     MultiOutputMixin,
     RegressorMixin,
     VersionedEstimator,
+    listed,
     many_without_weight,
     one_blas_thread,
     param_checks,
@@ -192,7 +193,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         y: ArrayLike,
         *,
         sample_weight: ArrayLike | None = None,
-        groups: ArrayLike | None = None,
+        groups: ArrayLike | bool | None = None,
         lengths: Iterable[Sequence[Any]] = (),
         probes: ArrayLike | None = None,
     ) -> Self:
@@ -207,8 +208,11 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         sample_weight : array-like of shape (n_samples,), default=None
             Weights; an integer weight is worth that many repeats of the row. Rows of weight 0
             change nothing.
-        groups : array-like of shape (n_samples,), default=None
-            Label of the position of each sample: for the judgement, and for the offsets.
+        groups : array-like of shape (n_samples,) or False, default=None
+            Label of the position of each sample: for the judgement, and for the offsets. None:
+            rows are of one position if the arm's point less y, the point that their residual is
+            from, is the same; a finding says how many positions there are. False: each row is taken
+            for itself. Known `lengths` need the labels.
         lengths : iterable of (label, label, length, standard deviation), default=()
             Known distances between two positions, mm, as in :func:`calibrate`: where positions have
             offsets, only they tell the model of what happens between positions.
@@ -237,7 +241,9 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
             calibrated, or a reference in another frame; see `findings_`. Rows in which the arm
             stood still are merged to one pose.
         """
-        rows, positions = check_fit(self, X, y, sample_weight, groups, lengths, probes)
+        lengths = listed("lengths", lengths)
+        rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes)
+        positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
         dwells, rows = poses_of(rows.at(used), self.extra)
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
@@ -247,9 +253,9 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
-        known = groups is None or self.offsets is False  # or nobody says which rows are of one
+        known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
-        fitted = fit_with_constants(rows, of_constants, terms, with_field)
+        fitted, terms = fit_with_vertical(rows, of_constants, terms, with_field)
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
@@ -258,7 +264,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
         self.judgement_ = None
-        if groups is not None and left_out is not None:
+        if given is not None and left_out is not None:
             judged = *left_out[:2], fading, robust, rows.codes, positions
             fading, self.judgement_ = judge(rows.y, *judged)
             if 0 < fading.most < 1:

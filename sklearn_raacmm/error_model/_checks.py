@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for, check_angles, reach_mm
+from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
 from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
 from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
+from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
     Finding,
     are_deviations,
@@ -40,7 +41,7 @@ _NO_MEANS = 1e-9
 def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     """Rows of all that `fit` of an estimator is given, those of weight 0 among them.
 
-    And the position of each row, (n,) from 0; without groups each row is one.
+    And the position of each row, (n,) from 0, given or found; None: each row is one.
     """
     X, y = check_data(estimator, X, y)
     extra = check_extra(estimator.extra)
@@ -53,6 +54,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
+    if probes is not None:
+        probes = _check_probes(probes, len(X))
+    if groups is None and not lengths:
+        groups = found_positions(points_of(arm, X[:, : arm.n_joints], probes), y, weights)
+    groups = None if groups is False else groups
     labels, positions = (None, None) if groups is None else encode_groups(groups, len(y))
     codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
     # Deviations from anything but the mean keep a constant for each position, and are none the less
@@ -65,10 +71,8 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, deviations)
     report_findings(check_targets(targets))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
-    if probes is not None:
-        X = np.hstack([X, _check_probes(probes, len(X))])
-    rows = Rows(arm, X, y, weights, codes, tuple(lengths))
-    return rows, np.arange(len(y)) if groups is None else positions
+    X = X if probes is None else np.hstack([X, probes])
+    return Rows(arm, X, y, weights, codes, tuple(lengths)), positions
 
 
 def _check_probes(probes, n_rows):

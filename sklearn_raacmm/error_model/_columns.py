@@ -46,6 +46,7 @@ class Terms(NamedTuple):
     harmonics (n_pairs, 2): joint from 0 and order; each is a cosine and a sine column, first of
     all. Then those of the families that are on.
     extra: name and reference of each column of X after the angles, as `with_references` makes them.
+    up: direction against gravity where the data have found another one than the arm states.
     """
 
     harmonics: np.ndarray
@@ -53,6 +54,12 @@ class Terms(NamedTuple):
     kinematics: bool
     wobble: bool
     extra: tuple[Any, ...] = ()
+    up: tuple[float, ...] = ()
+
+
+def vertical(arm: Arm, terms: Terms) -> np.ndarray:
+    """Unit vector against gravity in the base frame, (3,): the arm's, or what the data found."""
+    return np.array(terms.up) if terms.up else arm.up
 
 
 class Column(NamedTuple):
@@ -97,13 +104,15 @@ def _harmonics(arm, pairs):
 def _gravity(arm):
     """Turns of each frame about each of its axes, by the torque of each load beyond.
 
-    With gravity along -z of the base, the torque of unit weight about the axis u through o is
-    u . (r x -z) = -(u x r) . z, with r from o to the load: in units of the reach.
+    With e the `vertical`, the torque of unit weight about the axis u through o is
+    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. A cantilever does
+    not only turn where it is held: its end slopes, too, about the axis of the torque that a load at
+    its beginning would have about its end. Hence the frame before.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
     for frame in range(n + 1):
         for axis in range(3):
-            for load in range(frame + 1, n + 2):
+            for load in [*range(max(frame - 1, 0), frame), *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
                 yield Column(name, GRAVITY, LOAD, frame, axis, unit, load=load)
@@ -252,6 +261,7 @@ class _Plan:
         ]
         self.grown = n_waves - self.rest + np.flatnonzero(grows)
         self.grown_axis = rest["axis"][self.grown]
+        self.up = vertical(arm, terms)
 
 
 @lru_cache(maxsize=64)
@@ -355,18 +365,27 @@ def _factored(arm, angles, plan, terms, out):
     ]
     factor = np.tile(plan.unit, (len(angles), 1))
     if len(plan.loads):
-        x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in (0, 1))
-        ux, uy = (vectors[:, i, plan.load_x] for i in (0, 1))
-        factor[:, plan.loads] *= uy * x - ux * y
+        factor[:, plan.loads] *= _torques(plan, vectors, places)
     factor[:, plan.waves] *= wave[:, plan.rest :]
     if terms.extra:
         if probes is not None:  # each grows in proportion to itself
             factor[:, plan.grown] *= probes[:, plan.grown_axis] / arm.probe[plan.grown_axis]
-        force = force_on_probe(terms.extra, values)
+        force = force_on_probe(terms.extra, values, arm.up)
         factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
         factor[:, plan.given] *= values[:, plan.by] - plan.reference
     rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)
     return FactoredColumns(runs, rest)
+
+
+def _torques(plan, vectors, places):
+    """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
+    torques = 0.0
+    for k in np.flatnonzero(plan.up):
+        pair = (k + 1) % 3, (k + 2) % 3
+        x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
+        ux, uy = (vectors[:, i, plan.load_x] for i in pair)
+        torques = torques + plan.up[k] * (uy * x - ux * y)
+    return torques
 
 
 def scale_direction(arm, terms):

@@ -105,10 +105,10 @@ def _beyond(name, known, column):
         yield Finding("column-out-of-range", said, advice, rows=rows)
 
 
-def force_on_probe(extra: Any, values: np.ndarray) -> Any:
+def force_on_probe(extra: Any, values: np.ndarray, up: np.ndarray) -> Any:
     """Force on the probe in the base frame, less that of the training mean, (n, 3).
 
-    A payload is a weight: it pulls along -z.
+    A payload is a weight: it pulls against `up`.
     """
     force = np.zeros((len(values), 3))
     for (name, reference), column in zip(extra, values.T, strict=True):
@@ -116,5 +116,5 @@ def force_on_probe(extra: Any, values: np.ndarray) -> Any:
         if kind == "force":
             force[:, axis] += column - reference[0]
         elif kind == "payload":
-            force[:, 2] -= column - reference[0]
+            force -= np.outer(column - reference[0], up)
     return force

@@ -190,7 +190,7 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
     variance is one more number, which costs half the logarithm of how many there are (Schwarz).
     """
     state, structures = fitted.state, structures_of(rows.arm, terms, with_field)
-    few, structures, lines = _of_pairs(terms, structures, state.lines, state.pairs)
+    few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
     total = np.bincount(positions, rows.weights)
     found = {}
     for known in [np.inf, *_KNOWN.tolist()]:
@@ -263,13 +263,13 @@ def _beside_field(rows, terms, structures, sums, state, factor):
     """The choice beside the field, or None; sums of the field alone say whether it is searched."""
     problem = Problem(sums[0], structures, sums[1])
     pairs = problem.pairs_and_shares(state.lines, True)[0]
-    few, of_field, lines = _of_pairs(terms, structures, state.lines, pairs)
+    few, of_field, lines = of_pairs(terms, structures, state.lines, pairs)
     some = rows.weighted(factor).sums(few)
     alone = state._replace(lines=lines, pairs=lines)
     return beside_field(problem, state, Problem(some[0], of_field, some[1]), alone)
 
 
-def _of_pairs(terms, structures, lines, pairs):
+def of_pairs(terms, structures, lines, pairs):
     """Terms, structures, and which are lines, where some pairs are the only candidates."""
     share = None if structures.share is None else structures.share[pairs]
     few = terms._replace(harmonics=terms.harmonics[pairs])
@@ -280,7 +280,7 @@ def _of_pairs(terms, structures, lines, pairs):
 def _settled(rows, terms, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
-    few, structures, lines = _of_pairs(terms, structures, state.lines, pairs)
+    few, structures, lines = of_pairs(terms, structures, state.lines, pairs)
     some = (sums_of_pairs(sums[0], pairs), None)
     for _ in range(_ROUNDS):
         old, new = factor, _pose_weights(rows, _expected(rows, few, state), factor)

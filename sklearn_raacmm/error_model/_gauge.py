@@ -21,6 +21,7 @@ from sklearn_raacmm.error_model._columns import (
     scale_direction,
     term_columns,
     term_names,
+    vertical,
 )
 from sklearn_raacmm.inference import Extra
 from sklearn_raacmm.utils import chunks, group_means, group_sums
@@ -168,10 +169,10 @@ def place_fields(arm, terms):
     Returns
     -------
     ndarray of shape (n_columns, k)
-        One column for each field that the model can make, of up to ten: see `_fields`. Those of
+        One column for each field that the model can make, of up to eleven: see `_fields`. Those of
         harmonics and of extra columns are 0.
     """
-    own = _fields_of_others(arm, terms.gravity, terms.kinematics, terms.wobble)
+    own = _fields_of_others(arm, terms._replace(harmonics=(), extra=()))
     n = 2 * len(terms.harmonics) + len(term_names(arm, terms)[0])
     found = np.zeros((n, own.shape[1]))
     start = 2 * len(terms.harmonics)
@@ -179,29 +180,30 @@ def place_fields(arm, terms):
     return found
 
 
-def _fields(points):
-    """Three shifts, three turns, a scale, a stretch across z, and the base bent about x and y.
+def _fields(points, up):
+    """Three shifts, three turns, a scale, a stretch across z, and the base bent about its axes.
 
-    (3 n, 10) of length 1 each, at points (n, 3). The torque of a weight at (x, y, z) is y about the
-    x axis of the base, and -x about y. The second joint's axis is horizontal and turns with the
-    arm: to bend about it is the two together with a stretch, for it lies above the base.
+    (3 n, 10 or 11) of length 1 each, at points (n, 3). The torque of a weight at p about the axis e
+    of the base is -(e x p) . up: none about the vertical. In an upright arm the second joint's axis
+    is horizontal and turns with the arm: to bend about it is to bend about x and y together with a
+    stretch, for it lies above the base.
     """
-    x, y, z = points.T
-    none = np.zeros_like(x)
+    x, y, _ = points.T
     fields = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
     fields += [np.cross(axis, points) for axis in np.eye(3)]
-    bends = (x, y, none), (none, -y * z, y * y), (x * z, none, -x * x)
-    fields += [points, *(np.column_stack(bend) for bend in bends)]
+    fields += [points, np.column_stack([x, y, np.zeros_like(x)])]
+    fields += [(turn @ up)[:, None] * turn for turn in fields[3:6]]
     flat = np.stack(fields, axis=2).reshape(3 * len(points), -1)
-    return flat / np.linalg.norm(flat, axis=0)
+    size = np.linalg.norm(flat, axis=0)
+    return flat[:, size > 0] / size[size > 0]
 
 
 @lru_cache(maxsize=64)
-def _fields_of_others(arm: Arm, gravity, kinematics, wobble):
+def _fields_of_others(arm: Arm, causes: Terms):
     """The same for the columns that are neither harmonics nor extra."""
-    terms = Terms(np.empty((0, 2), dtype=int), gravity, kinematics, wobble)
+    terms = causes._replace(harmonics=np.empty((0, 2), dtype=int))
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, arm.n_joints))
-    fields = _fields(points_of(arm, angles))
+    fields = _fields(points_of(arm, angles), vertical(arm, terms))
     columns = term_columns(arm, angles, terms).reshape(len(fields), -1)
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > _NOTHING * size.max(initial=0.0), size, np.inf)

@@ -163,7 +163,8 @@ class FittedArmModel(PointCorrectionMixin):
         Parameters
         ----------
         arm : Arm
-            The table that the model was fitted with, and the new probe.
+            The table that the model was fitted with, and the new probe; where the arm is mounted
+            anew, another `up`, too.
 
         Returns
         -------

@@ -45,6 +45,8 @@ def moved_model(linear, arm):
     temperature is in proportion to each length.
     """
     check_same_table(linear.arm, arm)
+    if np.any(arm.up != linear.arm.up):  # what the data found was of the earlier mounting
+        linear = replace(linear, terms=linear.terms._replace(up=()))
     n_waves = 2 * len(linear.terms.harmonics)
     old = {c.name: (i, c) for i, c in enumerate(other_columns(linear.arm, linear.terms))}
     others = other_columns(arm, linear.terms)

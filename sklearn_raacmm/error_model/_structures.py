@@ -31,7 +31,7 @@ IDLE_SD = 1e-6
 _LARGEST_VARIANCE = 3600.0**2
 # Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
 # leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
-_WIDE_SD = 30.0
+WIDE_SD = 30.0
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
 # Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
@@ -102,7 +102,7 @@ def structures_of(arm, terms, with_field, idle=frozenset()):
         field_price=_PRICE_OF_FIELD,
         given=given,
         largest=_LARGEST_VARIANCE,
-        wide=_WIDE_SD**2,
+        wide=WIDE_SD**2,
     )
 
 

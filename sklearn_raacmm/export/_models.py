@@ -16,6 +16,7 @@ from sklearn_raacmm.error_model import (
     ArmResidualRegressor,
     column_table,
     force_on_probe,
+    vertical,
 )
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, hash_program, pruned, run
@@ -434,14 +435,20 @@ def _sizes(chain, linear, table, vectors):
         sizes = p("mul", sizes, waves)
     loaded = np.flatnonzero(table["kind"] == LOAD)
     if len(loaded):
-        # The torque of a load: gravity is along -z.
+        # The torque of a load, as `error_model` has it.
         places = p("join", chain.frames(), chain.probe())
         of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
         of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
         axis = 12 * table["frame"][loaded] + 3 * table["axis"][loaded]
-        x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in (0, 1))
-        ux, uy = (p.take(places, axis + k) for k in (0, 1))
-        torque = p("sub", p("mul", uy, x), p("mul", ux, y))
+        up, torque = vertical(arm, linear.terms), None
+        for c in np.flatnonzero(up).tolist():
+            pair = (c + 1) % 3, (c + 2) % 3
+            x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in pair)
+            ux, uy = (p.take(places, axis + k) for k in pair)
+            part = p("sub", p("mul", uy, x), p("mul", ux, y))
+            if up[c] != 1:
+                part = p("mul", part, p.constant(up[c]))
+            torque = part if torque is None else p("add", torque, part)
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
     if not extra:
         return sizes
@@ -449,7 +456,8 @@ def _sizes(chain, linear, table, vectors):
     pushed = np.flatnonzero(table["kind"] == PUSH)
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
-        unit_forces = np.round(force_on_probe(extra, mean + np.eye(len(extra)))).T
+        from_zero = [(name, (0.0,)) for name, _ in extra]
+        unit_forces = force_on_probe(from_zero, np.eye(len(extra)), arm.up).T
         force = p.affine(p("sub", values, mean), unit_forces)
         turns = 3 * table["frame"][pushed] + table["axis"][pushed]
         at = np.arange(3) * 2 * n_axes + turns[:, None]

@@ -22,6 +22,7 @@ from sklearn_raacmm.residuals._earlier import (
 )
 from sklearn_raacmm.residuals._point_correction import (
     PointCorrectionMixin,
+    found_positions,
     positions_of,
     within_positions_score,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "cylindrical_to_cartesian",
     "database_chain",
     "elbow_angle",
+    "found_positions",
     "polynomial_chain",
     "position_residuals",
     "positions_of",

@@ -9,10 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.metrics import r2_score
 
-from sklearn_raacmm.utils import are_deviations, centred, check_weights, encode_groups, floats
+from sklearn_raacmm.utils import (
+    Finding,
+    are_deviations,
+    centred,
+    check_weights,
+    encode_groups,
+    floats,
+    report_findings,
+)
 
-# Reference points that are the same to so many digits of a mm are those of one position.
-_DIGITS = 3
+# Reference points that are the same to so many digits of a mm are those of one position; points of
+# the arm that are the same to so many are one pose.
+_DIGITS, _OFF_THE_DIGITS, _POSE_DIGITS = 3, 0.3137, 6
 
 
 class PointCorrectionMixin:
@@ -172,8 +181,31 @@ def within_positions_score(
 def positions_of(points: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     """Positions (n,) of residuals y (n, 3), mm: the points that they are from coincide.
 
-    None where most rows are a position of their own, as against a tracker, or where y are from
+    None where most poses are a position of their own, as against a tracker, or where y are from
     points of another arm than that whose probe is at `points` (n, 3), mm.
     """
-    labels, codes = np.unique(np.round(points - y, _DIGITS), axis=0, return_inverse=True)
-    return codes.ravel() if 2 * len(labels) <= len(y) else None
+    # Certificates have whole digits: from this share of the last one on nothing is cut in two.
+    cells = np.floor((points - y) * 10**_DIGITS + _OFF_THE_DIGITS)
+    labels, codes = np.unique(cells, axis=0, return_inverse=True)
+    n_poses = len(np.unique(np.round(points, _POSE_DIGITS), axis=0))
+    return codes.ravel() if 2 * len(labels) <= n_poses else None
+
+
+def found_positions(points: np.ndarray, y: np.ndarray, weights: Any = None) -> np.ndarray | None:
+    """The same for a fit that was given no groups, with a finding that says how many they are.
+
+    Rows of weight 0 have no part in it: they are put to the first position.
+    """
+    used = np.ones(len(y), dtype=bool) if weights is None else weights > 0
+    found = positions_of(points[used], y[used])
+    if found is None:
+        return None
+    n = found.max() + 1
+    said = (
+        f"{n} positions were found: the points that the {len(found)} rows of y are from coincide."
+    )
+    advice = "Give groups to name them; groups=False takes each row for itself."
+    report_findings([Finding("positions-found", said, advice, "note")])
+    codes = np.zeros(len(y), dtype=int)
+    codes[used] = found
+    return codes

@@ -27,7 +27,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cylindrical,
     without_direction,
 )
-from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin
+from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
 from sklearn_raacmm.residuals._positions import (
     before_last,
     constants_of,
@@ -135,7 +135,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         self,
         X: ArrayLike,
         y: ArrayLike,
-        groups: ArrayLike | None = None,
+        groups: ArrayLike | bool | None = None,
         **fit_params: Any,
     ) -> Self:
         """Fit the regressor on the residuals in the cylindrical frame.
@@ -147,10 +147,12 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             ``azimuth="appended"``.
         y : array-like of shape (n_samples, 3), (n_samples, 1) or (n_samples,)
             Cartesian residuals in mm, measured minus reference.
-        groups : array-like of shape (n_samples,), default=None
+        groups : array-like of shape (n_samples,) or False, default=None
             Label of the position of each row, where residuals are known up to one constant at each
             position. ``regressor__groups`` is another name of it, for a search with metadata
-            routing off, which keeps `groups` for its splitter.
+            routing off, which keeps `groups` for its splitter. None: where `azimuth` is the method
+            of an arm, rows are of one position if the arm's point less y is the same, and a finding
+            says how many there are. False: each row is taken for itself.
         **fit_params : dict
             Passed to the regressor's `fit`, such as `sample_weight`; routed by request if metadata
             routing is enabled.
@@ -176,6 +178,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         y = floats("y", y, finite=True)
         check_consistent_length(X, y)
         groups = fit_params.pop("regressor__groups", groups)
+        self._rotates = y.ndim == 2 and y.shape[1] == 3 and self.azimuth is not None
+        if groups is None and self._rotates and (arm := self._arm()) is not None:
+            groups = found_positions(arm.forward(X), y)
+        groups = None if groups is False else groups
         codes = None if groups is None else encode_groups(groups, len(y))[1]
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
@@ -183,7 +189,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         flat = y.ndim == 1
         n_targets = 1 if flat else y.shape[1]
 
-        self._rotates = n_targets == 3 and self.azimuth is not None
         self._drops_direction = self.azimuth == "appended" and (
             self._rotates or ends_in_direction(X)
         )

@@ -328,6 +328,11 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
         table.write_text(text)
         assert main(["arm", "--dh", str(table)]) == 2
         assert message in capsys.readouterr().err
+    # On a wall.
+    assert main(["arm", "panda", "--up", "2,0,0", *out]) == 0
+    assert Arm.from_json(tmp_path / "arm.json") == Arm.from_name("panda", up=(1, 0, 0))
+    assert main(["arm", "panda", "--up", "2,0", *out]) == 2
+    assert "--up needs three numbers, such as 0,0,1, got '2,0'" in capsys.readouterr().err
     # Written into the robot's own file.
     (tmp_path / "arm.urdf").write_text(URDF)
     own = Arm.from_urdf(URDF)

@@ -329,3 +329,22 @@ def test_html_of_an_arm_is_a_table_of_its_joints_in_which_nothing_runs():
     assert cells[0] == ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
     expected = [np.arange(1, 8), arm.joint_signs, arm.a, np.rad2deg(arm.alpha), arm.d, np.zeros(7)]
     assert_allclose(np.array(cells[1:], dtype=float), np.transpose(expected), atol=1e-4)
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (3, 0, 0), (0.3, -0.5, 0.2), (0, 0, -1)])
+def test_up_is_a_part_of_the_value(up):
+    arm = Arm.from_name("panda", up=up)
+    assert_allclose(arm.up, np.array(up) / np.linalg.norm(up), atol=1e-15)
+    for same in (pickle.loads(pickle.dumps(arm)), Arm.from_json(arm.to_json()), arm.replace()):
+        assert (same, hash(same)) == (arm, hash(arm))
+    upright = Arm.from_name("panda")
+    assert (arm == upright) == (up == (0, 0, 1)) == ("up (" not in repr(arm))
+    content = json.loads(arm.to_json())
+    content.pop("up", None)  # files of earlier versions have none
+    assert Arm.from_json(content) == upright
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (0, 1), "up", (0, np.nan, 1), 1.0])
+def test_an_up_without_direction_is_named(up):
+    with pytest.raises(ValueError, match="up"):
+        Arm.from_name("panda", up=up)

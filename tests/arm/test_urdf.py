@@ -2,10 +2,12 @@
 
 import math
 import re
+import warnings
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate
@@ -496,3 +498,53 @@ def test_ur_arms_reach_what_their_maker_says(name, reach):
     stretched = -arm.a.sum()
     assert stretched < reach < np.hypot(stretched + arm.d[4], arm.d[3])
     assert arm.names == Arm.from_name("ur10").names
+
+
+# -- the vertical: the z axis of the file's first link ---------------------------------------------
+
+
+def mounted(*rpys):
+    """The Panda on fixed mounts above each other, and the joints' own zero."""
+    mounts = [(f"m{i}", "fixed", "0.1 0 0.2", rpy, "") for i, rpy in enumerate(rpys)]
+    joints = [
+        ("j1", "revolute", "0 0 0.333", "0 0 0", "0 0 1"),
+        ("j2", "revolute", "0 0 0", "-1.5708 0 0", "0 0 1"),
+        ("j3", "revolute", "0.1 -0.316 0", "1.5708 0 0", "0 0 1"),
+        ("tool", "fixed", "0 0 0.107", "0 0 0", ""),
+    ]
+    return urdf(*mounts, *joints)
+
+
+@pytest.mark.parametrize("rpys", [("1.5708 0 0",), ("0 -0.8 0.3", "3.1 0.2 -0.7"), ("0 0 0",)])
+def test_heights_are_those_of_the_file(rpys, angles):
+    """However the base is called, up and points say the same height above the file's first link."""
+    text, q = mounted(*rpys), angles[:, :3]
+    heights = forward(text, q)[:, 2]
+    for base in ("l0", f"l{len(rpys)}"):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "The first axis does not start")
+            arm = Arm.from_urdf(text, base=base)
+        assert_allclose(np.ptp(arm.forward(q) @ arm.up - heights), 0, atol=1e-9)
+
+
+def test_up_is_written_and_read(angles):
+    base, text = "base_link", Arm.from_name("panda", up=(1, 2, -3)).to_urdf()
+    arm = Arm.from_urdf(text, base=base)
+    assert_allclose(arm.up, np.array([1, 2, -3]) / np.sqrt(14), atol=1e-12)
+    assert_allclose(arm.forward(angles), Arm.from_name("panda").forward(angles), atol=1e-9)
+    for up in ((0, 0, 1), (-1, -2, 3), (0.1, 0, 0.9)):  # the second is the opposite
+        again = Arm.from_urdf(arm.replace(up=up).update_urdf(text, base=base), base=base)
+        assert_allclose(again.up, np.array(up) / np.linalg.norm(up), atol=1e-12)
+        assert_allclose(again.forward(angles), arm.forward(angles), atol=1e-9)
+    assert "world" not in Arm.from_name("panda").to_urdf()
+
+
+def test_a_file_without_a_mount_says_nothing_of_another_up():
+    arm = Arm.from_urdf(PANDA)
+    with pytest.warns(UserWarning, match="no fixed joint above the base could say that up is"):
+        arm.replace(up=(1, 0, 0)).update_urdf(PANDA)
+
+
+def test_a_base_that_moves_has_no_vertical():
+    text = change(mounted("1.5708 0 0"), '"m0" type="fixed"', '"m0" type="revolute"')
+    assert Arm.from_urdf(text, base="l1").up.tolist() == [0, 0, 1]

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.datasets import SimulatedArm
 from sklearn_raacmm.error_model import Terms, term_columns
 from sklearn_raacmm.error_model._columns import ARCSEC, term_names
 from sklearn_raacmm.error_model._gauge import length_equations
@@ -84,9 +85,11 @@ def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
         assert_allclose(columns[f"beta{joint + 1}"], turned(arm, theta, frame, 1, one), atol=1e-7)
 
 
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, -1), (2, -1, 0.5)])
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
-def test_gravity_columns_follow_potential_energy(arm):
+def test_gravity_columns_follow_potential_energy(arm, up):
     """The torque of a load about an axis is what lifting it by a turn about that axis costs."""
+    arm = arm.replace(up=up)
     theta = draw_angles(arm, 20)
     terms = Terms(np.empty((0, 2), int), True, False, False)
     names, _ = term_names(arm, terms)
@@ -99,12 +102,26 @@ def test_gravity_columns_follow_potential_energy(arm):
         frame, axis = int(words[-3]), "xyz".index(words[-1])
         origin = frames[:, frame, :, 3]
         lifted = Rotation.from_rotvec(small * frames[:, frame, :, axis]).apply(place - origin)
-        torque = -(lifted + origin - place)[:, 2] / small / reach_mm(arm)
+        torque = -(lifted + origin - place) @ arm.up / small / reach_mm(arm)
         expected = turned(arm, theta, frame, axis, torque * ARCSEC)
         assert_allclose(columns[:, :, column], expected, atol=2e-7, err_msg=name)
-    # every load beyond every frame, about three axes
+    # every load beyond every frame and one before it, about three axes
     n = arm.n_joints
-    assert len(names) == len(set(names)) == 3 * (n + 1) * (n + 2) // 2
+    assert len(names) == len(set(names)) == 3 * (n + 1) * (n + 2) // 2 + 3 * n
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (1, 0, 0), (0.3, -0.5, 0.2)])
+def test_gravity_columns_hold_twist_and_sag_of_the_textbooks_cantilever(up):
+    """The simulation bends tubes by beam theory, about another arm's frames: nothing is left."""
+    machine = SimulatedArm("gravity", random_state=0, up=up)
+    theta = draw_angles(machine.true_arm, 60)
+    terms = Terms(np.empty((0, 2), int), True, False, False)
+    columns = term_columns(machine.true_arm, theta, terms).reshape(180, -1)
+    moved = machine.deviations(theta, payload_n=5.0)
+    for source in ("torsion", "sag", "payload"):
+        moves = moved[source].ravel()
+        left = moves - columns @ np.linalg.lstsq(columns, moves, rcond=1e-12)[0]
+        assert np.abs(left).max() < 1e-9 + 1e-9 * np.abs(moves).max(), source
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)

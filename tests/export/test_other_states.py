@@ -2,6 +2,7 @@
 
 import pickle
 import subprocess
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -238,3 +239,19 @@ def test_what_knows_one_probe_only_is_refused(tmp_path):
     X = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     with pytest.raises(ValueError, match="needs an ArmResidualRegressor"):
         export_c(RBFNetRegressor(4).fit(X, X), tmp_path / "net.c", any_probe=True)
+
+
+@pytest.mark.parametrize("found", [False, True])
+def test_an_arm_that_leans(with_extra, tmp_path, found):
+    """Weights of arm and payload pull along the vertical, stated or found by the data."""
+    X, y = with_extra
+    leaning = ARM.replace(up=(0.3, -0.5, 0.8))
+    arm = ARM if found else leaning
+    model = ArmResidualRegressor(arm, orders=1, causes=["gravity"], extra=EXTRA, fade=0)
+    sags = term_columns(leaning, X[:, :6], Terms(np.empty((0, 2), int), True, False, False))
+    y = y + sags[:, :, ::10] @ np.full(len(sags[0, 0, ::10]), 20.0)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gravity seems to pull")
+        model.fit(X, y)
+    assert bool(model.linear_model_.terms.up) == found
+    agree(model, X[:30], tmp_path)

@@ -1,0 +1,142 @@
+"""Where gravity points, by the evidence: the direction of its columns beside the stated one.
+
+With the direction the columns of gravity turn as one: two more numbers, not three times as many
+columns. Their products are quadratic in the direction and those with other columns linear: sums at
+the six axes of an icosahedron are those at every direction.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import numpy as np
+
+from sklearn_raacmm.error_model._columns import LOAD, column_table, vertical
+from sklearn_raacmm.error_model._fit import fit_with_constants, of_pairs
+from sklearn_raacmm.error_model._structures import IDLE_SD, WIDE_SD, structures_of
+from sklearn_raacmm.inference import Problem
+from sklearn_raacmm.utils import Finding, report_findings, stage
+
+_OF_ALWAYS = ("gram", "moment", "cross")
+_GOLDEN = (1 + np.sqrt(5)) / 2
+_AXES = np.array([[0, 1, _GOLDEN], [0, -1, _GOLDEN], [1, _GOLDEN, 0], [-1, _GOLDEN, 0],
+                  [_GOLDEN, 0, 1], [_GOLDEN, 0, -1]]) / np.hypot(1, _GOLDEN)  # fmt: skip
+# Poses of which a direction is found at most: more take time and turn it by less than a degree.
+_ENOUGH = 600
+# Rounds of a fit and a search: of a direction that is far off the fit has taken poses for outliers.
+_ROUNDS = 4
+# Steps of the variances at a direction; steps of the search in rad, the last of which finds it to a
+# quarter of a degree; moves in units of a step.
+_STEPS, _LADDER, _FARTHEST = 3, (0.3, 0.3, 0.1, 0.03), 3.0
+
+
+def fit_with_vertical(rows, positions, terms, with_field):
+    """The fit of `fit_with_constants` along the vertical of the arm, or that which the data show.
+
+    Returns the `Fitted`, and the terms with that direction.
+    """
+    for _ in range(_ROUNDS):
+        fitted = fit_with_constants(rows, positions, terms, with_field)
+        up = _higher(fitted, terms, with_field) if terms.gravity else ()
+        if not up:
+            break
+        terms = terms._replace(up=up)
+    if terms.up:
+        shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (terms.up, rows.arm.up)]
+        said = (
+            f"Gravity seems to pull against {shown[0]} of the base frame, not against up = "
+            f"{shown[1]}: its columns follow the data."
+        )
+        advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
+        report_findings([Finding("vertical", said, advice)])
+    return fitted, terms
+
+
+@stage("direction of gravity")
+def _higher(fitted, terms, with_field):
+    """A direction against gravity of higher evidence than that of a fit, or ().
+
+    The harmonics of `terms` were offered to the fit; those that it chose stay. Two more numbers
+    cost the logarithm of how many observations there are (Schwarz). To turn the direction round
+    changes signs only: of both the one is taken along which the arm gives way.
+    """
+    rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
+    if len(rows.X) > _ENOUGH:
+        rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
+    idle = frozenset(np.flatnonzero(state.variance == IDLE_SD**2).tolist())
+    structures = structures_of(rows.arm, terms, with_field, idle)
+    few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
+    table = column_table(rows.arm, few._replace(harmonics=few.harmonics[:0]))
+    loads = table["kind"] == LOAD
+    parts = [rows.sums(few._replace(up=tuple(axis.tolist()))) for axis in _AXES]
+    start = state.variance.copy()
+    families = np.unique(structures.family[loads])
+    start[families] = np.maximum(start[families], WIDE_SD**2)
+
+    def at(up):
+        sums, lengths = _sums_at(up, parts, loads)
+        problem = Problem(sums, structures, lengths)
+        there = problem.state(lines, state.with_field, start, state.noise_variance)
+        return problem.with_variances(there, _STEPS)
+
+    stated, price = vertical(rows.arm, terms), np.log(parts[0][0].n_observations)
+    up = max([stated, *_AXES], key=lambda axis: at(axis).log_evidence)
+    for step in _LADDER:
+        higher, rise = _climbed(up, step, lambda near: at(near).log_evidence)
+        if up is stated and rise < price:
+            return ()
+        up = higher
+    there = at(up)
+    if there.log_evidence - at(stated).log_evidence < price:
+        return ()
+    # What the arm says is measured less where it is: it gives way by what the columns take off.
+    sign = -np.sign(there.coef[: len(loads)][loads].sum())
+    return tuple((sign * up).tolist())
+
+
+def _climbed(up, step, value):
+    """Direction of the top of a parabola through a direction and five that are a step away.
+
+    And by how much the parabola is higher there. Far from the top the evidence is no parabola: the
+    highest of the six, where that is higher.
+    """
+    across = np.linalg.svd(up[None])[2][1:]
+
+    def turned(two):
+        there = up + step * two @ across
+        return there / np.linalg.norm(there)
+
+    points = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]])
+    f = [value(turned(two)) for two in points]
+    slope = np.array([f[1] - f[2], f[3] - f[4]]) / 2
+    cross = f[5] - f[1] - f[3] + f[0]
+    bend = np.array([[f[1] + f[2] - 2 * f[0], cross], [cross, f[3] + f[4] - 2 * f[0]]])
+    best = turned(points[np.argmax(f)]), max(f) - f[0]
+    if not np.all(np.linalg.eigvalsh(bend) < 0):
+        return best
+    move = -np.linalg.solve(bend, slope)
+    top, rise = turned(move / max(np.linalg.norm(move) / _FARTHEST, 1.0)), 0.5 * slope @ move
+    return (top, rise) if value(top) > max(f) else (best[0], max(rise, best[1]))
+
+
+def _sums_at(up, parts, loads):
+    """Sums and known lengths at a direction, of those at the `_AXES`."""
+    sums, lengths = zip(*parts, strict=True)
+    square = np.linalg.solve(
+        np.array([np.outer(axis, axis)[np.triu_indices(3)] for axis in _AXES]).T,
+        np.outer(up, up)[np.triu_indices(3)],
+    )
+    linear = np.linalg.pinv(_AXES.T) @ up
+    # Shares of the six in products with none, one and two columns of gravity.
+    shares = np.array([np.eye(len(_AXES))[0], linear, square])
+    one = loads.astype(int)
+    gram, moment, cross = (np.array([getattr(part, n) for part in sums]) for n in _OF_ALWAYS)
+    whole = sums[0]._replace(
+        gram=np.einsum("ijp,pij->ij", shares[one[:, None] + one], gram),
+        moment=np.einsum("ip,pi->i", shares[one], moment),
+        cross=np.einsum("ip,piw->iw", shares[one], cross),
+    )
+    if lengths[0] is None:
+        return whole, None
+    one = np.r_[np.zeros(cross.shape[2], int), one]
+    rows = np.einsum("ip,pni->ni", shares[one], np.array([part.rows for part in lengths]))
+    return whole, lengths[0]._replace(rows=rows)

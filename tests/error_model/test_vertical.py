@@ -1,0 +1,116 @@
+"""The vertical: stated, found by the data, and in whatever is made of a model."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, plan_poses, position_residuals
+from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.utils import FindingWarning
+
+TURN = np.pi / 2  # of the base about its x axis: frame 0 bends about its own axes, now others
+
+
+def on_a_turned_base(arm):
+    """The same arm described from a base that is turned about x, in the modified convention."""
+    alpha = arm.alpha.copy()
+    alpha[0] += TURN
+    return arm.replace(alpha=alpha, up=Rotation.from_rotvec([TURN, 0, 0]).apply(np.array(arm.up)))
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (1, 0.5, -0.3)])
+def test_what_a_base_frame_is_called_changes_no_correction(up):
+    """An exact law: turn base, vertical and residuals, and predictions turn with them.
+
+    Before they fade: blocks that are left out are found from points by chance.
+    """
+    arm = Arm.from_name("panda", up=up, probe=(10, -20, 150))
+    turned, turn = on_a_turned_base(arm), Rotation.from_rotvec([TURN, 0, 0])
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (200, 7))
+    assert_allclose(turned.forward(X), turn.apply(arm.forward(X)), atol=1e-9)
+    torques = np.cross(
+        arm.frames(X)[:, 1:, :, 2], arm.forward(X)[:, None] - arm.frames(X)[:, 1:, :, 3]
+    )
+    turns = -1e-7 * torques @ arm.up * [3, 2, 1, 1, 0, 0, 0]
+    y = np.einsum("nij,nj->ni", arm.jacobian(X), turns) + rng.normal(0, 0.01, (200, 3))
+    fits = [
+        ArmResidualRegressor(one, causes=["gravity"], orders=3).fit(X[:150], residuals[:150])
+        for one, residuals in ((arm, y), (turned, turn.apply(y)))
+    ]
+    one, other = (fit.linear_model_.predict(X)[0] for fit in fits)
+    assert_allclose(other, turn.apply(one), atol=1e-5)
+    assert np.linalg.norm(one) > 0.1 * np.linalg.norm(y)
+
+
+@pytest.fixture(scope="module")
+def on_a_wall():
+    """A simulated arm on a wall, whose description says that it stands upright; and the model."""
+    machine = SimulatedArm("gravity", random_state=0, up=(1, 0, 0))
+    test = make_single_point(8, 25, machine=machine, random_state=0)
+    upright = ArmResidualRegressor(test.arm.replace(up=(0, 0, 1)), orders=4)
+    with pytest.warns(FindingWarning, match=r"Gravity seems to pull against \(1\.00, "):
+        upright.fit(test.data, test.target, groups=test.groups)
+    return test, upright
+
+
+def test_the_data_show_where_gravity_pulls(on_a_wall):
+    test, found = on_a_wall
+    stated = ArmResidualRegressor(test.arm, orders=4)
+    stated.fit(test.data, test.target, groups=test.groups)
+    assert stated.linear_model_.terms.up == ()
+    assert "vertical" not in [finding.code for finding in stated.findings_]
+    up = found.linear_model_.terms.up
+    assert np.arccos(up @ test.arm.up) < np.deg2rad(2)  # and not the opposite direction
+    fresh = make_single_point(
+        6, 20, machine=test.simulation.machine, random_state=np.random.RandomState(5)
+    )
+    perfect = fresh.simulation.perfect_correction
+    left = [fresh.target, *(perfect - model.predict(fresh.data) for model in (found, stated))]
+    none, found, stated = (np.linalg.norm(position_residuals(one, fresh.groups)) for one in left)
+    assert found < 1.1 * stated < 0.15 * none
+
+
+def test_an_arm_that_stands_as_stated_is_left_there():
+    for up in ((0, 0, 1), (0, 0, -1)):
+        machine = SimulatedArm("typical", random_state=1, up=up)
+        test = make_single_point(8, 25, machine=machine, random_state=1)
+        model = ArmResidualRegressor(test.arm, orders=4)
+        model.fit(test.data, test.target, groups=test.groups)
+        assert model.linear_model_.terms.up == ()
+
+
+def test_a_model_moves_to_another_mount():
+    """Compliances are the arm's: what the wall has shown corrects the same arm upright."""
+    rng = np.random.default_rng(0)
+    X, angles = rng.uniform(-2, 2, (300, 6)), rng.uniform(-2, 2, (100, 6))
+    wall, upright = (
+        SimulatedArm("gravity", random_state=0, up=up) for up in ((1, 0, 0), (0, 0, 1))
+    )
+
+    def sagged(machine, angles):
+        moved = machine.deviations(angles)
+        return -(moved["torsion"] + moved["sag"])
+
+    model = ArmResidualRegressor(wall.true_arm, causes=["gravity"], orders=2)
+    model.fit(X, sagged(wall, X) + rng.normal(0, 0.002, (300, 3)))
+    moved = model.with_arm(upright.true_arm).linear_model_
+    left = moved.predict(angles)[0] - sagged(upright, angles)
+    assert np.linalg.norm(left) < 0.01 * np.linalg.norm(sagged(upright, angles))
+
+
+def test_what_the_data_found_belongs_to_one_mount(on_a_wall):
+    _, found = on_a_wall
+    longer = found.with_arm(found.arm.replace(probe=(0, 0, 200)))
+    assert longer.linear_model_.terms.up == found.linear_model_.terms.up
+    elsewhere = found.with_arm(found.arm.replace(up=(0, 1, 0)))
+    assert elsewhere.linear_model_.terms.up == ()
+
+
+def test_the_probe_of_a_plan_leans_from_the_vertical():
+    arm = Arm.from_name("aacmm6", up=(1, 0, 0))
+    plan = plan_poses(arm, 2, 4, random_state=0)
+    line = plan.positions[plan.groups - 1] - arm.frames(plan.angles)[:, -1, :, 3]
+    lean = np.degrees(np.arccos(-line[:, 0] / np.linalg.norm(line, axis=1)))
+    assert lean.max() <= 60
