@@ -373,7 +373,7 @@ CLEAN |= dict.fromkeys(["fit_tracker", "update_tracker"], lambda: of(OF, "tracke
     "name", [pytest.param(n, marks=LONG if n in TAKE_LONG else ()) for n in CLEAN]
 )
 def test_clean_data_raise_no_finding(name):
-    notes = {"outliers", "lengths-unknown", "drift-of-run"}
+    notes = {"outliers", "lengths-unknown"}
     assert not find_codes(name, CLEAN[name]()) - notes
 
 
