@@ -167,6 +167,18 @@ def path():
     return base(angles=angles, points=ARM.forward(angles) + [900, 0, 0] + noise)
 
 
+def rough_path(seed):
+    """A path whose errors are not those of the table, and no jump in it."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0, 1, 100)[:, None]
+    start, end = rng.uniform(-1.2, 1.2, (2, 6))
+    angles = start + (end - start) * time
+    angles += 0.3 * np.sin(2 * np.pi * 3 * time * rng.uniform(0.5, 1.5, 6))
+    misfit = 0.1 * np.sin(angles[:, [1, 2, 3]] * [3, 4, 5])
+    points = ARM.forward(angles) + [900, 0, 0] + misfit + rng.normal(0, 0.002, (100, 3))
+    return base(arm=ARM, angles=angles, points=points, more={"free": ["probe"]})
+
+
 def shifted_labels():
     return base(groups=np.roll(TEST.groups, 5))
 
@@ -195,7 +207,7 @@ BECAUSE = "cannot be known, because "
 
 
 # Of few deviations a large change of the arm is as likely.
-ANOTHER_FILE = {"cones": BECAUSE + "the arm may have changed as much", "tracker": "strange-poses"}
+ANOTHER_FILE = BECAUSE + "the arm may have changed as much"
 
 
 def update_mistakes(kind):
@@ -224,7 +236,7 @@ def update_mistakes(kind):
         ("joints 2 and 3 exchanged", TEST.data[:, [0, 2, 1, 3, 4, 5]], y, "joints"),
         ("joint 4 reversed", TEST.data * [1, 1, 1, -1, 1, 1], y, "joints"),
         ("the nominal table", TEST.data, getattr(OF_NOMINAL, kind), "other-table"),
-        ("the poses of another file", OTHER.data, y, ANOTHER_FILE[kind]),
+        ("the poses of another file", OTHER.data, y, ANOTHER_FILE),
     ]
     for what, angles, residuals, code in cases:
         yield f"update_{kind}", what, partial(of, residuals, kind, angles), code
@@ -270,6 +282,7 @@ MISTAKES = [
     ("calibrate_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
     ("calibrate_tracker", "another target, 50 mm aside", lambda: moved_target(50), "moved-tool"),
     ("calibrate_tracker", "a path instead of poses", path, "poses-alike"),
+    *(("calibrate_tracker", f"a path that no model follows, {i}", partial(rough_path, i), "") for i in range(4)),
     ("calibrate_tracker", "a logger's stream", lambda: stream("tracker"), "dwells"),
     ("calibrate_tracker", "a file pasted twice", twice, "copied-rows"),
     ("calibrate_tracker", "ten rows", lambda: base(angles=TEST.data[:10], points=TRACKER[:10]), "few-rows"),
