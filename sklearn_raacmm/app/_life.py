@@ -68,7 +68,8 @@ def update(options):
     today, lengths = _read_today(options, saved.arm)
     _refuse_used_poses(saved, today)
     measured = today.angles, today.positions, today.points, lengths
-    new = saved.update(*measured, date=options.date or date.today().isoformat())
+    today_is = options.date or date.today().isoformat()
+    new = saved.update(*measured, date=today_is, accept=options.accept or ())
     y = new.calibration.residuals(today.angles, today.points, today.positions)
     X = saved.inputs(today.angles)
     was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)

@@ -47,7 +47,7 @@ WORDS = {
     "update": (
         "_life", "bring a correction up to date with few new poses",
         "raacmm update today.csv --model my_arm --out my_arm_2026",
-        f"{_TODAY} --out --date",
+        f"{_TODAY} --out --date --accept",
     ),
     "move": (
         "_life", "move a correction to a probe whose vector is known",
@@ -146,6 +146,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": {"metavar": "CSV", "help": "file to append the line of this check to"},
+    "--accept": {
+        "action": "append", "metavar": "CODE",
+        "help": "go on in spite of a finding, such as corrected-already",
+    },
     "--date": {"help": "when they were measured (today)"},
     "move --probe": {
         "metavar": "X,Y,Z", "required": True,

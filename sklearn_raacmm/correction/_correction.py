@@ -315,6 +315,7 @@ class Correction:
         angle_unit: str = "rad",
         extra: dict[str, Any] | None = None,
         date: str | None = None,
+        accept: str | Sequence[str] = (),
     ) -> Self:
         """Register, and bring the model up to date with the same poses.
 
@@ -324,7 +325,7 @@ class Correction:
             As in :meth:`register`.
         extra : dict of str to array-like of shape (n_samples,), default=None
             As in :meth:`correct`.
-        date : str, default=None
+        date, accept
             As in :func:`update_correction`.
 
         Returns
@@ -340,7 +341,8 @@ class Correction:
         new = self.register(angles, positions, points, lengths)
         y = new.calibration.residuals(angles, points, positions)
         X = self.inputs(angles, extra)
-        return replace(new, model=update_correction(new.model, X, y, groups=positions, date=date))
+        options = {"groups": positions, "date": date, "accept": accept}
+        return replace(new, model=update_correction(new.model, X, y, **options))
 
     def move(self, probe: ArrayLike) -> Self:
         """The same with another probe, whose vector is known.

@@ -256,7 +256,7 @@ def _say_what_moved(data, calibration, model, noise, rows):
         )
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
-    report_findings([drift_of(calibration.arm, data.angles[rows], left, codes)])
+    report_findings(drift_of(calibration.arm, data.angles[rows], left, codes))
 
 
 def _calibrated(data, angles, angle_unit):

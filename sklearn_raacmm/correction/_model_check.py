@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
-from scipy.stats import chi
+from scipy.stats import chi, chi2
+from scipy.stats import f as fisher
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
@@ -43,7 +44,12 @@ _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
 # (benchmarks/bench_check.py changes --real). With 0.9 fewer knocks were found.
 _USUAL = 0.95
-# Sets of poses drawn for the limits of the control chart: 5 lie beyond each limit at a rate of 1 %.
+# What arms have in common of how far new positions exceed what a model expects of them: the mean
+# factor of the variance, and the number of positions that it is worth. Chosen on ten arms of each
+# of the kinds of benchmarks/bench_check.py, with 8 and 12 positions; by the own positions alone no
+# p-value is small.
+_FACTOR_OF_ARMS, _POSITIONS_OF_ARMS = 1.5, 20
+# Sets of poses drawn for the freedoms of a mean.
 _DRAWS = 1000
 # What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
 _MOVED = "The base or the tracker has moved: register again (Correction.register, raacmm register)."
@@ -96,7 +102,7 @@ class CorrectionCheck:
     record : dict
         One line for a control chart: `date`, `n_poses`, `mean_mm` and `range_mm` of the corrected
         distances with the limits `mean_low_mm`, `mean_high_mm`, `range_low_mm` and `range_high_mm`
-        that a correction which holds leaves at the same rate, `p_value`, `suspect`.
+        of the test itself, `p_value`, `suspect`.
     """
 
     holds: bool
@@ -194,8 +200,9 @@ def check_correction(
     -----
     If the correction holds, ``y - predict(X)`` is normal with the covariance ``A S A' + s^2 I`` of
     the model's posterior and noise, both widened by `std_scale` and `noise_scale` of its linear
-    model. One test is of the size of all against that; one of each cause, a score test, with the
-    positions behind the widening as freedoms of the denominator of Fisher's F. The smallest p-value
+    model. One test is of the size of all against that, one of their mean distance; one of each
+    cause, a score test. The widening is known from the arm's own positions and, as 20 more, from
+    other arms: the freedoms of the denominator of Fisher's F. The smallest p-value
     times the number of tests is compared with the rate (Bonferroni). A pose that lies farther off
     than 95 % do counts as though it lay there.
 
@@ -236,23 +243,27 @@ def check_correction(
             "positions, base and probe: nothing is left to check the correction with."
         )
     causes = poses.causes()
-    tests = score_tests(causes, whiten, poses.residual(), linear.n_positions)
-    p_value = min(float(tests["p_value"].min()) * len(tests), 1.0)
+    freedom = linear.n_positions + _POSITIONS_OF_ARMS
+    tests = score_tests(causes, whiten, poses.residual(), freedom)
+    n = 3 * len(poses.left)
+    limits = false_alarm_rate / (len(tests) + 1)
+    mean, chart = _chart(poses, root[:n, :n], nuisance[:n], freedom, limits)
+    p_value = min(float(min(tests["p_value"].min(), mean["p_value"])) * (len(tests) + 1), 1.0)
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else best_cause(tests)
-    n = 3 * len(poses.left)
+    tests = np.append(tests, np.array(tuple(mean.values()), dtype=tests.dtype))
     usual_mm = poses.usual_mm()
     size_mm = 0.0
     if suspect in causes:
         size_mm = poses.size_mm(explained(causes[suspect], whiten, poses.residual())[:n])
     elif suspect == "noise":  # as much as all exceed what is expected of them
-        more = tests["statistic"][0] / tests["freedom"][0] - 1
-        size_mm = usual_mm * float(np.sqrt(max(more, 0.0)))
+        more = np.square(poses.size_mm(poses.tamed)) - usual_mm**2
+        size_mm = float(np.sqrt(max(more, 0.0)))
     matters = size_mm > _WORTH * usual_mm
     record = {
         "date": calendar.today().isoformat() if date is None else str(date),
         "n_poses": len(poses.left),
-        **_chart(poses.left, root[:n, :n], nuisance[:n], false_alarm_rate),
+        **chart,
         "p_value": p_value,
         "suspect": suspect,
     }
@@ -269,17 +280,19 @@ def check_correction(
 
 
 def _widened(linear):
-    """The model as uncertain as positions left out ask for.
+    """The model as uncertain as positions left out of this arm, and of others, ask for.
 
     Never narrower than the posterior: tests of squares bear no tails that are longer than normal
     ones, which a factor below 1 makes up for in intervals.
     """
-    wider = max(linear.std_scale, 1.0)
+    own = 1 / (1 + _POSITIONS_OF_ARMS / linear.n_positions)
+    factor = np.sqrt(own + (1 - own) * _FACTOR_OF_ARMS)
+    wider = factor * max(linear.std_scale, 1.0)
     return replace(
         linear,
         half=wider * linear.half,
         gauge_free_half=wider * linear.gauge_free_half,
-        noise_variance=max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance,
+        noise_variance=np.square(factor * max(linear.noise_scale, 1.0)) * linear.noise_variance,
     )
 
 
@@ -413,23 +426,37 @@ class _Poses:
         return causes
 
 
-def _chart(left, root, nuisance, rate):
-    """Mean and range of the distances, and their limits where the correction holds."""
+def _chart(poses, root, nuisance, freedom, rate):
+    """The test of the mean distance, and mean and range with the limits of that same test.
+
+    The square of a mean or a range of distances is about a multiple of a chi-squared variable,
+    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself.
+    """
     basis = np.linalg.qr(nuisance)[0] if nuisance.size else nuisance
 
     def of(values):  # (3 n, k)
         values = values - basis @ (basis.T @ values)
-        distance = np.linalg.norm(values.reshape(len(left), 3, -1), axis=1)
+        distance = np.linalg.norm(values.reshape(len(root) // 3, 3, -1), axis=1)
         return distance.mean(axis=0), distance.max(axis=0) - distance.min(axis=0)
 
     draws = root @ np.random.default_rng(0).normal(size=(len(root), _DRAWS))
-    record = {}
-    found = zip(("mean", "range"), of(left.reshape(-1, 1)), of(draws), strict=True)
-    for name, values, drawn in found:
-        low, high = np.quantile(drawn, [rate / 2, 1 - rate / 2]).tolist()
+    record, tests = {}, []
+    for name, values, drawn in zip(
+        ("mean", "range"), of(poses.tamed.reshape(-1, 1)), of(draws), strict=True
+    ):
+        square = np.square(drawn)
+        k = 2 * np.square(square.mean()) / square.var()
+        law = chi2(k) if np.isinf(freedom) else fisher(k, freedom)
+        unit = square.mean() / (k if np.isinf(freedom) else 1.0)
+        low, high = np.sqrt(unit * law.ppf([rate, 1 - rate])).tolist()
         record |= {
             f"{name}_mm": float(values[0]),
             f"{name}_low_mm": low,
             f"{name}_high_mm": high,
         }
-    return record
+        found = float(np.square(values[0]) / unit)
+        statistic = found if np.isinf(freedom) else k * found
+        tests.append(
+            {"cause": name, "statistic": statistic, "freedom": round(k), "p_value": law.sf(found)}
+        )
+    return tests[0], record

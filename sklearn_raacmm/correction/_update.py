@@ -3,7 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Sequence
 from copy import deepcopy
+from dataclasses import replace
 from datetime import date as calendar
 
 import numpy as np
@@ -11,12 +13,13 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, judged_fading
+from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
-from sklearn_raacmm.correction._update_gate import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
     Finding,
     call_collecting,
+    listed,
     one_blas_thread,
     param_checks,
     report_findings,
@@ -29,7 +32,8 @@ _STRANGE = 10.0
 
 @one_blas_thread
 @param_checks.validate_params(
-    {"arm": [Arm, None], "date": [str, calendar, None]}, prefer_skip_nested_validation=True
+    {"arm": [Arm, None], "date": [str, calendar, None], "accept": ["array-like", str]},
+    prefer_skip_nested_validation=True,
 )
 def update_correction(
     model: ArmResidualRegressor,
@@ -40,6 +44,7 @@ def update_correction(
     groups: ArrayLike | None = None,
     sample_weight: ArrayLike | None = None,
     date: str | None = None,
+    accept: str | Sequence[str] = (),
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
@@ -68,6 +73,9 @@ def update_correction(
         Weights. Poses that lie far off are left out by themselves.
     date : str, default=None
         When the new poses were measured, for the record; None: today.
+    accept : str or list of str, default=()
+        Codes of findings, such as "corrected-already", with which the model is handed over all the
+        same.
 
     Returns
     -------
@@ -81,7 +89,8 @@ def update_correction(
         If the model is no linear model: such a one can be registered, not updated.
     ValueError
         If shapes do not fit, something is NaN or infinite, or groups are missing though the model
-        has offsets.
+        has offsets; if something else is likelier than that the residuals are of this arm, such as
+        the wrong sign, and is not accepted.
 
     Warns
     -----
@@ -123,12 +132,13 @@ def update_correction(
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
     new = X, y, groups, sample_weight
-    updated, found = call_collecting(_updated, model, new, date)
+    accepted = listed("accept", accept)
+    updated, found = call_collecting(_updated, model, new, date, accepted)
     updated.findings_ = tuple(found)
     return updated
 
 
-def _updated(model, new, date):
+def _updated(model, new, date, accepted):
     """A copy of the model, brought up to date if the new poses show enough."""
     poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
@@ -136,7 +146,11 @@ def _updated(model, new, date):
         said = f"{poses.too_few}: the model is kept as it was."
         report_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
         return updated
-    report_findings(what_is_wrong(model, poses))
+    for finding in what_is_wrong(model, poses):
+        if finding.code not in accepted:
+            advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
+            finding = replace(finding, advice=advice, weight="refuse")
+        report_findings([finding])
     updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (

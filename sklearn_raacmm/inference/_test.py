@@ -10,9 +10,10 @@ from scipy.linalg import solve_triangular
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-# A direction that the rows show by less than this part of the cause itself, or of the strongest
-# direction, is rounding and not tested; a nuisance that is that much smaller than the largest one.
-_TAKEN_UP, _UNSEEN, _ROUNDING = 1e-6, 1e-8, 1e-10
+# A direction of which nuisances leave less than this part of the cause itself cannot be told from
+# them, and is not tested: a hundredth of it would be called metres. Less than the second part of
+# the strongest direction is rounding, as is a nuisance that much smaller than the largest one.
+_TAKEN_UP, _UNSEEN, _ROUNDING = 1e-2, 1e-8, 1e-10
 # A cause that explains less than this share of what is too much leaves the most of it unexplained.
 # Judged by benchmarks/bench_check.py, which counts the causes that are named rightly.
 _LEAST_SHARE = 0.3
@@ -80,8 +81,12 @@ def score_tests(
 
 
 def explained(columns: np.ndarray, whiten: Whitened, residual: np.ndarray) -> np.ndarray:
-    """What a cause does to the rows, by its most likely coefficients, (m,)."""
-    return columns @ np.linalg.lstsq(whiten(columns), whiten(residual), rcond=_UNSEEN)[0]
+    """What a cause does to the rows beside the nuisances, by its most likely coefficients, (m,).
+
+    What a nuisance does as well is no part of it: it may be of any size.
+    """
+    seen = whiten(columns)
+    return whiten.root @ (seen @ np.linalg.lstsq(seen, whiten(residual), rcond=_UNSEEN)[0])
 
 
 def best_cause(tests: np.ndarray) -> str:

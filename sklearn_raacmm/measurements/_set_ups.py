@@ -14,6 +14,9 @@ from sklearn_raacmm.utils import Finding, row_numbers
 # does (``benchmarks/bench_check.py set-ups``; parts of the real UR10 show up to 0.41), and rows
 # beside.
 _SHARE, _LEAST_ROWS = 0.5, 8
+# Rows on either side of a move that are compared with and without it, and the nats by which they
+# have to be likelier with it: log odds of one in a thousand, and 30 rows that it may be behind.
+_BESIDE, _JUMP = 10, 10.0
 # No move is smaller: rounding is none.
 _LEAST_MM = 0.005
 # Part of the squares of a move that is added: rows at one place cannot show a turn.
@@ -60,9 +63,9 @@ def moved_set_up(
         for what, extra in (("stations", base), ("tools", turns))
     }
     what = max(found, key=lambda name: found[name][0])
-    share, row, move = found[what]
+    share, row, move, rest = found[what]
     usual = len(move) / (3 * n) * np.log(n)  # the best of n splits of noise
-    if share < _SHARE + usual:
+    if share < _SHARE + usual or _jump(left, rest, row) < _JUMP:
         return
     size = np.linalg.norm((base if what == "stations" else turns)[row:] @ move, axis=1).mean()
     if size < _LEAST_MM:
@@ -81,7 +84,7 @@ def moved_set_up(
 
 
 def _best_split(left, columns, ridge, extra):
-    """Share of the squares that a set-up behind a row takes away, the row, and the move."""
+    """Share of the squares that a set-up behind a row takes away, the row, the move, the rest."""
     n, _, p = columns.shape
     flat = columns.reshape(-1, p)
     normal = flat.T @ flat + np.diag(ridge)
@@ -101,4 +104,19 @@ def _best_split(left, columns, ridge, extra):
     gains = np.einsum("nq,nq->n", slope[rows], moves)
     best = int(np.argmax(gains))
     total = max(np.square(left).sum(), 1e-300)
-    return float(gains[best] / total), int(rows[best]), moves[best]
+    row, move = int(rows[best]), moves[best]
+    rest = left + columns @ (inverse @ (move @ shared[row]))
+    rest[row:] -= extra[row:] @ move
+    return float(gains[best] / total), row, move, rest
+
+
+def _jump(left, rest, row):
+    """Nats by which residuals about a row are likelier with a set-up behind it, (n, 3) each.
+
+    Of a path that no model follows two halves are fitted better, too, but what is left then jumps
+    where it did not: about the row, beside a line in the number of the row, it is compared.
+    """
+    rows = np.arange(max(row - _BESIDE, 0), min(row + _BESIDE, len(left)))
+    line = np.linalg.qr(np.column_stack([np.ones(len(rows)), rows - row]))[0]
+    squares = [np.square(part[rows] - line @ (line.T @ part[rows])).sum() for part in (left, rest)]
+    return 1.5 * len(rows) * np.log(squares[0] / max(squares[1], 1e-300))

@@ -124,15 +124,18 @@ def test_what_is_real_and_small_is_said_to_be_small(model):
 
 
 def test_few_positions_raise_fewer_alarms():
-    """With the same residuals the p-value is that of F: larger from 12 positions than from 500."""
+    """With the same residuals the p-value is that of F: larger from 12 positions than from 500.
+
+    Other arms stand for 20 more, with half as much variance again.
+    """
     fitted = ArmResidualRegressor(ARM, orders=4).fit(*rows(300, 0))
     today = rows(40, 5, knock(2, 10))
     many = check_correction(fitted, *today)
     fitted.linear_model_ = replace(fitted.linear_model_, n_positions=12.0)
     few = check_correction(fitted, *today)
-    assert_allclose(few.tests["statistic"], many.tests["statistic"])
-    mean = few.tests["statistic"] / few.tests["freedom"]
-    assert_allclose(few.tests["p_value"], stats.f.sf(mean, few.tests["freedom"], 12))
+    few_tests = few.tests[:-1]  # the last is the mean distance, whose freedom is no whole number
+    mean = few_tests["statistic"] / few_tests["freedom"]
+    assert_allclose(few_tests["p_value"], stats.f.sf(mean, few_tests["freedom"], 12 + 20))
     assert few.p_value > many.p_value
 
 
@@ -202,6 +205,46 @@ def gauge_rows(seed, change, length_error=0.0):
     ]
     # Each end is one true point: what is shown is about it.
     return angles, shown, groups, lengths
+
+
+def test_residuals_that_were_corrected_twice_are_not_held():
+    """Of an arm that nine positions showed: the mean beyond its limit, and p below 1e-4."""
+    for seed in range(2):
+        test = make_single_point(13, 16, random_state=seed)
+        old = test.groups < 9
+        fitted = ArmResidualRegressor(test.arm, orders=24)
+        fitted.fit(test.data[old], test.target[old], groups=test.groups[old])
+        angles, y, groups = test.data[~old], test.target[~old], test.groups[~old]
+        assert check_correction(fitted, angles, y, groups=groups).holds
+        twice = y - 2 * fitted.predict(angles)
+        check = check_correction(fitted, angles, twice, groups=groups)
+        assert check.p_value < 1e-4
+        assert check.record["mean_mm"] > check.record["mean_high_mm"]
+
+
+def test_a_mean_beyond_its_limit_does_not_hold(model):
+    """One answer: the limits of the record are those of the test."""
+    beyond = 0
+    for seed in range(20):
+        size = 1 + 0.04 * seed
+        angles, y = rows(30, 300 + seed)
+        y = errors(angles) + size * (y - errors(angles))
+        check = check_correction(model, angles, y)
+        far = check.record["mean_mm"] > check.record["mean_high_mm"]
+        assert not (far and check.holds)
+        beyond += far
+    assert 0 < beyond < 20
+
+
+def test_what_base_and_probe_share_has_no_size():
+    """The last link always points up: its probe is the base, to a ten-thousandth."""
+    fitted = ArmResidualRegressor(ARM, orders=12).fit(*rows(500, 0))
+    rng = np.random.default_rng(0)
+    angles = np.tile(rng.uniform(-2, 2, 6), (40, 1)) + rng.normal(0, 1e-4, (40, 6))
+    y = errors(angles) + rng.normal(0, 5 * NOISE_MM, (40, 3))
+    check = check_correction(fitted, angles, y, refitted=["base"])
+    assert check.size_mm < 1
+    assert "probe" not in check.tests["cause"]
 
 
 def test_gauge_lengths_of_today_show_a_change_of_scale(model):

@@ -15,6 +15,7 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.utils import FindingError, FindingWarning
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 ARCSEC = np.pi / 180 / 3600
@@ -308,3 +309,50 @@ def test_a_model_that_is_not_used_is_judged_anew(model):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert update_correction(refused, angles, noise).fading_.most < 0.5
+
+
+def test_a_likelier_explanation_hands_nothing_over(model):
+    """Residuals of the corrected arm: refused, and taken only where the finding is named."""
+    angles, y = rows(60, 1)
+    corrected = y - model.predict(angles)
+    with pytest.raises(FindingError, match="if they have been corrected already") as caught:
+        update_correction(model, angles, corrected)
+    assert caught.value.finding.code == "corrected-already"
+    assert 'accept="corrected-already"' in str(caught.value)
+    with pytest.raises(FindingError):
+        update_correction(model, angles, corrected, accept="sign-of-residuals")
+    with pytest.warns(UserWarning, match="corrected already"):
+        taken = update_correction(model, angles, corrected, accept="corrected-already")
+    assert [finding.weight for finding in taken.findings_] == ["repair"]
+
+
+def test_a_missing_row_is_named_by_its_number(model):
+    angles, y = rows(60, 1)
+    dropped = np.delete(angles, 30, axis=0)
+    with pytest.raises(FindingError, match="of the row after, from row 30 on") as caught:
+        update_correction(model, np.vstack([dropped, dropped[-1:]]), y)
+    assert caught.value.finding.rows == (30,)
+
+
+@pytest.mark.parametrize("order", ["given", "permuted"])
+def test_new_poses_that_nothing_is_wrong_with_are_taken(model, order):
+    """A knock, a moved base and slips are changes, and no mistakes."""
+    for seed in range(6):
+        angles, y = rows(40, 60 + seed, knock=15 * (seed % 2))
+        y = y + place_columns(angles) @ np.random.default_rng(seed).normal(0, 0.3, 9)
+        y[seed] += 2.0
+        some = np.arange(40)
+        if order == "permuted":
+            some = np.random.default_rng(seed).permutation(40)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert not update_correction(model, angles[some], y[some]).findings_
+
+
+def test_poses_of_which_the_model_knows_nothing_raise_no_finding():
+    """Its expectation is as uncertain as it is large: that it is absent says nothing."""
+    angles, _ = rows(60, 0)
+    few = ArmResidualRegressor(ARM, orders=4).fit(0.1 * angles, errors(0.1 * angles))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FindingWarning)
+        update_correction(few, *rows(60, 1))
