@@ -33,7 +33,7 @@ GIVEN_TO = 0.05
 # inverse width at which further narrowness is penalised. The likelihood weighs the size of the data
 # by itself; what it does not know is from how many features one was picked. A price that grows with
 # the rows gave up a weak interaction (benchmarks/bench_noise.py).
-PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 0.3
+PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.0
 
 
 class Task(NamedTuple):
