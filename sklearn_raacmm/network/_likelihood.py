@@ -167,7 +167,7 @@ def solve_and_invert(C, y):
 
 
 def leave_out(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Predictions of what is left out in closed form (section 5.4.2 of the reference)."""
+    """Density of what is left out in closed form (section 5.4.2 of the reference)."""
     return left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
 
 
@@ -175,17 +175,16 @@ def left_out(data, K, alphas, ratio=0.0):
     """The same, of a kernel matrix.
 
     Left out is every row in turn, or every group of rows whose targets have a common constant: rows
-    of one group are no judges of each other. Returns the weighted sum of squared errors, over rows
-    and outputs, and the negative logarithm of the density of the targets, up to a constant.
+    of one group are no judges of each other. Returns the negative logarithm of the density of the
+    targets, up to a constant.
     """
-    error, density, n, noise = 0.0, 0.0, len(K), data.noise(ratio)
+    density, n, noise = 0.0, len(K), data.noise(ratio)
     for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):
         solved, _, half = solve_and_invert(K + alpha * noise, y)
         signal = max((y @ solved + within / alpha) / data.n_total, TINY)
         if data.codes is None:
             share = 2 * half.diagonal()
             square, log_det = np.sum(np.square(solved) / share), np.log(share).sum()
-            error += np.sum(np.square(solved / share))
         else:
             square = log_det = 0.0
             for rows in data.groups:
@@ -193,9 +192,8 @@ def left_out(data, K, alphas, ratio=0.0):
                 along = np.linalg.solve(root, solved[rows])
                 square += along @ along
                 log_det += 2 * np.log(root.diagonal()).sum()
-                error += np.square(np.linalg.solve(root.T, along)).sum()
         density += 0.5 * (square / signal - log_det + n * np.log(signal))
-    return error, density
+    return density
 
 
 def width_gradient(G, A):

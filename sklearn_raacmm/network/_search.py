@@ -191,7 +191,7 @@ def score(task, kernel, theta, data):
     value = objective(task, theta, data, kernel)[0]
     if not np.isfinite(value):
         return np.inf
-    return value + leave_out(data, kernel, *task.unpack(theta))[1]
+    return value + leave_out(data, kernel, *task.unpack(theta))
 
 
 def _coarse(task, kernel, data):
@@ -248,13 +248,10 @@ def _simpler(task, kernel, theta, value, data, may_be_linear):
     )._replace(n_observations=data.n_total)
     if may_be_linear:
         other, density = (noise, noise_density(data)) if is_noise else (own, value - own)
-        log_width, log_alpha, ratio = task.unpack(theta)
-        error = 0.0
-        if not is_noise and log_alpha.min() < np.log(ALPHA_BOUNDS[0]) + 1:
-            # Where radial functions seem to have no noise at all, evidence is not to be trusted:
-            # then a linear part has to lead in the error of what is left out.
-            error = leave_out(data, kernel, log_width, log_alpha, ratio)[0]
-        linear = _linear(data, other, density, error)
+        # Where radial functions seem to have no noise at all they predict neighbours of rows far
+        # from most others too well: there the density of what is left out does not count.
+        trusted = is_noise or task.unpack(theta)[1].min() > np.log(ALPHA_BOUNDS[0]) + 1
+        linear = _linear(data, other, density if trusted else None)
         if linear is not None:
             ratio, evidence = linear
             # The ridge of the linear part is shared by all outputs. Ten rows of 20 features held
@@ -268,11 +265,11 @@ def _simpler(task, kernel, theta, value, data, may_be_linear):
     return None
 
 
-def _linear(data, value, density, error):
+def _linear(data, value, density):
     """Ratio and evidence of a linear model, where it is better than what else there is; or None.
 
-    It has to lead in evidence, and in evidence and leave-one-out density together; or in the
-    squared error of what is left out, where the others' `error` is to decide.
+    It has to lead in evidence, and in evidence and leave-one-out density together, if that of what
+    else there is counts.
     """
     columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
     columns = np.sqrt(data.weights)[:, None] * columns
@@ -294,12 +291,11 @@ def _linear(data, value, density, error):
     goal, ratio, ridge, evidence = min(map(at, RATIOS if data.codes is not None else RATIOS[:1]))
     if not ridge:
         return None
-    K = columns @ columns.T / ridge
-    own_error, own_density = left_out(data, K, np.ones(data.Y.shape[1]), ratio)
-    lead = value - goal
-    share = min(1.0, data.n_total / (TRUSTED * data.X.shape[1]))
-    together = lead + share * (density - own_density)
-    return (ratio, evidence) if min(lead, together) > LINEAR_MARGIN or own_error < error else None
+    lead = together = value - goal
+    if density is not None:
+        own_density = left_out(data, columns @ columns.T / ridge, np.ones(data.Y.shape[1]), ratio)
+        together += min(1.0, data.n_total / (TRUSTED * data.X.shape[1])) * (density - own_density)
+    return (ratio, evidence) if min(lead, together) > LINEAR_MARGIN else None
 
 
 def robust_spread(X, weights):
