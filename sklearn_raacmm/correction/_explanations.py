@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations, permutations, product
 from typing import Any, NamedTuple
 
@@ -23,6 +24,8 @@ from sklearn_raacmm.utils import Finding, align, row_numbers
 _PRICE = 11.0
 # Rows that are looked at, evenly from all, and how many there have to be: for speed.
 _ROWS, _LEAST_ROWS = 120, 12
+# Rows of which the model knows so little that less than this share of it is used say nothing.
+_KNOWN_SHARE = 0.5
 # Changes of the arm, in units of what was expected of it before any data, with the standard
 # deviation of their logarithm about a tenth (as an update has them); the same of the noise.
 _TAUS, _TAU, _TAU_LOG_SD = np.r_[0.0, np.geomspace(0.01, 3.0, 12)], 0.1, 1.5
@@ -93,7 +96,9 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     difference to the same rows as they are given is a gain in nats; the best is said where it
     exceeds its price.
     """
-    used = np.flatnonzero(poses.weights > 0)
+    doubt = model.linear_model_.predict_with_doubt(poses.angles)[2]
+    known = replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE
+    used = np.flatnonzero((poses.weights > 0) & known)
     if len(used) < _LEAST_ROWS:
         return
     linear = with_low_orders(model.linear_model_)
@@ -230,7 +235,7 @@ def _explanations(data):
     none = {"taus": _TAUS[:1], "noise_log_sd": _KNOWN_LOG_SD, "noise_like": expected}
     yield of("rows-unrelated", "", y, **none)
     for factor, unit in _UNITS.items():
-        size = {"n_tried": len(_UNITS), "log_scale": np.log(factor)}
+        size = {"n_tried": len(_UNITS), "log_scale": np.log(factor), "noise_log_sd": _KNOWN_LOG_SD}
         yield of("unit-of-residuals", unit, factor * y - expected, **size)
     yield from _axes(of, y, expected)
     yield from _late(of, y, expected, data)

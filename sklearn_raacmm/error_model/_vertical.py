@@ -10,7 +10,7 @@ the six axes of an icosahedron are those at every direction.
 
 import numpy as np
 
-from sklearn_raacmm.error_model._columns import LOAD, column_table, vertical
+from sklearn_raacmm.error_model._columns import LOAD, column_table, term_columns, vertical
 from sklearn_raacmm.error_model._fit import fit_with_constants, of_pairs
 from sklearn_raacmm.error_model._structures import IDLE_SD, WIDE_SD, structures_of
 from sklearn_raacmm.inference import Problem
@@ -24,6 +24,12 @@ _AXES = np.array([[0, 1, _GOLDEN], [0, -1, _GOLDEN], [1, _GOLDEN, 0], [-1, _GOLD
 _ENOUGH = 600
 # Rounds of a fit and a search: of a direction that is far off the fit has taken poses for outliers.
 _ROUNDS = 4
+# Log evidence that another direction has to add, in nats: of upright arms, real and simulated, it
+# came to at most 10; of those inclined by 45 degrees or on a wall to at least 300. A share of the
+# squares by which gravity may lift the probe: there none, and 2 % or more where its columns stood
+# in for something else. Cosine of 2 degrees: gravity's columns change by less than 4 %
+# (``benchmarks/bench_after_the_lab.py mounts``).
+_PRICE, _MOST_LIFTED, _NEAR = 20.0, 0.01, np.cos(np.deg2rad(2))
 # Steps of the variances at a direction; steps of the search in rad, the last of which finds it to a
 # quarter of a degree; moves in units of a step.
 _STEPS, _LADDER, _FARTHEST = 3, (0.3, 0.3, 0.1, 0.03), 3.0
@@ -34,9 +40,11 @@ def fit_with_vertical(rows, positions, terms, with_field):
 
     Returns the `Fitted`, and the terms with that direction.
     """
+    # A force that is always there is not told from gravity in its direction.
+    may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
     for _ in range(_ROUNDS):
         fitted = fit_with_constants(rows, positions, terms, with_field)
-        up = _higher(fitted, terms, with_field) if terms.gravity else ()
+        up = _higher(fitted, terms, with_field) if may_turn else ()
         if not up:
             break
         terms = terms._replace(up=up)
@@ -55,9 +63,9 @@ def fit_with_vertical(rows, positions, terms, with_field):
 def _higher(fitted, terms, with_field):
     """A direction against gravity of higher evidence than that of a fit, or ().
 
-    The harmonics of `terms` were offered to the fit; those that it chose stay. Two more numbers
-    cost the logarithm of how many observations there are (Schwarz). To turn the direction round
-    changes signs only: of both the one is taken along which the arm gives way.
+    The harmonics of `terms` were offered to the fit; those that it chose stay. To turn the
+    direction round changes signs only: of both the one is taken along which the arm gives way. What
+    lifts the probe in some poses is not gravity, but something that its columns stand in for.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
     if len(rows.X) > _ENOUGH:
@@ -70,7 +78,8 @@ def _higher(fitted, terms, with_field):
     parts = [rows.sums(few._replace(up=tuple(axis.tolist()))) for axis in _AXES]
     start = state.variance.copy()
     families = np.unique(structures.family[loads])
-    start[families] = np.maximum(start[families], WIDE_SD**2)
+    explains_all = parts[0][0].square / parts[0][0].gram.diagonal()[loads].mean()
+    start[families] = np.maximum(start[families], min(WIDE_SD**2, explains_all))
 
     def at(up):
         sums, lengths = _sums_at(up, parts, loads)
@@ -78,7 +87,8 @@ def _higher(fitted, terms, with_field):
         there = problem.state(lines, state.with_field, start, state.noise_variance)
         return problem.with_variances(there, _STEPS)
 
-    stated, price = vertical(rows.arm, terms), np.log(parts[0][0].n_observations)
+    # A direction that has paid already is only made better.
+    stated, price = vertical(rows.arm, terms), 0.0 if terms.up else _PRICE
     up = max([stated, *_AXES], key=lambda axis: at(axis).log_evidence)
     for step in _LADDER:
         higher, rise = _climbed(up, step, lambda near: at(near).log_evidence)
@@ -88,9 +98,15 @@ def _higher(fitted, terms, with_field):
     there = at(up)
     if there.log_evidence - at(stated).log_evidence < price:
         return ()
-    # What the arm says is measured less where it is: it gives way by what the columns take off.
-    sign = -np.sign(there.coef[: len(loads)][loads].sum())
-    return tuple((sign * up).tolist())
+    # A probe sags, whatever the pose: the arm measures it above where it is.
+    few = few._replace(up=tuple(up.tolist()))
+    columns = term_columns(rows.arm, rows.X, few)[:, :, -len(loads):][:, :, loads]
+    above = columns @ there.coef[: len(loads)][loads] @ up
+    up = up * np.sign(above.sum())
+    lifted = np.square(np.minimum(above * np.sign(above.sum()), 0.0)).sum()
+    if lifted > _MOST_LIFTED * np.square(above).sum() or stated @ up > _NEAR:
+        return ()
+    return tuple(up.tolist())
 
 
 def _climbed(up, step, value):

@@ -30,11 +30,11 @@ RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 # Relative error of a standard deviation of the constants that is given.
 GIVEN_TO = 0.05
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
-# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised: 0.3 of
-# a spread for 20 features, whose noise is not followed, and 0.9 for three, whose function is
-# (benchmarks/bench_constants.py). The likelihood weighs the size of the data
-# by itself; what it does not know is from how many features one was picked. A price that grows with
-# the rows gave up a weak interaction (benchmarks/bench_noise.py).
+# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised: 0.3
+# of a spread for 20 features, whose noise is not followed, and 0.9 for three, whose function is.
+# The likelihood weighs the size of the data by itself; what it does not know is from how many
+# features one was picked. A price that grows with the rows gave up a weak interaction
+# (benchmarks/bench_noise.py).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 
 

@@ -272,11 +272,13 @@ def test_cross_validation_without_a_scorer_picks_the_right_model(test):
 
 
 def test_groups_may_be_kept_from_the_fit(test):
+    """Then the positions are found, unless ``groups=False`` says that there are none."""
     X, y, groups = test.data, test.target, test.groups
     with config_context(enable_metadata_routing=True):
         model = chain(test, Ridge()).set_fit_request(groups=False)
         search = GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
-        assert not search.best_estimator_.by_position_
+        assert search.best_estimator_.by_position_
+        assert not chain(test, Ridge()).fit(X, y, groups=False).by_position_
         model.set_fit_request(groups=None)
         with pytest.raises(UnsetMetadataPassedError, match="groups"):
             GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
