@@ -100,7 +100,7 @@ def _higher(fitted, terms, with_field):
         return ()
     # A probe sags, whatever the pose: the arm measures it above where it is.
     few = few._replace(up=tuple(up.tolist()))
-    columns = term_columns(rows.arm, rows.X, few)[:, :, -len(loads):][:, :, loads]
+    columns = term_columns(rows.arm, rows.X, few)[:, :, -len(loads) :][:, :, loads]
     above = columns @ there.coef[: len(loads)][loads] @ up
     up = up * np.sign(above.sum())
     lifted = np.square(np.minimum(above * np.sign(above.sum()), 0.0)).sum()

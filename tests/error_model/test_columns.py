@@ -105,7 +105,7 @@ def test_gravity_columns_follow_potential_energy(arm, up):
         torque = -(lifted + origin - place) @ arm.up / small / reach_mm(arm)
         expected = turned(arm, theta, frame, axis, torque * ARCSEC)
         assert_allclose(columns[:, :, column], expected, atol=2e-7, err_msg=name)
-    # About three axes: every load beyond a frame, and one before it, but for the first and the last.
+    # About three axes: every load beyond a frame, and one before it but for the first and last.
     n = arm.n_joints
     assert len(names) == len(set(names)) == 3 * (n + 1) * (n + 2) // 2 + 3 * (n - 1)
 
