@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import qr
 
 from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
@@ -30,6 +31,8 @@ from sklearn_raacmm.utils import chunks, group_means, group_sums
 _BASE_MOTIONS = ("d1", "theta_offset1", "base_x", "base_y", "base_alpha", "base_beta")
 # Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
 _CHUNK = 512
+# Part of the difference of two roots that is rounding.
+_ROUNDING = 1e-12
 # Poses at which fields are compared with columns: three equations each, for some 200 columns.
 _POSES = 150
 # Share of a field that columns may leave for it to be one of theirs: bending about the second
@@ -151,11 +154,21 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
         return variance
     names, half = term_names(model.arm, model.terms)[0], model.half.copy()
     half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
+    first, second = _difference(half, model.gauge_free_half)
     for rows in chunks(len(X), _CHUNK):
-        columns = model.columns(X[rows])
-        every, seen = (np.square(columns @ h).sum(axis=2) for h in (half, model.gauge_free_half))
-        variance[rows] = np.maximum(every - seen, 0.0)
+        both = (model.columns(X[rows]) @ np.hstack([first, second])).reshape(-1, 3, 2, len(first.T))
+        variance[rows] = np.maximum((both[:, :, 0] * both[:, :, 1]).sum(axis=2), 0.0)
     return variance
+
+
+def _difference(half, seen):
+    """Two matrices a and b with ``a b' = half half' - seen seen'``: narrow, as few fields differ."""
+    if half.shape != seen.shape:
+        return np.hstack([half, seen]), np.hstack([half, -seen])
+    basis, triangle, _ = qr(half - seen, mode="economic", pivoting=True, check_finite=False)
+    size = np.abs(triangle.diagonal())
+    basis = basis[:, size > _ROUNDING * size.max(initial=0.0)]
+    return basis, (half + seen) @ ((half - seen).T @ basis)
 
 
 def place_fields(arm, terms):
