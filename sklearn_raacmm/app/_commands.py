@@ -158,7 +158,9 @@ def correct(options):
         else open_beside(options.out, layout.source.encoding)
     )
     with stream as file:
-        n_rows, largest = write_corrected(layout, saved, options, options.in_order, file)
+        n_rows, largest = write_corrected(
+            layout, saved, options, options.in_order, file, options.std
+        )
     check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}

@@ -29,6 +29,8 @@ _NEW_COLUMNS = (
     *(f"sd {axis} within position [mm]" for axis in "xyz"),
     "sd of 1 m [mm]",
 )
+# How many of them there are by `--std`.
+_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 
 
 def load_arm(source, base=None, tip=None):
@@ -69,16 +71,16 @@ def correction_files(source):
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, correction, options, in_order, file):
+def write_corrected(layout, correction, options, in_order, file, std="all"):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Each row is corrected by its probe; in the order of measurement the directions of the joints are
-    found. Returns the number of rows, and the largest angle of each joint (1, n_joints) in their
-    unit.
+    found; `std` says which standard deviations are written. Returns the number of rows, and the
+    largest angle of each joint (1, n_joints) in their unit.
     """
     source, n_rows, largest, before, came = layout.source, 0, 0.0, None, 0.0
     writer = csv.writer(file, delimiter=source.separator or " ")
-    writer.writerow([*layout.header, *_NEW_COLUMNS])
+    writer.writerow([*layout.header, *_NEW_COLUMNS[: _N_COLUMNS[std]]])
     known, columns = correction.facts["causes"], find_cause_columns(options)
     columns = {name: column for name, column in columns.items() if name in known}
     for block, cells in layout.blocks(_BLOCK_ROWS):
@@ -91,25 +93,32 @@ def write_corrected(layout, correction, options, in_order, file):
             before, came = angles[-1:], ways[-1]
             ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
             causes |= {name: way for name, way in ways.items() if name in known}
-        new = _corrected(correction, correction.inputs(angles, causes), block, options)
+        new = _corrected(correction, correction.inputs(angles, causes), block, options, std)
         for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
 
 
-def _corrected(correction, X, block, options):
+def _corrected(correction, X, block, options, std):
     """The new columns of a block, each row by its probe."""
     tools = read_tools(block, options)
     if tools is None:
         with numbered_rows(block.rows):
-            return correction.columns(X)
-    new = np.empty((len(X), len(_NEW_COLUMNS)))
+            return _columns_of(correction, X, std)
+    new = np.empty((len(X), _N_COLUMNS[std]))
     for tool in np.unique(tools):
         rows = tools == tool
         with numbered_rows(block.rows[rows]):
-            new[rows] = correction.with_tool(tool).columns(X[rows])
+            new[rows] = _columns_of(correction.with_tool(tool), X[rows], std)
     return new
+
+
+def _columns_of(correction, X, std):
+    """The new columns that are asked for: without standard deviations they take less time."""
+    if std == "no":
+        return correction.arm.forward(X[:, : correction.arm.n_joints]) - correction.model.predict(X)
+    return correction.columns(X)[:, : _N_COLUMNS[std]]
 
 
 @contextmanager

@@ -32,7 +32,7 @@ WORDS = {
     "correct": (
         "_commands", "correct a table of any length",
         "raacmm correct today.csv --model my_arm --out corrected.csv",
-        f"table --model --out {_CAUSES} {_COLUMNS.replace(' --position', '')}",
+        f"table --model --out --std {_CAUSES} {_COLUMNS.replace(' --position', '')}",
     ),
     "check": (
         "_life", "ask whether a correction still holds today",
@@ -128,6 +128,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--extra": {
         "nargs": "+", "metavar": "NAME[=COLUMN]",
         "help": "a cause that a column holds, such as temperature=T1, payload, time",
+    },
+    "correct --std": {
+        "choices": ("no", "point", "all"), "default": "all",
+        "help": "standard deviations to write: none, of the coordinates, or also within a position "
+        "and of a distance of 1 m (all)",
     },
     "--in-order": _flag("rows are in the order of measurement: use the directions of the joints"),
     "--tool": {"metavar": "COLUMN", "help": "column of the probe's name, where several took turns"},

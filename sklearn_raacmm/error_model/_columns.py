@@ -292,17 +292,20 @@ class FactoredColumns:
 
     def dot(self, coef):
         """``columns @ coef``, (n, 3)."""
-        out = self.rest @ coef[len(coef) - self.rest.shape[2] :]
+        rest = self.rest.reshape(-1, self.rest.shape[2])
+        out = (rest @ coef[len(coef) - rest.shape[1] :]).reshape(-1, 3)
         for start, end, vector, waves in self.runs:
             out += vector * (waves @ coef[start:end])[:, None]
         return out
 
     def squares(self, root):
         """Squared lengths (n, 3) of ``columns @ root`` for a root (n_columns, r)."""
-        if not self.runs:
-            dots = self.rest @ root
-            return np.einsum("ncr,ncr->nc", dots, dots)
         n, _, m = self.rest.shape
+        # One product of all rows takes a quarter of the time of one for each pose.
+        rest = self.rest.reshape(3 * n, m)
+        if not self.runs:
+            dots = rest @ root
+            return np.einsum("nr,nr->n", dots, dots).reshape(n, 3)
         vectors = np.stack([vector for *_, vector, _ in self.runs], axis=2)
         shared = np.zeros((n, len(self.runs), root.shape[1]), dtype=root.dtype)
         for i, (start, end, _, waves) in enumerate(self.runs):
@@ -311,7 +314,7 @@ class FactoredColumns:
         dots = vectors @ shared
         own = root[len(root) - m :]
         used = _filled(own)
-        dots[:, :, used] += self.rest @ own[:, used]
+        dots[:, :, used] += (rest @ own[:, used]).reshape(n, 3, -1)
         return np.einsum("ncr,ncr->nc", dots, dots)
 
 

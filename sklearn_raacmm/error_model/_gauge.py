@@ -156,13 +156,13 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
     half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
     first, second = _difference(half, model.gauge_free_half)
     for rows in chunks(len(X), _CHUNK):
-        both = (model.columns(X[rows]) @ np.hstack([first, second])).reshape(-1, 3, 2, len(first.T))
-        variance[rows] = np.maximum((both[:, :, 0] * both[:, :, 1]).sum(axis=2), 0.0)
-    return variance
+        columns = model.columns(X[rows]).reshape(-1, len(half))
+        variance[rows] = ((columns @ first) * (columns @ second)).sum(axis=1).reshape(-1, 3)
+    return np.maximum(variance, 0.0)
 
 
 def _difference(half, seen):
-    """Two matrices a and b with ``a b' = half half' - seen seen'``: narrow, as few fields differ."""
+    """Two matrices a and b, ``a b' = half half' - seen seen'``: narrow, as few fields differ."""
     if half.shape != seen.shape:
         return np.hstack([half, seen]), np.hstack([half, -seen])
     basis, triangle, _ = qr(half - seen, mode="economic", pivoting=True, check_finite=False)

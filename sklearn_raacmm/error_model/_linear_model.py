@@ -194,7 +194,8 @@ class LinearModel:
         half = self.half if with_unseen else self.gauge_free_half
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
-            out[rows] = self.columns(angles[rows]) @ half
+            columns = self.columns(angles[rows])
+            out[rows] = (columns.reshape(-1, len(half)) @ half).reshape(len(columns), 3, -1)
         return out.reshape(-1, half.shape[1])
 
     def joint_covariance(
