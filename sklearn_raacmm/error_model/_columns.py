@@ -292,8 +292,8 @@ class FactoredColumns:
 
     def dot(self, coef):
         """``columns @ coef``, (n, 3)."""
-        rest = self.rest.reshape(-1, self.rest.shape[2])
-        out = (rest @ coef[len(coef) - rest.shape[1] :]).reshape(-1, 3)
+        n, _, m = self.rest.shape
+        out = (self.rest.reshape(3 * n, m) @ coef[len(coef) - m :]).reshape(n, 3)
         for start, end, vector, waves in self.runs:
             out += vector * (waves @ coef[start:end])[:, None]
         return out

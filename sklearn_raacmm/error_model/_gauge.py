@@ -156,7 +156,8 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
     half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
     first, second = _difference(half, model.gauge_free_half)
     for rows in chunks(len(X), _CHUNK):
-        columns = model.columns(X[rows]).reshape(-1, len(half))
+        columns = model.columns(X[rows])
+        columns = columns.reshape(3 * len(columns), len(half))
         variance[rows] = ((columns @ first) * (columns @ second)).sum(axis=1).reshape(-1, 3)
     return np.maximum(variance, 0.0)
 

@@ -195,7 +195,8 @@ class LinearModel:
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.columns(angles[rows])
-            out[rows] = (columns.reshape(-1, len(half)) @ half).reshape(len(columns), 3, -1)
+            every = columns.reshape(3 * len(columns), len(half)) @ half
+            out[rows] = every.reshape(len(columns), 3, half.shape[1])
         return out.reshape(-1, half.shape[1])
 
     def joint_covariance(

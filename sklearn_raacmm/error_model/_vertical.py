@@ -30,6 +30,8 @@ _ROUNDS = 4
 # in for something else. Cosine of 2 degrees: gravity's columns change by less than 4 %
 # (``benchmarks/bench_after_the_lab.py mounts``).
 _PRICE, _MOST_LIFTED, _NEAR = 20.0, 0.01, np.cos(np.deg2rad(2))
+# Where the fit leaves less than this share of the residuals there is nothing to be gained.
+_NOTHING_LEFT = 1e-3
 # Steps of the variances at a direction; steps of the search in rad, the last of which finds it to a
 # quarter of a degree; moves in units of a step.
 _STEPS, _LADDER, _FARTHEST = 3, (0.3, 0.3, 0.1, 0.03), 3.0
@@ -68,6 +70,8 @@ def _higher(fitted, terms, with_field):
     lifts the probe in some poses is not gravity, but something that its columns stand in for.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
+    if state.noise_variance < _NOTHING_LEFT**2 * np.square(fitted.rows.y).mean():
+        return ()
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
     idle = frozenset(np.flatnonzero(state.variance == IDLE_SD**2).tolist())
