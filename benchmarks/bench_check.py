@@ -6,6 +6,7 @@
     python benchmarks/bench_check.py dwells               # one minute
     python benchmarks/bench_check.py set-ups              # one minute
     python benchmarks/bench_check.py steps --real         # three minutes
+    python benchmarks/bench_check.py findings --real      # ten minutes
 
 ``changes``: a simulated measuring arm with eccentric encoders, whose model has learned 500 poses,
 is checked with 40 poses of another day against a tracker (noise 15 um): without a change, after a
@@ -28,6 +29,10 @@ in what `ArmResidualRegressor` leaves; then the socket of one position is moved 
 poses, and the model fitted to that. Tests without a step are looked at in the order of the test,
 by clusters of poses and shuffled.
 
+``findings``: how often each finding is made where nothing is wrong: one half of the positions is
+calibrated and learnt, in a drawn order of positions and poses, and 60 poses of the other half
+update it; then the same with the wrong sign.
+
 With ``--real`` the same is asked of a real UR10 and two Pandas, which are looked for where
 `_arm_folds` says.
 """
@@ -48,10 +53,11 @@ from sklearn_raacmm import (
     calibrate,
     check_correction,
     position_residuals,
+    update_correction,
 )
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
 from sklearn_raacmm.measurements import find_steps
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import FindingError, centred, collected_findings
 
 ARCSEC = np.pi / 180 / 3600
 RATE = 0.01
@@ -387,6 +393,70 @@ def steps(options):
             print(f"{name}, {np.unique(groups)[step.code]}: {step}")
 
 
+def halves(name, run):
+    """Arm, angles, positions, points or None, and lengths with nothing wrong, in a drawn order."""
+    rng = np.random.default_rng([7, run])
+    if name.startswith("UR10"):
+        angles, points, goals = read_ur10(name[-1])
+        some = rng.choice(len(angles), 600, replace=False)
+        return Arm.from_name("ur10", probe=(0, 0, 93)), angles[some], goals[some], points[some], ()
+    if name.startswith("panda"):
+        angles, groups, placements = read_panda(name)
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+    else:
+        test = make_single_point(16, 25, machine=SimulatedArm(KINDS[name], random_state=run))
+        nominal, angles, groups, lengths = test.arm, test.data, test.groups, []
+    # The positions in another order, and the poses of each.
+    labels, codes = np.unique(groups, return_inverse=True)
+    order = np.lexsort((rng.random(len(codes)), rng.permutation(len(labels))[codes]))
+    return nominal, angles[order], groups[order], None, lengths
+
+
+def found_in(name, run):
+    """Findings of calibration, fit and update of one half and the other, and of the wrong sign."""
+    arm, angles, groups, points, lengths = halves(name, run)
+    labels = np.unique(groups)
+    first = np.isin(groups, np.random.default_rng([8, run]).permutation(labels)[::2])
+    known = [one for one in lengths if {one[0], one[1]} <= set(groups[first])]
+    given = {"groups": groups[first], "lengths": known}
+    if points is not None:
+        given = {"points": points[first]}
+    with collected_findings() as of_arm:
+        result = calibrate(arm, angles[first], **given)
+    labels = None if points is not None else groups
+    y = np.zeros((len(angles), 3))
+    for half in (first, ~first):
+        part = None if points is None else points[half]
+        y[half] = result.residuals(angles[half], part, None if labels is None else labels[half])
+    with collected_findings() as of_fit:
+        model = ArmResidualRegressor(result.arm)
+        model.fit(angles[first], y[first], groups=None if labels is None else labels[first])
+    new = np.flatnonzero(~first)[:60]
+    found = {"calibrate": of_arm, "fit": of_fit}
+    for what, sign in (("update", 1), ("wrong sign", -1)):
+        with collected_findings() as of_update:
+            try:
+                of_new = None if labels is None else labels[new]
+                update_correction(model, angles[new], sign * y[new], groups=of_new)
+            except FindingError as error:
+                of_update.append(error.finding)
+        found[what] = of_update
+    return {what: {f.code for f in every if f.weight != "note"} for what, every in found.items()}
+
+
+def findings(options):
+    names = list(KINDS)
+    if options.real:
+        names += ["panda_2", "panda_3", "panda_6", "panda_7", "UR10 A", "UR10 B"]
+    for name in names:
+        every = [found_in(name, run) for run in range(options.runs)]
+        for what in every[0]:
+            codes = Counter(code for found in every for code in found[what])
+            said = ", ".join(f"{code} {n}" for code, n in codes.most_common()) or "nothing"
+            print(f"{name:14}{what:12}{options.runs:4} runs: {said}", flush=True)
+
+
 PARTS = {
     "changes": changes,
     "kinds": kinds,
@@ -394,6 +464,7 @@ PARTS = {
     "dwells": dwells,
     "set-ups": set_ups,
     "steps": steps,
+    "findings": findings,
 }
 
 
