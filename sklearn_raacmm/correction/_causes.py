@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.error_model import IDLE_SD, check_extra
-from sklearn_raacmm.measurements import MOST_TOLD, directions_of, order_told_by
+from sklearn_raacmm.error_model import UNUSED_SD, check_extra
+from sklearn_raacmm.measurements import MOST_EXPLAINED, directions_of, order_explained_by
 from sklearn_raacmm.utils import Finding, floats, report_findings
 
 # The family of columns by which each kind of cause is judged.
@@ -49,16 +49,16 @@ def _given(extra, n_rows):
     return found
 
 
-def refuse_told_time(names, angles, codes):
-    """Refuse time that the angles tell: what it explains may be the place."""
+def refuse_explained_time(names, angles, codes):
+    """Refuse time that the angles explain: what it explains may be the place."""
     if "time" not in names:
         return
-    told = order_told_by(angles, codes)
-    if told > MOST_TOLD:
+    explained = order_explained_by(angles, codes)
+    if explained > MOST_EXPLAINED:
         raise ValueError(
-            f"time cannot be learnt from this run: the angles tell the number of the row (R2 "
-            f"{told:.2f}, at most {MOST_TOLD}), so that time and place are not apart. Measure the "
-            "positions in mixed order, or leave time out."
+            f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
+            f"{explained:.2f}, at most {MOST_EXPLAINED}), so that time and place are not apart. "
+            "Measure the positions in mixed order, or leave time out."
         )
 
 
@@ -71,7 +71,7 @@ def with_kept_causes(data, calibration):
     own.like = ()
     prior_sd = own.fit(None, calibration, rows)[0].prior_sd_
     kinds = [name.split()[0] for name in data.causes]
-    keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * IDLE_SD for kind in kinds])
+    keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * UNUSED_SD for kind in kinds])
     named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
     gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
     if gone:

@@ -17,7 +17,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
-from sklearn_raacmm.correction._causes import checked_causes, refuse_told_time
+from sklearn_raacmm.correction._causes import checked_causes, refuse_explained_time
 from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
@@ -60,7 +60,7 @@ class Data:
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
                 )
         causes, values = checked_causes(extra, in_order, angles)
-        refuse_told_time(causes, angles, codes)
+        refuse_explained_time(causes, angles, codes)
         kinds = codes
         like = tuple(listed("like", like))
         if tools is not None:

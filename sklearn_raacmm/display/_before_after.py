@@ -14,7 +14,7 @@ from sklearn_raacmm.display._drawing import (
     axes_grid,
     draw_sides,
     name_places,
-    room_for_legend,
+    space_for_legend,
     subtract,
     unit_of,
 )
@@ -178,7 +178,7 @@ class RepeatabilityDisplay(FittedDisplay):
         ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({unit[1]})")
         shown = (self.before, self.after, self.floor, *intervals)
         largest = max(np.max(values) for values in shown if values is not None)
-        room_for_legend(ax, 0.0, unit[0] * largest, 0.35, "mean")
+        space_for_legend(ax, 0.0, unit[0] * largest, 0.35, "mean")
         self.ax_, self.figure_, self.unit_ = ax, ax.figure, unit[1]
         return self
 
@@ -330,7 +330,7 @@ class LengthErrorDisplay(FittedDisplay):
             draw_sides(self, ax, rows, unit, (before_kwargs, after_kwargs))
             name_places(ax, *2 * [np.arange(1, len(rows) + 1)])
             ax.set(xlabel="placement", title=f"{size:g} mm")
-            room_for_legend(ax, low - 0.05 * (high - low), high, 0.5, "mean |error|")
+            space_for_legend(ax, low - 0.05 * (high - low), high, 0.5, "mean |error|")
         axes[0].set_ylabel(f"measured - calibrated ({unit[1]})")
         self.axes_, self.figure_, self.unit_ = axes, axes[0].figure, unit[1]
         return self

@@ -145,7 +145,7 @@ def name_places(ax, place, labels):
         label.set_parse_math(False)  # a dollar sign in a label is one
 
 
-def room_for_legend(ax, low, high, share, title):
+def space_for_legend(ax, low, high, share, title):
     """A legend above the values, in this share of the vertical range."""
     if high > low:
         ax.set_ylim(low, high + share * (high - low))

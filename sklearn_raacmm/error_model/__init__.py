@@ -20,15 +20,15 @@ from sklearn_raacmm.error_model._fading import LEAST_POSITIONS, Fading, Judgemen
 from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._solve import angles_for, limits_of
-from sklearn_raacmm.error_model._structures import IDLE_SD, order_price, smooth_shares
+from sklearn_raacmm.error_model._structures import UNUSED_SD, order_price, smooth_shares
 
 __all__ = [
-    "IDLE_SD",
     "LEAST_POSITIONS",
     "LOAD",
     "PUSH",
     "SHIFT",
     "TURN",
+    "UNUSED_SD",
     "ArmResidualRegressor",
     "Fading",
     "Judgement",

@@ -93,9 +93,9 @@ def check_values(extra, values):
 def _beyond(name, known, column):
     """Values that lie far beyond those of the fit."""
     _, low, high = known
-    room = _BEYOND * (high - low)
-    far = np.flatnonzero((column < low - room) | (column > high + room))
-    if room > 0 and len(far):
+    margin = _BEYOND * (high - low)
+    far = np.flatnonzero((column < low - margin) | (column > high + margin))
+    if margin > 0 and len(far):
         rows = row_numbers(far)
         said = (
             f"The column {name!r} is {column[far[0]]:g} in row {rows[0]}, and in the fit it was "

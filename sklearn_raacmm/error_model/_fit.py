@@ -17,7 +17,7 @@ from sklearn_raacmm.error_model._columns import (
 from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
 from sklearn_raacmm.error_model._gauge import constrained, length_equations, without_motions
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._structures import least_of_the_idle, structures_of
+from sklearn_raacmm.error_model._structures import least_unused, structures_of
 from sklearn_raacmm.error_model._waves import candidate_sums
 from sklearn_raacmm.inference import (
     Problem,
@@ -215,14 +215,14 @@ def fit_linear_model(rows, terms, with_field) -> Any:
     The harmonics of `terms` are those that are offered; `with_field` allows a smooth function of
     each angle. Families of extra columns that are not worth their price stay out.
     """
-    idle: frozenset[int] = frozenset()
+    unused: frozenset[int] = frozenset()
     while True:
-        structures = structures_of(rows.arm, terms, with_field, idle)
+        structures = structures_of(rows.arm, terms, with_field, unused)
         state, factor = _fit(rows, terms, structures)
-        least = least_of_the_idle(state, structures.family, idle)
+        least = least_unused(state, structures.family, unused)
         if least is None:
             break
-        idle |= {least}
+        unused |= {least}
     model = model_of(rows.weighted(factor), terms, state)
     if np.any(factor < 1):
         noise = model.noise_variance / _share_of_noise(rows.y.shape[1])

@@ -25,7 +25,7 @@ _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
 # cause that helped to 22 or more (``benchmarks/bench_extra.py``).
 _PRICE_OF_EXTRA = 10.0
 # Prior standard deviation of a family that is not worth its price: its coefficients are nothing.
-IDLE_SD = 1e-6
+UNUSED_SD = 1e-6
 # One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
 # data do not show would carry the variance beyond all bounds by their rounding.
 _LARGEST_VARIANCE = 3600.0**2
@@ -84,17 +84,17 @@ def _named_orders(orders, n_joints):
     return [np.unique(np.array(list(own), dtype=int)).tolist() for own in orders]
 
 
-def structures_of(arm, terms, with_field, idle=frozenset()):
+def structures_of(arm, terms, with_field, unused=frozenset()):
     """Families, lines and field of a model with some columns.
 
     Variances are in the order of `FAMILIES`. The harmonics of `terms` are those that are offered.
-    The families `idle` have proved not to be worth their price.
+    The families `unused` have proved not to be worth their price.
     """
     family, order = term_names(arm, terms)[1], terms.harmonics[:, 1]
     if not len(order) and not len(family):
         raise ValueError("The model has no columns: no orders are offered and no causes are named.")
     given = np.full(len(FAMILIES), np.nan)
-    given[list(idle)] = IDLE_SD**2
+    given[list(unused)] = UNUSED_SD**2
     return Structures(
         family=family,
         price=order_price(order),
@@ -124,12 +124,12 @@ def smooth_shares(order: np.ndarray) -> np.ndarray:
     return np.where(order <= _FIELD_ORDER, share, 0.0)
 
 
-def least_of_the_idle(state, family, idle):
+def least_unused(state, family, unused):
     """Family of extra columns that is least worth its price, or None where all are worth it.
 
-    `family` is that of each column that is always in; `idle` have been put aside by now.
+    `family` is that of each column that is always in; `unused` have been put aside by now.
     """
-    there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - idle
+    there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - unused
     gains = {f: state.gain_of(np.flatnonzero(family == f)) for f in there}
     least = min(gains, key=lambda name: gains[name], default=None)
     return least if least is not None and gains[least] < _PRICE_OF_EXTRA else None

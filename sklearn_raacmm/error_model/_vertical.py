@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model._columns import LOAD, column_table, term_columns, vertical
 from sklearn_raacmm.error_model._fit import fit_with_constants, of_pairs
-from sklearn_raacmm.error_model._structures import IDLE_SD, WIDE_SD, structures_of
+from sklearn_raacmm.error_model._structures import UNUSED_SD, WIDE_SD, structures_of
 from sklearn_raacmm.inference import Problem
 from sklearn_raacmm.utils import Finding, report_findings, stage
 
@@ -74,8 +74,8 @@ def _higher(fitted, terms, with_field):
         return ()
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
-    idle = frozenset(np.flatnonzero(state.variance == IDLE_SD**2).tolist())
-    structures = structures_of(rows.arm, terms, with_field, idle)
+    unused = frozenset(np.flatnonzero(state.variance == UNUSED_SD**2).tolist())
+    structures = structures_of(rows.arm, terms, with_field, unused)
     few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
     table = column_table(rows.arm, few._replace(harmonics=few.harmonics[:0]))
     loads = table["kind"] == LOAD

@@ -6,17 +6,17 @@
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
 from sklearn_raacmm.measurements._order import (
-    MOST_TOLD,
+    MOST_EXPLAINED,
     coarse_angles,
     directions_of,
     drift_of,
-    order_told_by,
+    order_explained_by,
 )
 from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import Targets, check_targets
 
 __all__ = [
-    "MOST_TOLD",
+    "MOST_EXPLAINED",
     "Dwells",
     "Targets",
     "base_motions",
@@ -29,6 +29,6 @@ __all__ = [
     "find_steps",
     "moved_positions",
     "moved_set_up",
-    "order_told_by",
+    "order_explained_by",
     "within_turn",
 ]

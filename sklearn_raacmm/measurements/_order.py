@@ -18,7 +18,7 @@ from sklearn_raacmm.utils import Finding, centred, group_means
 _STANDS_STILL = 1e-5
 # Share of the variance of the row number that angles may tell where time is to be learnt: of two
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
-MOST_TOLD = 0.2
+MOST_EXPLAINED = 0.2
 _TREES, _FOLDS = 100, 5
 # Other orders of the visits of places in none of which as much may be explained: by chance in one
 # run of 300. Rows that are looked at, for speed; visits that rows without labels are divided into,
@@ -66,11 +66,11 @@ def directions_of(angles: ArrayLike) -> np.ndarray:
     return np.take_along_axis(moved, last, axis=0)
 
 
-def order_told_by(angles: np.ndarray, codes: np.ndarray) -> float:
-    """Share of the variance of the row number that angles (n, n_joints) tell at positions left out.
+def order_explained_by(angles: np.ndarray, codes: np.ndarray) -> float:
+    """Share of the variance of the row number that the angles explain at positions left out.
 
-    At most 1; about 0 or less where the run mixes its poses. `codes` (n,) are the positions, from
-    0.
+    At most 1; about 0 or less where the run mixes its poses. `angles` are (n, n_joints), `codes`
+    (n,) the positions, from 0.
     """
     number = np.arange(len(angles), dtype=float)
     trees = ExtraTreesRegressor(_TREES, min_samples_leaf=3, random_state=0)

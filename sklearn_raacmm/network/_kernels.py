@@ -13,8 +13,8 @@ from scipy.linalg import blas, lapack
 
 # Pivot of a kernel matrix, whose diagonal is 1, that is far above the rounding of its eigenvalues.
 _SOUND_PIVOT = 1e-6
-# Numbers of a factor for which there is room from the start, 256 MB. To grow costs time.
-_ROOM = 2**25
+# Numbers of a factor for which memory is taken from the start, 256 MB. To grow costs time.
+_RESERVED = 2**25
 # Squared distance from which a gaussian is nothing.
 _FARTHEST = 1414.0
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
@@ -132,7 +132,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
     # The factor is kept transposed, one pivot a row, so that new pivots are appended without moving
     # the old ones.
     # Memory that is not written to yet is not taken yet.
-    factor = np.empty((min(max_rank, max(4 * block_size, _ROOM // n)), n))
+    factor = np.empty((min(max_rank, max(4 * block_size, _RESERVED // n)), n))
     pivots = np.empty(max_rank, dtype=np.intp)
     rank = 0
     least = rounding(Z)

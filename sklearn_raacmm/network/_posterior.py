@@ -301,17 +301,17 @@ def predict_mean(packed, X):
         mean += X @ polynomial[1:]
     d, k = X.shape[1], coef.shape[1]
     size = _CHUNK // max(k, 1)
-    columns, room = np.ones((2 * d + 1, 0)), np.empty((k, 0))
+    columns, buffer = np.ones((2 * d + 1, 0)), np.empty((k, 0))
     for part in chunks(len(X), size) if k else ():
         rows = X[part]
         if columns.shape[1] != len(rows):
-            columns, room = np.ones((2 * d + 1, len(rows))), np.empty((k, len(rows)))
+            columns, buffer = np.ones((2 * d + 1, len(rows))), np.empty((k, len(rows)))
         np.subtract(rows.T, shift[:, None], out=columns[d:-1])
         np.square(columns[d:-1], out=columns[:d])
-        s = np.matmul(by_row, columns, out=room)
+        s = np.matmul(by_row, columns, out=buffer)
         for kernel, own in kernels:
             values = KERNELS[kernel](s[own])
-            if values.base is not room:
+            if values.base is not buffer:
                 s[own] = values
         mean[part] += (coef @ s).T
     return mean

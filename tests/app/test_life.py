@@ -267,7 +267,7 @@ def in_radians(folder):
     ("word", "code"), [("correct", 0), ("check", 3), ("register", 2), ("update", 2)]
 )
 def test_radians_under_a_header_of_degrees(folder, in_radians, tmp_path, capsys, word, code):
-    """They are told by each word, and nothing is registered by them."""
+    """Each word names them, and nothing is registered by them."""
     out = tmp_path / "out.csv"
     words = [word, in_radians, "--model", folder / "cones"]
     found, printed = run(capsys, *words, *([] if word == "check" else ["--out", out]))

@@ -66,7 +66,7 @@ def test_a_cause_that_is_none_is_not_kept():
 
 def test_time_is_refused_where_the_angles_tell_it(with_play):
     test = with_play  # one position after the other
-    with pytest.raises(ValueError, match=r"the angles tell the number of the row \(R2 0\.\d\d"):
+    with pytest.raises(ValueError, match=r"the angles explain the number of the row \(R2 0\.\d\d"):
         learn_correction(
             test.nominal_arm, test.data, test.groups, extra={"time": np.arange(len(test.data))}
         )

@@ -383,7 +383,7 @@ def test_bad_input_gets_one_sentence(test_data, change, message):
 
 
 @pytest.mark.filterwarnings("ignore:The points still scatter")  # said beside the refusal
-def test_an_arm_of_another_table_is_refused_and_told(test_data):
+def test_an_arm_of_another_table_is_refused_and_named(test_data):
     wrong = test_data.nominal_arm.replace(joint_signs=[1, 1, 1, -1, 1, 1])
     message = (
         r"mm after calibration.*With joint 4 reversed the points scatter by 0\.0\d+ mm instead"

@@ -81,7 +81,7 @@ def test_a_knocked_joint_is_found_and_named(model, joint):
         assert "pdate the correction" in check.advice
 
 
-def test_other_causes_are_told_apart(model):
+def test_other_causes_are_distinguished(model):
     warm = check_correction(model, *rows(40, 1, lambda q, rng: -ARM.forward(q) * 11.7e-6 * 5))
     assert warm.suspect == "scale"
     loose = check_correction(model, *rows(40, 2, lambda q, rng: rng.normal(0, 0.02, (40, 3))))

@@ -185,14 +185,14 @@ def test_single_points_update_too():
 # -- bad input ---------------------------------------------------------------------------------
 
 
-def test_fewer_poses_than_freedoms_are_told_and_change_nothing(model):
+def test_fewer_poses_than_freedoms_are_named_and_change_nothing(model):
     angles, y = rows(3, 1)
     with pytest.warns(UserWarning, match="3 new poses give 9 coordinates, .* the 9 freedoms"):
         same = update_correction(model, angles, y)
     assert_allclose(same.predict(angles), model.predict(angles), rtol=0)
 
 
-def test_rows_of_another_arm_are_told(model):
+def test_rows_of_another_arm_are_named(model):
     angles, _ = rows(60, 1)
     y = np.random.default_rng(0).normal(0, 5, (60, 3))
     with pytest.warns(UserWarning, match="are they of this arm"):

@@ -49,7 +49,7 @@ def test_noise_is_not_made_from_nothing(size):
 
 @pytest.mark.filterwarnings("ignore:.*they have no weight")  # nothing is noise
 @pytest.mark.parametrize("scale", [1 / 300, 1e-200, 1e4, 1e6])
-def test_weights_that_are_no_repeats_are_told(scale):
+def test_weights_that_are_no_repeats_are_named(scale):
     """With inverse variances nothing would be noise; too large ones ended in a LinAlgError."""
     weights = scale * np.arange(1.0, 41)
     estimator = ArmResidualRegressor(ARM, orders=2)

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from sklearn_raacmm import Arm, directions_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import drift_of, find_dwells, order_told_by
+from sklearn_raacmm.measurements import drift_of, find_dwells, order_explained_by
 
 ARM = Arm.from_name("aacmm6")
 
@@ -32,9 +32,9 @@ def test_a_joint_that_stands_still_keeps_its_direction():
 
 def test_angles_tell_the_order_of_a_single_point_test_only():
     test = make_single_point(8, 20, random_state=0)  # one position after the other
-    assert order_told_by(test.data, test.groups) > 0.2
+    assert order_explained_by(test.data, test.groups) > 0.2
     mixed = np.random.default_rng(0).permutation(len(test.data))
-    assert order_told_by(test.data[mixed], test.groups[mixed]) < 0.2
+    assert order_explained_by(test.data[mixed], test.groups[mixed]) < 0.2
 
 
 def drifting(seed, mrad):

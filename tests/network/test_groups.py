@@ -112,7 +112,7 @@ def test_groups_that_cannot_be(monkeypatch):
         RBFNetRegressor().fit(X, y, groups=groups)
 
 
-def test_constants_that_are_known_are_told_from_the_function():
+def test_constants_that_are_known_are_distinguished_from_the_function():
     """Targets in full, whose references are off by so much: else labels would change nothing."""
     errors = {None: [], 0.3: []}
     for seed in range(4):
