@@ -63,6 +63,7 @@ def arm(options):
         shown = shown.replace(
             up=parse_vector(options.up, "--up needs three numbers, such as 0,0,1")
         )
+    shown = _with_encoders(shown, options)
     print(shown)
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
@@ -77,6 +78,24 @@ def arm(options):
     for path in written:
         print(f"Written to {path}")
     return 0, json.loads(shown.to_json())
+
+
+def _with_encoders(shown, options):
+    """The arm, read by other encoders: theta = sign (angle - zero) + offset."""
+    values = {}
+    for name, text in (("--sign", options.sign), ("--zero", options.zero)):
+        values[name] = [parse_number(cell) for cell in text.split(",")] if text else None
+        n = shown.n_joints
+        if text and len(values[name]) != n:
+            raise TableError(f"{name} needs {n} numbers, one for each joint, got {text!r}.")
+    if values["--sign"]:
+        if any(abs(sign) != 1 for sign in values["--sign"]):
+            raise TableError(f"--sign needs 1 or -1 for each joint, got {options.sign!r}.")
+        shown = shown.replace(joint_signs=shown.joint_signs * np.array(values["--sign"]))
+    if values["--zero"]:
+        moved = shown.joint_signs * np.deg2rad(values["--zero"])
+        shown = shown.replace(theta_offset=shown.theta_offset - moved)
+    return shown
 
 
 def _check_arm_options(options, given):

@@ -12,8 +12,11 @@ import importlib
 import json
 import os
 import re
+import shutil
 import sys
+import tempfile
 import warnings
+from pathlib import Path
 from typing import Any
 
 from sklearn_raacmm.app._options import make_parser
@@ -76,6 +79,11 @@ def _run(options):
         raise ValueError("--out is a folder here, and - is none: give its name.")
     module = importlib.import_module(f"sklearn_raacmm.app.{options.module}")
     with contextlib.ExitStack() as stack:
+        if getattr(options, "table", None) == "-":
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            options.table = str(Path(folder, "standard-input"))
+            with open(options.table, "wb") as file:
+                shutil.copyfileobj(sys.stdin.buffer, file)
         if options.quiet:
             nowhere = stack.enter_context(open(os.devnull, "w", encoding="utf-8"))
             stack.enter_context(contextlib.redirect_stdout(nowhere))

@@ -63,7 +63,7 @@ WORDS = {
         "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --up --into --out --picture",
+        "--modified --probe --up --sign --zero --into --out --picture",
     ),
     "plan": (
         "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -90,7 +90,7 @@ _OFFSET: dict[str, Any] = {"type": float, "default": 0.0, "metavar": "MM"}
 # What argparse takes of each option; "word option" where it differs in a word.
 OPTIONS: dict[str, dict[str, Any]] = {
     "learn table": {"help": "one row per pose: joint angles and position"},
-    "correct table": {"help": "table with joint angles"},
+    "correct table": {"help": "table with joint angles; - is the standard input"},
     "check table": {"help": "a small test of today"},
     "register table": {
         "help": "poses with the new probe, or in the new place: 15 in two cones will do"
@@ -186,6 +186,14 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "X,Y,Z",
         "help": "direction against gravity in the base frame; 0,0,1: the arm stands upright",
     },
+    "--sign": {
+        "metavar": "S1,S2,...",
+        "help": "sense of each joint beside that of its encoder, 1 or -1",
+    },
+    "--zero": {
+        "metavar": "Q1,Q2,...",
+        "help": "what each encoder shows where its joint stands at the zero of the arm, degrees",
+    },
     "--into": {
         "metavar": "FILE",
         "help": "write the arm's numbers into a copy of the robot's own URDF or UR kinematics",
@@ -243,6 +251,8 @@ def make_parser():
         )  # fmt: skip
         for option in (*names.split(), "--json", "--quiet"):
             own.add_argument(option, **(OPTIONS.get(f"{word} {option}") or OPTIONS[option]))
+        # Lists of numbers may begin with a negative one: --up -1,0,0.
+        own._negative_number_matcher = re.compile(r"^-\.?\d[-\d.,e]*$")
         own.set_defaults(module=module)
         own.known = (word, *own._option_string_actions)
         known.update(own.known)
