@@ -73,7 +73,7 @@ __all__ = [
 # From the lowest layer up, so that a name costs no more than the subpackages below it.
 _SUBPACKAGES = (
     "utils", "inference", "arm", "network", "residuals", "metrics", "calibration", "measurements",
-    "error_model", "correction", "datasets", "display", "export", "app",
+    "error_model", "correction", "acceptance", "datasets", "display", "export", "app",
 )  # fmt: skip
 
 

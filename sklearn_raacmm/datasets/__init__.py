@@ -8,6 +8,7 @@ arm would have is at the top level of each data set; what only a simulation know
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from sklearn_raacmm.datasets._acceptance import make_acceptance
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._fetchers import fetch_panda_ball_socket, fetch_ur10_tracker
 from sklearn_raacmm.datasets._generators import make_gauge, make_single_point
@@ -18,6 +19,7 @@ __all__ = [
     "SimulatedArm",
     "fetch_panda_ball_socket",
     "fetch_ur10_tracker",
+    "make_acceptance",
     "make_gauge",
     "make_single_point",
 ]

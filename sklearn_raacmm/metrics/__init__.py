@@ -15,7 +15,7 @@ from sklearn_raacmm.metrics._acceptance import (
     probing_form_error,
     probing_size_error,
 )
-from sklearn_raacmm.metrics._bootstrap import repeatability_interval
+from sklearn_raacmm.metrics._intervals import repeatability_interval
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
     repeatability_report,
@@ -24,11 +24,13 @@ from sklearn_raacmm.metrics._repeatability import (
     within_position_r2_score,
     within_position_scatter,
 )
+from sklearn_raacmm.metrics._spheres import fit_sphere
 
 __all__ = [
     "articulated_location_error",
     "axis_repeatability",
     "block_lengths",
+    "fit_sphere",
     "gauge_lengths",
     "length_error",
     "probing_form_error",

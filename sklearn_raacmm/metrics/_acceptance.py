@@ -199,7 +199,7 @@ def probing_size_error(points: ArrayLike, diameter: float) -> float:
     if np.ndim(diameter):
         raise ValueError(f"diameter must be one number, got shape {np.shape(diameter)}.")
     (diameter,) = _check_lengths("diameter", diameter)
-    return float(2 * _spheres.fit_sphere(floats("points", points, 3))[1] - diameter)
+    return float(2 * _spheres.fit_sphere(points)[1] - diameter)
 
 
 def probing_form_error(points: ArrayLike) -> float:
@@ -231,7 +231,7 @@ def probing_form_error(points: ArrayLike) -> float:
     >>> round(probing_form_error(points), 6)
     0.1
     """
-    return float(np.ptp(_spheres.fit_sphere(floats("points", points, 3))[2]))
+    return float(np.ptp(_spheres.fit_sphere(points)[2]))
 
 
 def articulated_location_error(points: ArrayLike, groups: ArrayLike | None = None) -> float:

@@ -4,11 +4,42 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from sklearn_raacmm.utils import floats
 
-def fit_sphere(points):
-    """Least-squares (Gaussian) sphere through points (n, 3): centre, radius, distances (n,)."""
+
+def fit_sphere(points: ArrayLike) -> tuple[np.ndarray, float, np.ndarray]:
+    """Least-squares (Gaussian) sphere through points.
+
+    Parameters
+    ----------
+    points : array-like of shape (n_points, 3)
+        At least four, not in one plane, mm.
+
+    Returns
+    -------
+    center : ndarray of shape (3,)
+        In mm.
+    radius : float
+        In mm.
+    distances : ndarray of shape (n_points,)
+        Of the points from the centre, mm.
+
+    Raises
+    ------
+    ValueError
+        If the points do not determine a sphere.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.metrics import fit_sphere
+    >>> center, radius, _ = fit_sphere([[6, 0, 0], [-4, 0, 0], [1, 5, 0], [1, 0, 5]])
+    >>> center.round(6) + 0.0, round(radius, 6)
+    (array([1., 0., 0.]), 5.0)
+    """
+    points = floats("points", points, 3)
     if len(points) < 4:
         raise ValueError(f"A sphere is fitted to at least 4 points, got {len(points)}.")
     mean = points.mean(axis=0)
@@ -37,7 +68,9 @@ def fit_sphere(points):
 
     ends: dict = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
     x = least_squares(residuals, start, jac=jacobian, method="lm", **ends).x
-    return x[:3] + mean, x[3], np.linalg.norm(centred - x[:3], axis=1)
+    # The search ends where the sum of squares is flat to its rounding: one step further is exact.
+    x = x - np.linalg.lstsq(jacobian(x), residuals(x), rcond=None)[0]
+    return x[:3] + mean, float(x[3]), np.linalg.norm(centred - x[:3], axis=1)
 
 
 def minimum_enclosing_sphere(points):

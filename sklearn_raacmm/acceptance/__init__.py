@@ -1,0 +1,29 @@
+"""Acceptance tests of arms: runs, values with the tester's uncertainty, decisions, predictions.
+
+Lengths are in mm. Values follow open secondary sources on the standards: none is a statement of
+conformance to any of them.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from sklearn_raacmm.acceptance._evaluate import (
+    COVERAGE,
+    AcceptanceResult,
+    AcceptanceValue,
+    evaluate_acceptance,
+)
+from sklearn_raacmm.acceptance._run import LABELS, AcceptanceRun, Artefact
+from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES
+
+__all__ = [
+    "COVERAGE",
+    "LABELS",
+    "LAYOUTS",
+    "VALUES",
+    "AcceptanceResult",
+    "AcceptanceRun",
+    "AcceptanceValue",
+    "Artefact",
+    "evaluate_acceptance",
+]

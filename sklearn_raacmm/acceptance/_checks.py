@@ -1,0 +1,174 @@
+"""Bad runs: what is missing, in another unit, of another artefact, or slipped."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import itertools
+
+import numpy as np
+
+from sklearn_raacmm.acceptance._values import BARS, LAYOUTS, SPHERES
+from sklearn_raacmm.metrics import fit_sphere
+from sklearn_raacmm.utils import Finding, row_numbers
+
+# Sizes that are off by more are of another artefact, mm; a calibrated arm is off by tenths.
+_OTHER_MM = 2.0
+# A reading that is so many times farther off than is usual in its test, and farther than a tenth of
+# a millimetre, has slipped: errors of an arm are bounded, and bent normal at most.
+_SLIP_RATIO, _SLIP_MM = 8.0, 0.1
+_TO_SD = 1.4826  # a median of absolute normal values as a standard deviation
+# Measured over stated size, and what that says.
+_RATIOS = {
+    "the points are in inches": 1 / 25.4,
+    "the stated size is in inches": 25.4,
+    "the points are in metres": 1e-3,
+    "the stated size is in metres": 1e3,
+    "a radius was stated for a diameter": 2.0,
+    "a diameter was stated for a radius": 0.5,
+}
+_MEASURE_AGAIN = "Measure what is missing: a test is whole or it has no value."
+
+
+def find_faults(test: str, readings) -> list[Finding]:
+    """What keeps a test from having values, the first kind of fault that is found."""
+    faults = _missing(test, readings)
+    if not faults and test in (*SPHERES, *BARS):
+        faults = _unknown(test, readings) or _wrong_sizes(test, readings)
+    return faults or _slips(test, readings)
+
+
+def _finding(code, text, advice, rows=(), size_mm=None):
+    rows = row_numbers(rows)
+    return Finding(code, text, advice, weight="repair", rows=rows, size_mm=size_mm)
+
+
+def _missing(test, readings):
+    """Labels and readings that are missing, or too many."""
+    levels, wanted, more = LAYOUTS[test]
+    labels = []
+    for i, (column, needed) in enumerate(levels):
+        there = np.unique(np.char.lower(getattr(readings.run, column)[readings.rows])).tolist()
+        named = isinstance(needed, tuple)
+        least = len(needed) if named else needed
+        fits = set(there) == set(needed) if named else len(there) == needed
+        if not fits and not (more and i == 0 and not named and len(there) > needed):
+            asked = f" ({', '.join(needed)})" if named else ""
+            there = ", ".join(name or "without a label" for name in there[:8])
+            text = f"{test}: {least} labels{asked} are needed in the column {column}: {there}."
+            return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
+        labels.append(there)
+    groups = readings.groups(*(column for column, _ in levels))
+    counts: dict = {}
+    for label, rows in groups.items():
+        key = tuple(map(str.lower, label))
+        counts[key] = counts.get(key, 0) + len(rows)
+    names = [column for column, _ in levels]
+    for key in itertools.product(*labels):
+        n = counts.get(key, 0)
+        if n < wanted or (n > wanted and not (more and test in ("single-point", "pose"))):
+            where = ", ".join(f"{column} {label}" for column, label in zip(names, key, strict=True))
+            text = f"{test}: {where} has {n} readings, {wanted} are needed."
+            return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
+    return []
+
+
+def _unknown(test, readings):
+    """Artefacts of which nobody has stated what a value needs."""
+    found = []
+    for (name,), rows in readings.groups("artefact").items():
+        artefact = readings.run.by_name.get(name)
+        missing = ("everything",) if artefact is None else artefact.missing
+        if missing:
+            text = f"{test}: of the artefact {name!r} is not stated: {', '.join(missing)}."
+            advice = "State what its certificate says, and its temperature."
+            found.append(_finding("artefact-unknown", text, advice, readings.rows[rows]))
+    return found
+
+
+def _sizes(test, readings):
+    """Stated artefact, its rows and its measured size, of each artefact."""
+    tip = readings.run.tip_mm
+    if test in SPHERES:
+        for rows in readings.groups("artefact", "position").values():
+            yield rows, 2 * fit_sphere(readings.points[rows])[1], tip
+        return
+    keys, lengths, _, last = readings.lengths()
+    names = np.array([key[0] for key in keys])
+    for name in dict.fromkeys(names.tolist()):
+        own = names == name
+        yield last[own], float(np.median(lengths[own])), tip if test == "bidirectional" else 0.0
+
+
+def _wrong_sizes(test, readings):
+    """Artefacts whose measured size is of another unit, or of another artefact."""
+    for rows, raw, tip in _sizes(test, readings):
+        artefact = readings.artefact(rows)
+        size = artefact.size_in_test
+        off = raw - tip - size
+        if abs(off) <= _OTHER_MM:
+            continue
+        guesses = [
+            what
+            for what, ratio in _RATIOS.items()
+            for got in (raw - tip, raw * size / (size + tip))
+            if abs(got / size / ratio - 1) < 0.02
+        ]
+        others = [
+            f"it has the size of {other.name!r}"
+            for other in readings.run.by_name.values()
+            if other.size_mm and abs(raw - tip - other.size_in_test) <= _OTHER_MM
+        ]
+        if tip and abs(abs(off) - tip) <= _OTHER_MM:
+            others.append("the probe's ball is compensated twice, or not at all")
+        # What is another artefact of the run is no unit.
+        guess = (others + guesses + ["it is another artefact"])[0]
+        text = (
+            f"{test}: the artefact {artefact.name!r} measures {raw - tip:.4g} mm and is stated as "
+            f"{size:.6g} mm: {guess}."
+        )
+        code = "artefact-unit" if guess in guesses else "artefact-other"
+        advice = "Correct the unit, the artefact's name or its size."
+        return [_finding(code, text, advice, readings.rows[rows], abs(off))]
+    return []
+
+
+def _deviations(test, readings):
+    """How far each row is from what the others of its test say, (k,) mm, and the rows."""
+    off, rows_of = [], []
+    if test in SPHERES:
+        # All articulations and repeats together: five points would bend their own sphere.
+        for rows in readings.groups("artefact", "position").values():
+            distances, radius = (fit_sphere(readings.points[rows])[i] for i in (2, 1))
+            off.append(np.abs(distances - radius))
+            rows_of.append(rows)
+    elif test in BARS:
+        keys, lengths, _, last = readings.lengths()
+        names = np.array([key[0] for key in keys])
+        for name in dict.fromkeys(names.tolist()):
+            own = names == name
+            off.append(np.abs(lengths[own] - np.median(lengths[own])))
+            rows_of.append(last[own])
+    else:
+        for rows in readings.groups("position").values():
+            points = readings.points[rows]
+            off.append(np.linalg.norm(points - np.median(points, axis=0), axis=1))
+            rows_of.append(rows)
+    return np.concatenate(off), np.concatenate(rows_of)
+
+
+def _slips(test, readings):
+    """Readings that are so far off that the probe cannot have been where it should."""
+    if not len(readings.rows):
+        return []
+    off, rows = _deviations(test, readings)
+    limit = max(_SLIP_MM, _SLIP_RATIO * _TO_SD * float(np.median(off)))
+    far = off > limit
+    if not far.any():
+        return []
+    numbers = row_numbers(readings.rows[rows[far]])
+    text = (
+        f"{test}: {far.sum()} readings are off by up to {off.max():.3g} mm, where "
+        f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."
+    )
+    advice = "Look whether the probe has slipped, and measure them again."
+    return [_finding("slipped", text, advice, readings.rows[rows[far]], off.max())]

@@ -1,0 +1,289 @@
+"""A run judged: values before and after a correction, uncertainties, limits and decisions."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sklearn_raacmm.acceptance._checks import find_faults
+from sklearn_raacmm.acceptance._run import AcceptanceRun
+from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES, Readings, values_of
+from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.utils import Finding, check_option, floats
+
+# One-sided 95 % of a normal error, the guard of ISO 14253-1; coverage factor of stated uncertainty.
+_GUARD, COVERAGE = 1.645, 2.0
+RULES = ("guarded", "simple")
+DECISIONS = ("pass", "conditional pass", "conditional fail", "fail")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcceptanceValue:
+    """One value of a run, all lengths in mm.
+
+    Attributes
+    ----------
+    name, test : str
+        The value and its test.
+    formula, standard, read : str
+        How it is computed, after what, and what of that was read: the text of a standard, an open
+        secondary source, or only what is common practice.
+    before, after : float or None
+        As found and as left, with their signs; None where the test was bad, or without correction.
+    u_before, u_after : float
+        The tester's standard uncertainty; U is twice that (k = 2).
+    size : float
+        Length or diameter that the last of both was found at; 0 for a place.
+    limit : float or None
+        At this size.
+    decision_before, decision_after : str
+        "pass", "conditional pass", "conditional fail", "fail"; "" without a limit or a value.
+    interval_before, interval_after : (float, float) or None
+        Of 95 %: what another run would change. Largest values have none.
+    """
+
+    name: str
+    test: str
+    formula: str
+    standard: str
+    read: str
+    before: float | None = None
+    after: float | None = None
+    u_before: float = 0.0
+    u_after: float = 0.0
+    size: float = 0.0
+    limit: float | None = None
+    decision_before: str = ""
+    decision_after: str = ""
+    interval_before: Any = None
+    interval_after: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcceptanceResult:
+    """What :func:`evaluate_acceptance` found.
+
+    Attributes
+    ----------
+    values : tuple of AcceptanceValue
+        In the order of the tests; those of a bad test have no numbers.
+    findings : tuple of Finding
+        What was wrong with which test.
+    rule : str
+        The decision rule.
+    """
+
+    values: tuple[AcceptanceValue, ...]
+    findings: tuple[Finding, ...]
+    rule: str
+
+    def __getitem__(self, name: str) -> AcceptanceValue:
+        for value in self.values:
+            if value.name == name:
+                return value
+        raise KeyError(name)
+
+    def __str__(self) -> str:
+        lines = [f"{finding.weight}: {finding}" for finding in self.findings]
+        for one in self.values:
+            parts = [
+                f"{1000 * value:.1f} um (U = {1000 * COVERAGE * u:.1f} um)"
+                f"{' ' * bool(decision)}{decision}"
+                for value, u, decision in (
+                    (one.before, one.u_before, one.decision_before),
+                    (one.after, one.u_after, one.decision_after),
+                )
+                if value is not None
+            ]
+            lines.append(f"{one.name}: {' -> '.join(parts) or 'no value'}")
+        return "\n".join(lines)
+
+
+def evaluate_acceptance(
+    run: AcceptanceRun,
+    arm: Arm | None = None,
+    model: Any = None,
+    *,
+    found: Arm | None = None,
+    base: Any = None,
+    limits: Mapping[str, Any] | None = None,
+    rule: str = "guarded",
+) -> AcceptanceResult:
+    r"""Values of a run of acceptance tests, before and after a correction.
+
+    Parameters
+    ----------
+    run : AcceptanceRun
+        The readings.
+    arm : Arm, default=None
+        The calibrated arm; needed where the run has angles, and for a correction.
+    model : object, default=None
+        With ``predict(angles)``, in rad: residuals (n, 3) mm, subtracted from the points.
+    found : Arm, default=None
+        The arm as it was found. None: `arm`, without the model.
+    base : (array-like of shape (3, 3), array-like of shape (3,)), default=None
+        Rotation and translation, mm, of the arm's base in the frame of the tracker that measured
+        the points of a pose test, as ``Correction.base`` has them.
+    limits : dict of str to float or (float, float, float), default=None
+        Of the values by their names, mm: one number, or A, s and B for A + s L, at most B, such as
+        ``(0.02, 1 / 50_000, 0.05)`` for 20 um + L / 50 with L in mm.
+    rule : {"guarded", "simple"}, default="guarded"
+        Decision rule of ISO 14253-1: the uncertainty is the tester's, who has to prove with 95 %,
+        by a guard of 1.645 u; or simple acceptance, without guard.
+
+    Returns
+    -------
+    AcceptanceResult
+        With a finding, and no value, for each test that is not whole, or whose readings cannot be
+        of what is stated.
+
+    Raises
+    ------
+    ValueError
+        If a test or the name of a limit is unknown, or angles do not fit the arm.
+
+    Notes
+    -----
+    ============== ============================================ ==================================
+    test           readings                                     values
+    ============== ============================================ ==================================
+    probing        25 points on a sphere at 2 positions         P_Size, P_Form
+    articulation   5 articulations of 5 points on a sphere      L_Dia
+    length         5 lengths, 7 positions, 3 repeats, 2 ends    E_Uni
+    bidirectional  the same, on opposite faces                  E_Bi
+    diameter       3 times 9 points on a sphere                 effective diameter
+    single-point   10 or more in a cone near, middle and far    2S, largest, half range
+    volumetric     20 or more placements of a bar, 2 ends       volumetric largest, range, 2 rms
+    pose           5 poses, 30 times or more                    AP, RP
+    ============== ============================================ ==================================
+
+    After ISO 10360-12:2016, ASME B89.4.22-2004 and ISO 9283:1998, of which only open secondary
+    sources were read. VDI/VDE 2617-9 and JJF 1408 share the probing, articulation and length tests;
+    there is no code of their own. No value is a statement of conformance to any of them.
+
+    The standard uncertainty u holds what ISO 14253-5 leaves to the tester: calibration, temperature
+    and expansion of the artefact, its form and its fixture, not how the arm repeats. An oval form F
+    moves the diameter of half a sphere by 0.46 F, and L_Dia by 0.64 F (rms, simulated); to P_Form
+    it adds F / 2 (after ISO/TS 23165). Of a size A + s L every single length has its own limit and
+    decision; the value is the one with the least room.
+
+    A 2S has an interval by :func:`~sklearn_raacmm.metrics.repeatability_interval`, 2 rms of n
+    placements one by chi-squared with n degrees of freedom; a maximum has none.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.acceptance import evaluate_acceptance
+    >>> from sklearn_raacmm.datasets import make_acceptance
+    >>> data = make_acceptance(tests=["single-point"], random_state=0)  # simulated
+    >>> result = evaluate_acceptance(data.run, data.arm, limits={"2S far": 0.1})
+    >>> [value.name for value in result.values][:3]
+    ['2S near', '2S middle', '2S far']
+    >>> result["2S far"].decision_before
+    'pass'
+    """
+    check_option("rule", rule, RULES)
+    limits = {name: _checked_limit(name, limit) for name, limit in (limits or {}).items()}
+    if unknown := sorted(set(run.test.tolist()) - set(LAYOUTS)):
+        raise ValueError(f"the run has the test {unknown[0]!r}; known are {', '.join(LAYOUTS)}.")
+    sides = _points(run, arm, model, found)
+    findings: list[Finding] = []
+    values = []
+    for test in LAYOUTS:
+        rows = np.flatnonzero(run.test == test)
+        if not len(rows):
+            continue
+        readings = [_readings(run, rows, *side, test, base) for side in sides]
+        faults, computed = _values(test, readings)
+        findings += faults
+        for name, (own, formula, standard, read) in VALUES.items():
+            if own == test:
+                known = {"test": test, "formula": formula, "standard": standard, "read": read}
+                sets = [each[name] for each in computed]
+                judged = _judged(sets, limits.get(name), rule)
+                values.append(AcceptanceValue(name=name, **known, **judged))
+    return AcceptanceResult(values=tuple(values), findings=tuple(findings), rule=rule)
+
+
+def _checked_limit(name, limit):
+    """Limit as A, s and B, mm."""
+    if name not in VALUES:
+        raise ValueError(f"limits names {name!r}; known are {', '.join(VALUES)}.")
+    numbers = floats(f"the limit of {name}", limit)
+    if numbers.shape == ():
+        numbers = np.array([float(numbers), 0.0, np.inf])
+    if numbers.shape != (3,) or np.isnan(numbers).any() or numbers[0] <= 0 or min(numbers) < 0:
+        raise ValueError(f"the limit of {name} must be a positive number or A, s, B: {limit!r}.")
+    return numbers
+
+
+def _points(run, arm, model, found):
+    """Points as found, and as left where there is a model: each with what the arm believes."""
+    believed = [None, None]
+    if run.angles is not None and arm is not None:
+        angles = check_angles(run.angles, arm.n_joints, "rad")
+        believed[0] = (found or arm).forward(angles)
+        if model is not None:
+            residuals = np.asarray(model.predict(angles))
+            believed[1] = arm.forward(angles) - residuals
+    if run.points is None and believed[0] is None:
+        raise ValueError("a run of joint angles needs the arm that they are of.")
+    if model is not None and believed[1] is None:
+        raise ValueError("a correction needs the joint angles of the run, and the arm.")
+    sides = [(believed[0] if run.points is None else run.points, believed[0])]
+    if model is not None:
+        left = believed[1] if run.points is None else run.points - residuals
+        sides.append((left, believed[1]))
+    return sides
+
+
+def _readings(run, rows, points, believed, test, base):
+    """The readings of a test, those of a pose test in the frame of the arm's base."""
+    if test == "pose":
+        if run.points is None or believed is None:
+            raise ValueError("a pose test needs points of a tracker, joint angles and the arm.")
+        points = run.points  # what was measured is no other after a correction
+        if base is not None:
+            points = (points - np.asarray(base[1])) @ np.asarray(base[0])
+    return Readings(run, rows, points, believed)
+
+
+def _values(test, readings):
+    """Findings on a test, and its candidates before and after; none if it is a bad one."""
+    # As left is looked at where there is one: its errors are smaller, and faults stand out.
+    try:
+        faults = find_faults(test, readings[-1])
+        if not faults:
+            return [], [values_of(test, each) for each in readings]
+    except ValueError as error:
+        advice = "Measure points that determine what was probed."
+        faults = [Finding("acceptance-geometry", f"{test}: {error}", advice, weight="repair")]
+    return faults, [dict.fromkeys(VALUES)] * len(readings)
+
+
+def _judged(sets, limit, rule):
+    """Fields of a value: numbers and decisions of the worst candidates, before and after."""
+    found: dict[str, Any] = {}
+    for side, one in zip(("before", "after"), sets, strict=False):
+        if one is None:
+            continue
+        errors, sizes, u = (np.asarray(part, dtype=float) for part in one[:3])
+        limits = np.full(len(errors), np.inf)
+        if limit is not None:
+            limits = np.minimum(limit[0] + limit[1] * sizes, limit[2])
+        room = limits - np.abs(errors) if limit is not None else -np.abs(errors)
+        worst = int(np.argmin(room))
+        found |= {side: float(errors[worst]), f"u_{side}": float(u[worst])}
+        found |= {f"interval_{side}": one.interval, "size": float(sizes[worst])}
+        if limit is not None:
+            found["limit"] = float(limits[worst])
+            guard = _GUARD * u * (rule == "guarded")
+            # Of every single length; the whole is as good as its worst.
+            level = np.where(
+                room >= guard, 0, np.where(room >= 0, 1, np.where(room > -guard, 2, 3))
+            )
+            found[f"decision_{side}"] = DECISIONS[int(level.max())]
+    return found

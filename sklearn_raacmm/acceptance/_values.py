@@ -1,0 +1,219 @@
+"""Values of acceptance tests from whole sets of readings, each with the tester's uncertainty."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from sklearn_raacmm.acceptance._run import FORM_IN_DIAMETER, FORM_IN_LOCATION
+from sklearn_raacmm.metrics import (
+    articulated_location_error,
+    axis_repeatability,
+    fit_sphere,
+    repeatability_interval,
+    single_point_repeatability,
+)
+
+_ISO12, _ASME, _ISO9283 = "ISO 10360-12:2016", "ASME B89.4.22-2004", "ISO 9283:1998"
+# What of a standard was read: nobody could open the texts themselves.
+OPEN_SOURCE, PRACTICE = "open secondary source", "common practice"
+# Levels of a test: columns whose labels are all combined, with how many there are of each, or
+# which; readings in each combination; whether there may be more of the first level, or of readings.
+LAYOUTS: dict[str, Any] = {
+    "probing": ((("position", 2),), 25, False),
+    "articulation": ((("position", 1), ("articulation", 5)), 5, True),
+    "length": (
+        (("artefact", 5), ("position", 7), ("repeat", 3), ("end", ("a", "b"))), 1, False,
+    ),
+    "bidirectional": (
+        (("artefact", 5), ("position", 7), ("repeat", 3), ("end", ("a", "b"))), 1, False,
+    ),
+    "diameter": ((("repeat", 3),), 9, False),
+    "single-point": ((("position", ("near", "middle", "far")),), 10, True),
+    "volumetric": ((("position", 20), ("end", ("a", "b"))), 1, True),
+    "pose": ((("position", 5),), 30, True),
+}  # fmt: skip
+SPHERES, BARS = ("probing", "articulation", "diameter"), ("length", "bidirectional", "volumetric")
+_ZONES = LAYOUTS["single-point"][0][0][1]
+# Values in the order of the sheet: test, formula, standard, what of it was read.
+VALUES: dict[str, Any] = {
+    "P_Size": ("probing", "D_fit - D_cal, the worse position", _ISO12, OPEN_SOURCE),
+    "P_Form": ("probing", "r_max - r_min, the worse position", _ISO12, OPEN_SOURCE),
+    "L_Dia": (
+        "articulation", "diameter of the smallest sphere round 5 centres", _ISO12, OPEN_SOURCE,
+    ),
+    "E_Uni": ("length", "L - L_cal, the worst of 105", _ISO12, OPEN_SOURCE),
+    "E_Bi": (
+        "bidirectional", "L - L_cal over opposite faces, the worst of 105", _ISO12, PRACTICE,
+    ),
+    "effective diameter": ("diameter", "D_fit - D_cal, the worst of 3", _ASME, OPEN_SOURCE),
+    **{f"2S {z}": ("single-point", "2 sqrt(sum d^2 / (n - 1))", _ASME, OPEN_SOURCE)
+       for z in _ZONES},
+    **{f"largest {z}": ("single-point", "max d", _ASME, OPEN_SOURCE) for z in _ZONES},
+    **{f"half range {z}": ("single-point", "(max - min) / 2, the worst axis", "makers", PRACTICE)
+       for z in _ZONES},
+    "volumetric largest": ("volumetric", "max |L - L_cal|", _ASME, OPEN_SOURCE),
+    "volumetric range": ("volumetric", "max (L - L_cal) - min (L - L_cal)", _ASME, OPEN_SOURCE),
+    "volumetric 2 rms": ("volumetric", "2 sqrt(sum (L - L_cal)^2 / n)", _ASME, OPEN_SOURCE),
+    "AP": ("pose", "|mean - commanded|, the worst pose", _ISO9283, OPEN_SOURCE),
+    "RP": ("pose", "mean l + 3 S_l, the worst pose", _ISO9283, OPEN_SOURCE),
+}  # fmt: skip
+
+
+class Candidates(NamedTuple):
+    """What a value is the worst of, each (k,) in mm, and its interval of 95 % from one run."""
+
+    errors: Any
+    sizes: Any
+    u: Any
+    interval: Any = None
+
+
+class Readings:
+    """The rows of one test: labels, points, and the points that a controller believed in."""
+
+    def __init__(self, run, rows, points, believed=None):
+        self.run, self.rows, self.points = run, rows, points[rows]
+        self.believed = None if believed is None else believed[rows]
+
+    def groups(self, *columns):
+        """Rows (m,) of this test for each combination of labels, in the order of the file."""
+        labels = zip(*(getattr(self.run, name)[self.rows] for name in columns), strict=True)
+        found: dict[Any, list[int]] = {}
+        for i, label in enumerate(labels):
+            found.setdefault(label, []).append(i)
+        return {label: np.array(rows) for label, rows in found.items()}
+
+    def artefact(self, rows):
+        """The artefact of some rows, None if it is none of the run's."""
+        return self.run.by_name.get(self.run.artefact[self.rows][rows[0]])
+
+    def lengths(self):
+        """Keys (artefact, position, repeat), measured lengths (k,) mm, artefacts, last rows."""
+        end = np.char.lower(self.run.end[self.rows])
+        keys, lengths, artefacts, last = [], [], [], []
+        for key, rows in self.groups("artefact", "position", "repeat").items():
+            first, second = (self.points[rows[end[rows] == name]] for name in "ab")
+            for one, other in zip(first, second, strict=False):
+                keys.append(key)
+                lengths.append(np.linalg.norm(other - one))
+                artefacts.append(self.artefact(rows))
+                last.append(rows[-1])
+        return keys, np.array(lengths), artefacts, np.array(last)
+
+
+def values_of(test: str, readings: Any) -> dict[str, Candidates]:
+    """Values of one test by their names."""
+    return _FUNCTIONS[test](readings)
+
+
+def _probing(readings):
+    sizes, forms, artefacts = [], [], []
+    for rows in readings.groups("position").values():
+        _, radius, distances = fit_sphere(readings.points[rows])
+        artefacts.append(readings.artefact(rows))
+        sizes.append(2 * radius - readings.run.tip_mm - artefacts[-1].size_in_test)
+        forms.append(np.ptp(distances))
+    at = [a.size_in_test for a in artefacts]
+    u_form = [a.form_mm / 2 for a in artefacts]
+    return {
+        "P_Size": Candidates(sizes, at, _u_diameter(artefacts)),
+        "P_Form": Candidates(forms, at, u_form),
+    }
+
+
+def _u_diameter(artefacts):
+    return [np.hypot(a.u_size, FORM_IN_DIAMETER * a.form_mm) for a in artefacts]
+
+
+def _articulation(readings):
+    labels, found, artefacts = readings.run.articulation[readings.rows], [], []
+    for rows in readings.groups("position").values():
+        artefacts.append(readings.artefact(rows))
+        found.append(articulated_location_error(readings.points[rows], labels[rows]))
+    u = [np.hypot(FORM_IN_LOCATION * a.form_mm, a.fixture_mm) for a in artefacts]
+    return {"L_Dia": Candidates(found, [a.size_in_test for a in artefacts], u)}
+
+
+def _length(readings, name="E_Uni", tip=0.0):
+    errors, sizes, artefacts = _length_errors(readings, tip)
+    return {name: Candidates(errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
+
+
+def _length_errors(readings, tip=0.0):
+    _, lengths, artefacts, _ = readings.lengths()
+    sizes = np.array([a.size_in_test for a in artefacts])
+    return lengths - tip - sizes, sizes, artefacts
+
+
+def _bidirectional(readings):
+    return _length(readings, "E_Bi", readings.run.tip_mm)
+
+
+def _diameter(readings):
+    errors, artefacts = [], []
+    for rows in readings.groups("repeat").values():
+        artefacts.append(readings.artefact(rows))
+        radius = fit_sphere(readings.points[rows])[1]
+        errors.append(2 * radius - readings.run.tip_mm - artefacts[-1].size_in_test)
+    sizes = [a.size_in_test for a in artefacts]
+    return {"effective diameter": Candidates(errors, sizes, _u_diameter(artefacts))}
+
+
+def _single_point(readings):
+    found = {}
+    for (zone,), rows in readings.groups("position").items():
+        artefact, points = readings.artefact(rows), readings.points[rows]
+        more = [0.0], [artefact.fixture_mm if artefact else 0.0]
+        twice = single_point_repeatability(points)
+        interval = tuple(repeatability_interval(points).tolist())
+        largest = single_point_repeatability(points, statistic="max")
+        half = axis_repeatability(points).max()
+        found[f"2S {zone.lower()}"] = Candidates([twice], *more, interval)
+        found[f"largest {zone.lower()}"] = Candidates([largest], *more)
+        found[f"half range {zone.lower()}"] = Candidates([half], *more)
+    return found
+
+
+def _volumetric(readings):
+    errors, sizes, artefacts = _length_errors(readings)
+    n, rms = len(errors), np.sqrt(np.mean(errors**2))
+    common = np.array([a.u_size for a in artefacts])
+    own = np.array([a.fixture_mm for a in artefacts])
+    u, worst, size = np.hypot(common, own), np.abs(errors).argmax(), [sizes.max()]
+    # Of 2 rms the derivative by an error of the bar, 2 mean / rms, and by that of one placement.
+    u_rms = np.hypot(
+        2 * abs(errors.mean()) / max(rms, 1e-300) * common.max(), 2 * own.max() / n**0.5
+    )
+    interval = tuple((2 * rms * np.sqrt(n / chi2.ppf([0.975, 0.025], n))).tolist())
+    ends = [errors.argmax(), errors.argmin()]
+    # What the bar's size is off by drops out of a difference, if both were taken on one bar.
+    u_range = np.linalg.norm(own[ends])
+    if artefacts[ends[0]] is not artefacts[ends[1]]:
+        u_range = np.linalg.norm(u[ends])
+    return {
+        "volumetric largest": Candidates([abs(errors[worst])], [sizes[worst]], [u[worst]]),
+        "volumetric range": Candidates([np.ptp(errors)], size, [u_range]),
+        "volumetric 2 rms": Candidates([2 * rms], size, [u_rms], interval),
+    }
+
+
+def _pose(readings):
+    accuracy, repeatability = [], []
+    for rows in readings.groups("position").values():
+        points, mean = readings.points[rows], readings.points[rows].mean(axis=0)
+        off = np.linalg.norm(points - mean, axis=1)
+        repeatability.append(off.mean() + 3 * off.std(ddof=1))
+        accuracy.append(np.linalg.norm(mean - readings.believed[rows].mean(axis=0)))
+    none = [0.0] * len(accuracy)
+    return {n: Candidates(v, none, none) for n, v in (("AP", accuracy), ("RP", repeatability))}
+
+
+_FUNCTIONS = {
+    "probing": _probing, "articulation": _articulation, "length": _length,
+    "bidirectional": _bidirectional, "diameter": _diameter, "single-point": _single_point,
+    "volumetric": _volumetric, "pose": _pose,
+}  # fmt: skip

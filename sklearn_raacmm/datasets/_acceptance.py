@@ -1,0 +1,187 @@
+"""Simulated runs of acceptance tests; public in `sklearn_raacmm.datasets`."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from sklearn.utils import Bunch
+
+from sklearn_raacmm.acceptance import LABELS, AcceptanceRun, Artefact
+from sklearn_raacmm.datasets._arm_errors import ArmErrors
+from sklearn_raacmm.datasets._generators import (
+    _calibrated_arm,
+    _draw_cones,
+    _draw_gauges,
+    _machine_and_stream,
+    _readings,
+)
+from sklearn_raacmm.datasets._simulation import SimulatedArm
+
+_TESTS = ("probing", "articulation", "length", "diameter", "single-point", "volumetric")
+_LENGTHS = (200.0, 400.0, 600.0, 800.0, 1000.0)
+_TIP_MM = 6.0
+# A room, a steel bar and a ceramic sphere, with certificates and uncertainties as these are usual.
+_ROOM: Any = {"expansion_per_k": 11.5e-6, "temperature_degc": 21.0, "fixture_mm": 0.001}
+_BAR: Any = {"expanded_mm": 0.004, **_ROOM}
+_SPHERE: Any = {"size_mm": 25.0, "expanded_mm": 0.002, "form_mm": 0.002, **_ROOM}
+_GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
+
+
+def make_acceptance(
+    tests: Sequence[str] = _TESTS,
+    *,
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    exact: bool = False,
+    random_state: int | np.random.RandomState | None = 0,
+) -> Any:
+    """Simulate a run of acceptance tests with one arm and artefacts that have errors.
+
+    Parameters
+    ----------
+    tests : sequence of str
+        Of "probing", "articulation", "length", "bidirectional", "diameter", "single-point" and
+        "volumetric", see :func:`~sklearn_raacmm.acceptance.evaluate_acceptance`; by default all but
+        "bidirectional".
+    machine, random_state
+        As in :func:`make_single_point`; with the same int the individual is the same.
+    exact : bool, default=False
+        Whether artefacts are as they are stated. Places, poses and noise stay what they are.
+
+    Returns
+    -------
+    data : :class:`~sklearn.utils.Bunch`
+        ``run`` (AcceptanceRun of joint angles), ``arm`` (calibrated), ``nominal_arm``, and
+        ``simulation`` with ``machine`` and ``true_points``, mm.
+
+    Raises
+    ------
+    ValueError
+        If a test or the machine is unknown.
+
+    Notes
+    -----
+    True sizes, expansions, temperatures and fixtures are drawn as the standard uncertainties of
+    the artefacts say, oval spheres (harmonics of the second order) with the form that is stated.
+    Points of spheres are on the upper half. What a seat scatters stands for probing, too.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm.datasets import make_acceptance
+    >>> data = make_acceptance(["probing"])
+    >>> data.run.angles.shape, [artefact.name for artefact in data.run.artefacts]
+    ((50, 6), ['sphere'])
+    """
+    if unknown := sorted(set(tests) - {*_TESTS, "bidirectional"}):
+        raise ValueError(f"tests names {unknown[0]!r}; known are {', '.join(_TESTS)}.")
+    machine, rng = _machine_and_stream(machine, random_state, stream=3)
+    own = np.random.RandomState(rng.randint(2**31 - 1))
+    drawn = _Drawn(machine, rng, own, 0.0 if exact else 1.0)
+    for test in tests:
+        if test == "single-point":
+            drawn.cones()
+        elif test in ("probing", "articulation", "diameter"):
+            drawn.sphere(test)
+        else:
+            drawn.bars(test)
+    poses = [pose[None] for pose in drawn.poses]
+    warming = machine.errors.warming_k
+    angles, _, true_points = _readings(machine, np.array(drawn.points), poses, rng, warming)
+    columns: dict[str, Any] = dict(zip(LABELS, zip(*drawn.labels, strict=True), strict=True))
+    stated = drawn.artefacts.values()
+    return Bunch(
+        run=AcceptanceRun(**columns, angles=angles, artefacts=tuple(stated), tip_mm=_TIP_MM),
+        arm=_calibrated_arm(machine),
+        nominal_arm=machine.nominal_arm,
+        simulation=Bunch(machine=machine, true_points=true_points),
+    )
+
+
+class _Drawn:
+    """Rows of a run as they are drawn: labels, where the probe is, and a pose near that."""
+
+    def __init__(self, machine, rng, own, error):
+        self.machine, self.rng, self.own, self.error = machine, rng, own, error
+        self.labels, self.points, self.poses = [], [], []
+        self.artefacts, self.true_sizes = {}, {}
+
+    def _add(self, labels, point, pose):
+        self.labels.append(labels)
+        self.points.append(point)
+        self.poses.append(pose)
+
+    def _true_size(self, artefact):
+        """The size that an artefact has during the test; what is stated is off by its errors."""
+        if artefact.name not in self.artefacts:
+            self.artefacts[artefact.name] = artefact
+            size, factor, degc = self.error * self.own.normal(size=3)
+            there = replace(
+                artefact,
+                size_mm=artefact.size_mm + size * artefact.expanded_mm / 2,
+                expansion_per_k=artefact.expansion_per_k + factor * artefact.u_expansion_per_k,
+                temperature_degc=artefact.temperature_degc + degc * artefact.u_temperature_k,
+            )
+            self.true_sizes[artefact.name] = there.size_in_test
+        return self.true_sizes[artefact.name]
+
+    def cones(self):
+        self.artefacts["seat"] = Artefact(name="seat", fixture_mm=_ROOM["fixture_mm"])
+        places, poses = _draw_cones(self.machine, 3, 10, self.rng)
+        for zone, place, own in zip(("near", "middle", "far"), places, poses, strict=True):
+            for pose in own:
+                self._add(("single-point", "seat", zone, "", "", ""), place, pose)
+
+    def sphere(self, test):
+        """Points on the upper half: of a position, of each articulation, or of each repeat."""
+        n_places, n_times, n = {
+            "probing": (2, 1, 25), "articulation": (2, 5, 5), "diameter": (1, 3, 9),
+        }[test]  # fmt: skip
+        artefact = Artefact(name="sphere", serial="S1", certificate="simulated", **_SPHERE)
+        radius = (self._true_size(artefact) + _TIP_MM) / 2
+        # The form: n' A n with the largest less the smallest eigenvalue as stated, of mean 0.
+        root = self.own.normal(size=(3, 3))
+        form = root + root.T - np.eye(3) * 2 * np.trace(root) / 3
+        form *= self.error * artefact.form_mm / np.ptp(np.linalg.eigvalsh(form))
+        places, poses = _draw_cones(self.machine, n_places, n_times * n, self.rng)
+        for i, place in enumerate(places):
+            # Poses come sorted by the swing of the elbow: an articulation is n of one side.
+            for k in range(n_times):
+                where = (str(k + 1), "") if test == "articulation" else ("", str(k + 1))
+                shift = self.error * artefact.fixture_mm / 2 * self.own.normal(size=3)
+                if test != "articulation":
+                    shift = 0 * shift
+                for j, out in enumerate(_half_sphere(n, self.rng.uniform(0, 2 * np.pi))):
+                    at = place + shift + (radius + out @ form @ out) * out
+                    labels = (test, artefact.name, str(i + 1), *where, "")
+                    self._add(labels, at, poses[i][k * n + j])
+
+    def bars(self, test):
+        """Ends of bars: five lengths in seven positions thrice, or one bar in twenty once."""
+        volumetric = test == "volumetric"
+        sizes = [500.0] * 20 if volumetric else np.repeat(_LENGTHS, 7)
+        n_times = 1 if volumetric else 3
+        ends, poses = _draw_gauges(self.machine, sizes, n_times, self.rng)
+        for i, size in enumerate(sizes):
+            name = f"bar {size:.0f}"
+            bar = Artefact(name=name, serial=name, certificate="simulated", size_mm=size, **_BAR)
+            long = self._true_size(bar) + self.error * bar.fixture_mm * self.own.normal()
+            long += _TIP_MM * (test == "bidirectional")
+            pair = ends[2 * i : 2 * i + 2]
+            half = (long / size - 1) / 2 * (pair[1] - pair[0])
+            position = str(i + 1 if volumetric else i % 7 + 1)
+            for k in range(n_times):
+                for end in (0, 1):
+                    labels = (test, name, position, "", str(k + 1), "ab"[end])
+                    self._add(labels, pair[end] + (2 * end - 1) * half, poses[2 * i + end][k])
+
+
+def _half_sphere(n, turn):
+    """Directions (n, 3) spread evenly over the upper half of a sphere."""
+    i = np.arange(n) + 0.5
+    z = 1 - i / n
+    azimuth = _GOLDEN_ANGLE * i + turn
+    across = np.sqrt(1 - z**2)
+    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z])
