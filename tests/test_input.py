@@ -166,7 +166,8 @@ FUNCTIONS = [
     ("shoulder_wrist_distance", partial(shoulder_wrist_distance, ARM), "angles"),
     ("elbow_angle", partial(elbow_angle, ARM), "angles"),
     ("2S", metrics.single_point_repeatability, "points groups"),
-    ("interval", partial(metrics.repeatability_interval, n_resamples=9), "points groups"),
+    ("interval", metrics.repeatability_interval, "points groups"),
+    ("sphere", lambda points: metrics.fit_sphere(points)[2], "points"),
     ("axes", lambda points: metrics.axis_repeatability(points, GROUPS), "points"),
     ("report", lambda p, g: metrics.repeatability_report(p, g).axis_2s_x, "points groups"),
     ("scatter", partial(metrics.within_position_scatter, POINTS, groups=GROUPS), "residuals"),
@@ -510,6 +511,7 @@ def refused():
     yield partial(fitted, orders=0), "causes", [[]], "no columns"
     several = [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan]
     yield interval, "probability", several, "probability must be between 0 and 1, got"
+    yield interval, "statistic", ["max"], "'max' is not"
     yield partial(metrics.probing_size_error, OCTAHEDRON), "diameter", [[10, 10]], "one number"
     yield metrics.probing_form_error, "points", [POINTS * 0], "one plane"
     gauges = partial(metrics.gauge_lengths, POINTS, GROUPS.astype(str))

@@ -196,7 +196,7 @@ def evaluate_acceptance(
         rows = np.flatnonzero(run.test == test)
         if not len(rows):
             continue
-        readings = [_readings(run, rows, *side, test, base) for side in sides]
+        readings = [_readings(run, rows, side, test, base) for side in sides]
         faults, computed = _values(test, readings)
         findings += faults
         for name, (own, formula, standard, read) in VALUES.items():
@@ -240,8 +240,9 @@ def _points(run, arm, model, found):
     return sides
 
 
-def _readings(run, rows, points, believed, test, base):
+def _readings(run, rows, side, test, base):
     """The readings of a test, those of a pose test in the frame of the arm's base."""
+    points, believed = side
     if test == "pose":
         if run.points is None or believed is None:
             raise ValueError("a pose test needs points of a tracker, joint angles and the arm.")

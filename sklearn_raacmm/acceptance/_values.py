@@ -81,7 +81,9 @@ class Readings:
 
     def groups(self, *columns):
         """Rows (m,) of this test for each combination of labels, in the order of the file."""
-        labels = zip(*(getattr(self.run, name)[self.rows] for name in columns), strict=True)
+        labels = zip(
+            *(getattr(self.run, name)[self.rows].tolist() for name in columns), strict=True
+        )
         found: dict[Any, list[int]] = {}
         for i, label in enumerate(labels):
             found.setdefault(label, []).append(i)

@@ -8,6 +8,7 @@ import re
 from typing import Any
 
 import numpy as np
+from scipy.stats import t
 
 from sklearn_raacmm.display import RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
@@ -27,7 +28,6 @@ _STYLE: Any = {
 # Points drawn at most in a cloud: more make the file large and the cloud no clearer.
 _MOST_POINTS = 600
 _MOST_ARMS = 12
-_N_DRAWS = 400  # of a bootstrap, as many as `repeatability_interval` makes
 
 
 def make_svg(draw, name, style=None):
@@ -96,8 +96,8 @@ def _intervals(scores, left):
     ends = []
     for rows in scores.rows_by_position:
         size = np.linalg.norm(left[rows], axis=1)
-        drawn = np.random.default_rng(0).choice(size, (_N_DRAWS, len(size)))
-        ends.append(np.quantile(drawn.mean(axis=1), [0.025, 0.975]))
+        half = t.ppf(0.975, len(size) - 1) * size.std(ddof=1) / np.sqrt(len(size))
+        ends.append(size.mean() + half * np.array([-1, 1]))
     return np.array(ends)
 
 

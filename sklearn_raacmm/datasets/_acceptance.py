@@ -13,11 +13,11 @@ from sklearn.utils import Bunch
 from sklearn_raacmm.acceptance import LABELS, AcceptanceRun, Artefact
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._generators import (
-    _calibrated_arm,
-    _draw_cones,
-    _draw_gauges,
-    _machine_and_stream,
-    _readings,
+    calibrated_arm,
+    draw_cones,
+    draw_gauges,
+    machine_and_stream,
+    take_readings,
 )
 from sklearn_raacmm.datasets._simulation import SimulatedArm
 
@@ -75,11 +75,14 @@ def make_acceptance(
     >>> data.run.angles.shape, [artefact.name for artefact in data.run.artefacts]
     ((50, 6), ['sphere'])
     """
-    if unknown := sorted(set(tests) - {*_TESTS, "bidirectional"}):
-        raise ValueError(f"tests names {unknown[0]!r}; known are {', '.join(_TESTS)}.")
-    machine, rng = _machine_and_stream(machine, random_state, stream=3)
+    unknown = sorted(set(tests) - {*_TESTS, "bidirectional"})
+    if unknown or not tests:
+        what = repr(unknown[0]) if unknown else "none"
+        raise ValueError(f"tests names {what}; known are {', '.join(_TESTS)}, bidirectional.")
+    simulated: SimulatedArm
+    simulated, rng = machine_and_stream(machine, random_state, stream=3)
     own = np.random.RandomState(rng.randint(2**31 - 1))
-    drawn = _Drawn(machine, rng, own, 0.0 if exact else 1.0)
+    drawn = _Drawn(simulated, rng, own, 0.0 if exact else 1.0)
     for test in tests:
         if test == "single-point":
             drawn.cones()
@@ -88,15 +91,15 @@ def make_acceptance(
         else:
             drawn.bars(test)
     poses = [pose[None] for pose in drawn.poses]
-    warming = machine.errors.warming_k
-    angles, _, true_points = _readings(machine, np.array(drawn.points), poses, rng, warming)
+    warming = simulated.errors.warming_k
+    angles, _, true_points = take_readings(simulated, np.array(drawn.points), poses, rng, warming)
     columns: dict[str, Any] = dict(zip(LABELS, zip(*drawn.labels, strict=True), strict=True))
     stated = drawn.artefacts.values()
     return Bunch(
         run=AcceptanceRun(**columns, angles=angles, artefacts=tuple(stated), tip_mm=_TIP_MM),
-        arm=_calibrated_arm(machine),
-        nominal_arm=machine.nominal_arm,
-        simulation=Bunch(machine=machine, true_points=true_points),
+        arm=calibrated_arm(simulated),
+        nominal_arm=simulated.nominal_arm,
+        simulation=Bunch(machine=simulated, true_points=true_points),
     )
 
 
@@ -129,7 +132,7 @@ class _Drawn:
 
     def cones(self):
         self.artefacts["seat"] = Artefact(name="seat", fixture_mm=_ROOM["fixture_mm"])
-        places, poses = _draw_cones(self.machine, 3, 10, self.rng)
+        places, poses = draw_cones(self.machine, 3, 10, self.rng)
         for zone, place, own in zip(("near", "middle", "far"), places, poses, strict=True):
             for pose in own:
                 self._add(("single-point", "seat", zone, "", "", ""), place, pose)
@@ -145,7 +148,7 @@ class _Drawn:
         root = self.own.normal(size=(3, 3))
         form = root + root.T - np.eye(3) * 2 * np.trace(root) / 3
         form *= self.error * artefact.form_mm / np.ptp(np.linalg.eigvalsh(form))
-        places, poses = _draw_cones(self.machine, n_places, n_times * n, self.rng)
+        places, poses = draw_cones(self.machine, n_places, n_times * n, self.rng)
         for i, place in enumerate(places):
             # Poses come sorted by the swing of the elbow: an articulation is n of one side.
             for k in range(n_times):
@@ -163,7 +166,7 @@ class _Drawn:
         volumetric = test == "volumetric"
         sizes = [500.0] * 20 if volumetric else np.repeat(_LENGTHS, 7)
         n_times = 1 if volumetric else 3
-        ends, poses = _draw_gauges(self.machine, sizes, n_times, self.rng)
+        ends, poses = draw_gauges(self.machine, sizes, n_times, self.rng)
         for i, size in enumerate(sizes):
             name = f"bar {size:.0f}"
             bar = Artefact(name=name, serial=name, certificate="simulated", size_mm=size, **_BAR)

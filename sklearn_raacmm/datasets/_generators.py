@@ -121,12 +121,12 @@ def make_single_point(
     """
     check_scalar(n_positions, "n_positions", Integral, min_val=1)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
-    machine, rng = _machine_and_stream(machine, random_state, stream=1)
-    positions, poses = _draw_cones(machine, n_positions, n_poses, rng)
+    machine, rng = machine_and_stream(machine, random_state, stream=1)
+    positions, poses = draw_cones(machine, n_positions, n_poses, rng)
     known = []
     if np.size(bars):
         bars = _check_lengths(bars, machine)
-        ends, more = _draw_gauges(machine, bars, n_poses, rng)
+        ends, more = draw_gauges(machine, bars, n_poses, rng)
         positions, poses = np.vstack([positions, ends]), poses + more
         given = (bars + _LENGTH_SD_MM * rng.normal(size=len(bars))).tolist()
         first = range(n_positions, n_positions + len(ends), 2)
@@ -186,24 +186,24 @@ def make_gauge(
     """
     check_scalar(n_placements, "n_placements", Integral, min_val=1)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
-    machine, rng = _machine_and_stream(machine, random_state, stream=2)
+    machine, rng = machine_and_stream(machine, random_state, stream=2)
     lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
-    ends, poses = _draw_gauges(machine, lengths, n_poses, rng)
+    ends, poses = draw_gauges(machine, lengths, n_poses, rng)
     data = _measure(machine, ends, poses, rng)
     data.update(pairs=np.arange(2 * len(lengths)).reshape(-1, 2), lengths=lengths)
     return pack(data, return_X_y, as_frame)
 
 
 @lru_cache(maxsize=8)
-def _calibrated_arm(machine):
+def calibrated_arm(machine):
     """Calibrate the arm as its user would, before it warms, with cones and gauges of its own."""
     rng = np.random.RandomState(machine.calibration_seed)
-    positions, poses = _draw_cones(machine, 14, 40, rng)
+    positions, poses = draw_cones(machine, 14, 40, rng)
     lengths = np.repeat([300.0, 500.0], 6)
-    ends, end_poses = _draw_gauges(machine, lengths, 10, rng)
+    ends, end_poses = draw_gauges(machine, lengths, 10, rng)
     cones = np.vstack([positions, ends])
     # At one temperature, and by a careful user whose probe never slips.
-    angles, groups, _ = _readings(machine, cones, poses + end_poses, rng)
+    angles, groups, _ = take_readings(machine, cones, poses + end_poses, rng)
     first = len(positions) + 2 * np.arange(len(lengths))
     known = [(i, i + 1, length, _LENGTH_SD_MM) for i, length in zip(first, lengths, strict=True)]
     with warnings.catch_warnings():
@@ -221,7 +221,9 @@ def _calibrated_arm(machine):
     return result.arm.replace(name="calibrated (simulated)")
 
 
-def _readings(machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, payload_n: Any = 0.0):
+def take_readings(
+    machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, payload_n: Any = 0.0
+):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
     seating = machine.errors.seating_um * 1e-3 * rng.normal(size=(len(groups), 3))
@@ -247,8 +249,8 @@ def _measure(machine, cones, poses, rng):
     directions = directions_of(np.vstack(poses))
     if errors.payload_n:
         payload = rng.uniform(0, errors.payload_n, n_rows)
-    angles, groups, true_points = _readings(machine, cones, poses, rng, warming, slips, payload)
-    arm = _calibrated_arm(machine)
+    angles, groups, true_points = take_readings(machine, cones, poses, rng, warming, slips, payload)
+    arm = calibrated_arm(machine)
     points = arm.forward(angles)
     return Bunch(
         data=angles,
@@ -273,7 +275,7 @@ def _measure(machine, cones, poses, rng):
     )
 
 
-def _draw_cones(machine, n, n_poses, rng):
+def draw_cones(machine, n, n_poses, rng):
     """Cones spread evenly over the radial reach, and poses that reach them."""
     low, high = _SHARE_OF_REACH
     cones, poses = [], []
@@ -289,7 +291,7 @@ def _draw_cones(machine, n, n_poses, rng):
     return np.array(cones), poses
 
 
-def _draw_gauges(machine, lengths, n_poses, rng):
+def draw_gauges(machine, lengths, n_poses, rng):
     """Place the gauges: their ends, two rows each, and poses that reach them."""
     ends, poses = [], []
     for length in lengths:
@@ -336,7 +338,7 @@ def _individual(errors, seed):
     return SimulatedArm(errors, random_state=seed)
 
 
-def _machine_and_stream(machine, random_state, stream):
+def machine_and_stream(machine, random_state, stream):
     # An instance of RandomState gives the next int, so that both uses below agree on it.
     if isinstance(random_state, int | np.integer):
         seed = int(random_state)

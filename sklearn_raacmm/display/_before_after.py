@@ -98,7 +98,6 @@ class RepeatabilityDisplay(FittedDisplay):
         statistic: str = "2s",
         name: str = "after",
         interval: float | None = 0.95,
-        random_state: int | np.random.RandomState | None = 0,
         ax: Any = None,
     ) -> Self:
         """Draw the repeatability of points before and after a given correction.
@@ -114,9 +113,8 @@ class RepeatabilityDisplay(FittedDisplay):
         statistic, name : str
             As for the class.
         interval : float or None, default=0.95
-            Probability of the bootstrap intervals, between 0 and 1. None: no intervals.
-        random_state : int, RandomState instance or None, default=0
-            Of the bootstrap.
+            Probability of the intervals, between 0 and 1. None: no intervals, as of "max", which
+            has none.
         ax : matplotlib Axes, default=None
             Axes to draw on. None: new ones.
 
@@ -139,8 +137,8 @@ class RepeatabilityDisplay(FittedDisplay):
         corrected = {"before": points, "after": subtract(points, y_pred)}
         values = {side: spread(some) for side, some in corrected.items()}
         floor = None if perfect is None else spread(subtract(points, perfect))
-        if interval is not None:
-            options |= {"probability": interval, "random_state": random_state}
+        if interval is not None and statistic != "max":
+            options["probability"] = interval
             for side, some in corrected.items():
                 values[f"{side}_interval"] = repeatability_interval(some, groups, **options)
         positions = np.unique(groups)

@@ -77,10 +77,10 @@ def repeatability_interval(
     # Points that all coincide have an interval of no length, whatever their degrees of freedom.
     freedom = (counts - 1) * np.where(square > 0, trace**2 / np.maximum(square, 1e-300), 1.0)
     if aggregate is not None:
-        sizes = np.maximum(value, 1e-300)
+        sizes = np.maximum(value, 1e-100)
         value = np.mean(value * (1 + 0.25 / freedom))
         freedom = sizes.sum() ** 2 / np.sum(sizes**2 / freedom)
-        value *= 1 - 0.25 / freedom  # which the quantiles of the mean hold
+        value /= 1 + 0.25 / freedom  # which the quantiles of the mean hold
     tails = np.array([1 + probability, 1 - probability]) / 2
     ends = np.sqrt(freedom / chi2.ppf(tails[:, None], freedom)) * value
     return ends[:, 0] if aggregate is not None else ends.T

@@ -101,9 +101,7 @@ def test_repeatability_draws_2s_of_every_position(cone, model):
 def test_repeatability_has_intervals(cone):
     settings = {"groups": cone.groups, "statistic": "mean"}
     display = RepeatabilityDisplay.from_predictions(cone.points, cone.target, **settings)
-    expected = repeatability_interval(
-        cone.points, cone.groups, statistic="mean", aggregate=None, random_state=0
-    )
+    expected = repeatability_interval(cone.points, cone.groups, statistic="mean", aggregate=None)
     assert_allclose(display.before_interval, expected)
     factor = {"mm": 1, "µm": 1000}[display.unit_]
     for lines, shown in zip(
@@ -115,6 +113,10 @@ def test_repeatability_has_intervals(cone):
         cone.points, cone.target, interval=None, **settings
     )
     assert without.before_interval is None
+    largest = RepeatabilityDisplay.from_predictions(
+        cone.points, cone.target, groups=cone.groups, statistic="max"
+    )
+    assert largest.before_interval is None
     assert len(without.ax_.collections) == 0
     with pytest.raises(ValueError, match=r"between 0 and 1, got 95"):
         RepeatabilityDisplay.from_predictions(cone.points, cone.target, interval=95, **settings)

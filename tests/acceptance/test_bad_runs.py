@@ -1,0 +1,168 @@
+"""Bad runs: each gets a finding that says what is wrong, its test no number, the others theirs."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Finding
+from sklearn_raacmm.acceptance import LABELS, AcceptanceRun, evaluate_acceptance
+from sklearn_raacmm.datasets import make_acceptance
+from sklearn_raacmm.metrics import fit_sphere
+
+
+def only(run, keep):
+    """The run of some rows."""
+    columns = {name: getattr(run, name)[keep] for name in (*LABELS, "angles", "points")}
+    return replace(run, **columns)
+
+
+def stated(run, name, **what):
+    return run.with_artefacts([replace(a, **what) if a.name == name else a for a in run.artefacts])
+
+
+@pytest.fixture(scope="module")
+def run(data):
+    points = data.arm.forward(data.run.angles)
+    return replace(data.run, points=points)
+
+
+def without_an_articulation(run):
+    return only(run, (run.test != "articulation") | (run.articulation != "4"))
+
+
+def without_a_point(run):
+    return only(run, np.arange(len(run.test)) != np.flatnonzero(run.test == "probing")[30])
+
+
+def without_an_end(run):
+    lost = (run.test == "length") & (run.artefact == "bar 600") & (run.position == "3")
+    return only(run, ~(lost & (run.repeat == "2") & (run.end == "b")))
+
+
+def in_inches(run):
+    rows = run.test == "diameter"
+    return replace(run, points=np.where(rows[:, None], run.points / 25.4, run.points))
+
+
+def in_metres(run):
+    rows = run.test == "volumetric"
+    return replace(run, points=np.where(rows[:, None], run.points / 1000, run.points))
+
+
+def of_another_bar(run):
+    names = np.where(
+        (run.test == "length") & (run.artefact == "bar 400"), "bar 600",
+        np.where((run.test == "length") & (run.artefact == "bar 600"), "bar 400", run.artefact),
+    )  # fmt: skip
+    return replace(run, artefact=names)
+
+
+def without_a_certificate(run):
+    return stated(run, "bar 1000", certificate="", expanded_mm=None)
+
+
+def by_a_radius(run):
+    return stated(run, "sphere", size_mm=12.5)
+
+
+def after_a_slip(run):
+    points = run.points.copy()
+    points[np.flatnonzero(run.position == "far")[4]] += [0.6, -0.5, 0.6]
+    return replace(run, points=points)
+
+
+BAD = [
+    (without_an_articulation, "acceptance-incomplete", r"5 labels are needed .* 1, 2, 3, 5\.", 1),
+    (without_a_point, "acceptance-incomplete", "position 2 has 24 readings, 25 are needed", 2),
+    (without_an_end, "acceptance-incomplete", "position 3, repeat 2, end b has 0 readings", 1),
+    (in_inches, "artefact-unit", r"measures -?\d.* is stated as 25.* the points are in inches", 1),
+    (in_metres, "artefact-unit", r"is stated as 500.* the points are in metres", 3),
+    (of_another_bar, "artefact-other", "stated as 600.* it has the size of 'bar 400'", 1),
+    (without_a_certificate, "artefact-unknown", "'bar 1000' is not stated: expanded_mm, cert", 2),
+    (by_a_radius, "artefact-unit", "a radius was stated for a diameter", 4),
+    (after_a_slip, "slipped", r"single-point: 1 readings are off by up to 0\.9.*usual", 9),
+]
+
+
+@pytest.mark.parametrize(("spoil", "code", "text", "n_lost"), BAD, ids=lambda b: str(b)[10:30])
+def test_a_bad_run_has_a_finding_and_no_number(run, spoil, code, text, n_lost):
+    good, bad = evaluate_acceptance(run), evaluate_acceptance(spoil(run))
+    assert good.findings == ()
+    assert {finding.code for finding in bad.findings} == {code}
+    assert isinstance(bad.findings[0], Finding)
+    assert {finding.weight for finding in bad.findings} == {"repair"}
+    assert any(re.search(text, finding.text) for finding in bad.findings)
+    lost = [value.name for value in bad.values if value.before is None]
+    assert len(lost) == n_lost
+    tests = {finding.text.split(":")[0] for finding in bad.findings}
+    for one, other in zip(good.values, bad.values, strict=True):
+        if one.test in tests:
+            assert other.before is None
+            assert other.decision_before == ""
+        else:
+            assert other.before == pytest.approx(one.before, abs=1e-12)
+
+
+def test_a_slip_is_named_by_its_row(run):
+    bad = after_a_slip(run)
+    (finding,) = evaluate_acceptance(bad).findings
+    assert finding.rows == (int(np.flatnonzero(run.position == "far")[4]),)
+    assert finding.size_mm == pytest.approx(0.98, abs=0.1)
+    # A bar that slipped, and a point of a sphere.
+    for test, row in (("volumetric", 7), ("probing", 12)):
+        points = run.points.copy()
+        at = np.flatnonzero(run.test == test)[row]
+        mean = points[run.test == test].mean(axis=0)
+        points[at] += 1.5 * (points[at] - mean) / np.linalg.norm(points[at] - mean)
+        (finding,) = evaluate_acceptance(replace(run, points=points)).findings
+        assert finding.text.startswith(test)
+
+
+def test_more_readings_than_a_test_has(run):
+    twice = np.r_[np.arange(len(run.test)), np.flatnonzero(run.test == "length")[0]]
+    (finding,) = evaluate_acceptance(only(run, twice)).findings
+    assert "has 2 readings, 1 are needed" in finding.text
+    # More poses in a cone and more placements of a bar are as good.
+    more = np.r_[np.arange(len(run.test)), np.flatnonzero(run.position == "near")[:2]]
+    assert evaluate_acceptance(only(run, more)).findings == ()
+
+
+def test_a_ball_that_is_compensated_twice_and_one_that_is_unknown(run):
+    (first, *_) = evaluate_acceptance(replace(run, tip_mm=0.0)).findings
+    assert "it is another artefact" in first.text
+    radius = (25 + 6) / 2
+    points = run.points.copy()
+    rows = np.isin(run.test, ("probing", "articulation", "diameter"))
+    for label in np.unique(run.position[rows]):
+        for test in ("probing", "articulation", "diameter"):
+            own = (run.test == test) & (run.position == label)
+            if own.any():
+                centre = fit_sphere(points[own])[0]
+                points[own] = centre + (points[own] - centre) * 12.5 / radius
+    found = evaluate_acceptance(replace(run, points=points)).findings
+    assert all("compensated twice" in f.text for f in found if f.text.startswith("prob"))
+
+
+def test_points_in_a_plane_are_no_sphere(run):
+    rows = run.test == "diameter"
+    points = np.where(rows[:, None], run.points * [1, 1, 0], run.points)
+    (finding,) = evaluate_acceptance(replace(run, points=points)).findings
+    assert finding.code == "acceptance-geometry"
+    assert "lie in one plane" in finding.text
+
+
+def test_an_arm_that_is_bad_is_no_bad_run():
+    """Neither errors twice as usual nor a nominal table are taken for slips or other artefacts."""
+    for seed in range(3):
+        bad = make_acceptance(machine="eccentricity", random_state=seed)
+        assert evaluate_acceptance(bad.run, bad.arm).findings == ()
+        assert evaluate_acceptance(bad.run, bad.arm, found=bad.nominal_arm).findings == ()
+
+
+def test_rows_of_no_label():
+    run = AcceptanceRun(test=["single-point"] * 3, artefact=[""] * 3, points=np.eye(3))
+    (finding,) = evaluate_acceptance(run).findings
+    assert "3 labels (near, middle, far) are needed in the column position" in finding.text
+    assert "without a label" in finding.text
