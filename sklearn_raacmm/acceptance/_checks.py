@@ -13,10 +13,11 @@ from sklearn_raacmm.utils import Finding, row_numbers
 
 # Sizes that are off by more are of another artefact, mm; a calibrated arm is off by tenths.
 _OTHER_MM = 2.0
-# A reading that is so many times farther off than is usual in its test, and farther than a tenth of
-# a millimetre, has slipped: errors of an arm are bounded, and bent normal at most.
-_SLIP_RATIO, _SLIP_MM = 8.0, 0.1
-_TO_SD = 1.4826  # a median of absolute normal values as a standard deviation
+# A reading that is off by so many standard deviations of its test, and by a tenth of a millimetre,
+# has slipped. The standard deviation is that of normal errors with the same four fifths: a median
+# would be that of few places only, and errors of an arm differ from place to place.
+_SLIP_RATIO, _SLIP_MM, _SHARE = 8.0, 0.1, 0.8
+_OF_SHARE = 1.2816  # standard deviations that hold this share
 # Measured over stated size, and what that says.
 _RATIOS = {
     "the points are in inches": 1 / 25.4,
@@ -161,7 +162,7 @@ def _slips(test, readings):
     if not len(readings.rows):
         return []
     off, rows = _deviations(test, readings)
-    limit = max(_SLIP_MM, _SLIP_RATIO * _TO_SD * float(np.median(off)))
+    limit = max(_SLIP_MM, _SLIP_RATIO / _OF_SHARE * float(np.quantile(off, _SHARE)))
     far = off > limit
     if not far.any():
         return []
