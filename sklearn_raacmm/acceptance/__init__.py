@@ -13,6 +13,7 @@ from sklearn_raacmm.acceptance._evaluate import (
     AcceptanceValue,
     evaluate_acceptance,
 )
+from sklearn_raacmm.acceptance._predict import predict_acceptance
 from sklearn_raacmm.acceptance._run import LABELS, AcceptanceRun, Artefact
 from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES
 
@@ -26,4 +27,5 @@ __all__ = [
     "AcceptanceValue",
     "Artefact",
     "evaluate_acceptance",
+    "predict_acceptance",
 ]

@@ -5,6 +5,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from sklearn_raacmm.acceptance._checks import find_faults
 from sklearn_raacmm.acceptance._run import AcceptanceRun
 from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES, Readings, values_of
 from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.utils import Finding, check_option, floats
 
 # One-sided 95 % of a normal error, the guard of ISO 14253-1; coverage factor of stated uncertainty.
@@ -121,13 +123,14 @@ def evaluate_acceptance(
         The readings.
     arm : Arm, default=None
         The calibrated arm; needed where the run has angles, and for a correction.
-    model : object, default=None
-        With ``predict(angles)``, in rad: residuals (n, 3) mm, subtracted from the points.
+    model : Correction or object, default=None
+        A correction, with its own arm and base; or with ``predict(angles)``, in rad: residuals
+        (n, 3) mm, subtracted from the points.
     found : Arm, default=None
         The arm as it was found. None: `arm`, without the model.
     base : (array-like of shape (3, 3), array-like of shape (3,)), default=None
         Rotation and translation, mm, of the arm's base in the frame of the tracker that measured
-        the points of a pose test, as ``Correction.base`` has them.
+        the points of a pose test. None: that of the correction, or their frame is the base.
     limits : dict of str to float or (float, float, float), default=None
         Of the values by their names, mm: one number, or A, s and B for A + s L, at most B, such as
         ``(0.02, 1 / 50_000, 0.05)`` for 20 um + L / 50 with L in mm.
@@ -189,6 +192,10 @@ def evaluate_acceptance(
     limits = {name: _checked_limit(name, limit) for name, limit in (limits or {}).items()}
     if unknown := sorted(set(run.test.tolist()) - set(LAYOUTS)):
         raise ValueError(f"the run has the test {unknown[0]!r}; known are {', '.join(LAYOUTS)}.")
+    if isinstance(model, Correction):
+        correction, arm = model, arm or model.arm
+        base = correction.base if base is None else base
+        model = SimpleNamespace(predict=lambda q: correction.model.predict(correction.inputs(q)))
     sides = _points(run, arm, model, found)
     findings: list[Finding] = []
     values = []

@@ -1,0 +1,153 @@
+"""Acceptance tests: whether uncertainties, intervals and predictions hold what they promise.
+
+Simulated arms and artefacts; learnt from ten cones of 25 poses and two bars.
+
+    python benchmarks/bench_acceptance.py coverage --runs 300  # U of values, of true artefacts
+    python benchmarks/bench_acceptance.py intervals            # of 2S and of 2 rms from one run
+    python benchmarks/bench_acceptance.py predict --arms 15    # values against those predicted
+    python benchmarks/bench_acceptance.py after --arms 15      # what a correction changes
+"""
+
+import argparse
+import os
+import warnings
+from dataclasses import replace
+
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+import numpy as np
+from scipy.stats import chi2
+
+from sklearn_raacmm import learn_correction
+from sklearn_raacmm.acceptance import evaluate_acceptance, predict_acceptance
+from sklearn_raacmm.datasets import ArmErrors, make_acceptance, make_gauge, make_single_point
+from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
+
+MIXES = ("typical", "gravity", "eccentricity")
+SIZES = ((3, 10), (4, 12), (10, 20))
+
+
+def coverage(options):
+    """Values of a run, less those of the same readings on artefacts that are as stated, over U."""
+    z = {}
+    for run in range(options.runs):
+        # Without their step readings are the same but for what the artefacts are off by.
+        errors = replace(ArmErrors.from_name(MIXES[run % 3]), quantisation_arcsec=0.0)
+        given = {"machine": errors, "random_state": run}
+        data, exact = make_acceptance(**given), make_acceptance(exact=True, **given)
+        one, other = (evaluate_acceptance(d.run, d.arm) for d in (data, exact))
+        for value in one.values:
+            # Of the worst of both signs another may be the worst: sizes of values are compared.
+            off = abs(value.before) - abs(other[value.name].before)
+            if value.test != "single-point":
+                z.setdefault(value.name, []).append(off / (2 * value.u_before))
+    print(
+        f"{options.runs} runs: share of |value - true value| within U (k = 2), rms of both over u"
+    )
+    for name, values in z.items():
+        held = np.mean(np.abs(values) < 1)
+        print(f"{name:<20} {held:.3f} {2 * rms(values):6.2f}", flush=True)
+
+
+def intervals(options):
+    """How often intervals hold the value of many poses, or of the normal errors they are of."""
+    rng = np.random.default_rng(0)
+    shapes = {"as round": (1, 1, 1), "2 : 1 : 1": (2, 1, 1), "5 : 1 : 1": (5, 1, 1)}
+    print("2S: share of intervals of 95 % that hold it, of positions and of their mean")
+    for k, n in SIZES:
+        groups = np.repeat(np.arange(k), n)
+        for name, shape in shapes.items():
+            sds = np.linspace(0.5, 1.5, k)[:, None] * shape
+            true = 2 * np.linalg.norm(sds, axis=1)
+            draws = (sds[groups] * rng.normal(size=(k * n, 3)) for _ in range(options.runs))
+            held = np.mean([_held(points, groups, true) for points in draws], axis=0)
+            print(f"{k:2} x {n}, normal, {name:<10} {held[0]:.3f} {held[1]:.3f}", flush=True)
+        for mix in MIXES:
+            pool = make_single_point(k, 400, machine=mix, random_state=1)
+            true = single_point_repeatability(pool.points, pool.groups, aggregate=None)
+            held = []
+            for _ in range(options.runs):
+                rows = [400 * i + rng.choice(400, n, replace=False) for i in range(k)]
+                held.append(_held(pool.points[np.concatenate(rows)], groups, true))
+            print(f"{k:2} x {n}, arm {mix:<16} {' '.join(f'{v:.3f}' for v in np.mean(held, 0))}")
+    print("2 rms of 20 placements")
+    pools = {"normal": None}
+    for mix in MIXES:
+        pool = make_gauge(500, 400, 2, machine=mix, random_state=1)
+        ends = pool.points[::2].reshape(-1, 2, 3)
+        pools[f"arm {mix}"] = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) - 500
+    for name, pool in pools.items():
+        held = []
+        for _ in range(10 * options.runs):
+            errors = rng.normal(size=20) if pool is None else rng.choice(pool, 20, replace=False)
+            ends = rms(errors) * np.sqrt(20 / chi2.ppf([0.975, 0.025], 20))
+            held.append(ends[0] < (1 if pool is None else rms(pool)) < ends[1])
+        print(f"{name:<20} {np.mean(held):.3f}")
+
+
+def _held(points, groups, true):
+    """Share of positions whose interval holds the value, and whether that of the mean does."""
+    low, high = repeatability_interval(points, groups, aggregate=None).T
+    ends = repeatability_interval(points, groups)
+    return np.mean((low < true) & (true < high)), ends[0] < true.mean() < ends[1]
+
+
+def _learnt(seed):
+    """An arm's correction, from cones and two bars, and a run of the same arm at other places."""
+    test = make_single_point(10, 25, bars=[500, 900], machine=MIXES[seed % 3], random_state=seed)
+    learned = learn_correction(test.nominal_arm, test.data, test.groups, lengths=test.lengths, cv=3)
+    data = make_acceptance(machine=test.simulation.machine, random_state=seed + 1000)
+    return learned, data
+
+
+def predict(options):
+    """How often the interval of a prediction, from the model alone, holds the value of the run."""
+    held, share = {}, {}
+    for seed in range(options.arms):
+        learned, data = _learnt(seed)
+        result = evaluate_acceptance(data.run, model=learned)
+        expected = predict_acceptance(learned, data.run, random_state=seed)
+        for name, (low, middle, high) in expected.items():
+            value = abs(result[name].after)
+            held.setdefault(name, []).append(low <= value <= high)
+            share.setdefault(name, []).append(value / middle)
+        print(f"arm {seed}: {np.mean([values[-1] for values in held.values()]):.2f}", flush=True)
+    print("share of arms whose value lies in the interval of 95 %, median of value / predicted")
+    for name, values in held.items():
+        print(f"{name:<20} {np.mean(values):.2f} {np.median(share[name]):6.2f}")
+    print(f"{'all':<20} {np.mean(list(held.values())):.3f}")
+
+
+def after(options):
+    """Mean values as found, in the nominal table and calibrated, and as left."""
+    rows = {}
+    for seed in range(options.arms):
+        learned, data = _learnt(seed)
+        result = evaluate_acceptance(data.run, model=learned)
+        nominal = evaluate_acceptance(data.run, learned.arm, found=data.nominal_arm)
+        for value in result.values:
+            if value.before is not None and nominal[value.name].before is not None:
+                numbers = nominal[value.name].before, value.before, value.after
+                rows.setdefault(value.name, []).append(np.abs(numbers))
+        print(f"arm {seed}", flush=True)
+    print("means in um: nominal table, calibrated, corrected")
+    for name, values in rows.items():
+        print(f"{name:<20}" + "".join(f"{1000 * v:9.1f}" for v in np.mean(values, axis=0)))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=["coverage", "intervals", "predict", "after"])
+    parser.add_argument("--runs", type=int, default=300)
+    parser.add_argument("--arms", type=int, default=15)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", UserWarning)
+    globals()[options.what](options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What a model expects of a run that is planned: its values with the errors that it leaves."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from dataclasses import replace
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from sklearn.utils import check_random_state, check_scalar
+
+from sklearn_raacmm.acceptance._run import AcceptanceRun
+from sklearn_raacmm.acceptance._values import BARS, LAYOUTS, SPHERES, Readings, values_of
+from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.correction import Correction
+from sklearn_raacmm.metrics import fit_sphere
+
+
+def predict_acceptance(
+    model: Any,
+    plan: AcceptanceRun,
+    *,
+    n_draws: int = 200,
+    probability: float = 0.95,
+    random_state: int | np.random.RandomState | None = 0,
+) -> dict[str, tuple[float, float, float]]:
+    """Values that a corrected arm would have in a run, by what its model does not know.
+
+    Parameters
+    ----------
+    model : Correction or ArmResidualRegressor
+        Fitted; it has ``sample_y``. A regressor takes angles in rad.
+    plan : AcceptanceRun
+        Labels, joint angles near those of the test, and stated artefacts; the run itself will do.
+        A pose test is left out: how a robot repeats, the model does not know.
+    n_draws : int, default=200
+        Number of draws.
+    probability : float, default=0.95
+        Of the interval, between 0 and 1.
+    random_state : int, RandomState instance or None, default=0
+        Of the draws.
+
+    Returns
+    -------
+    dict of str to (float, float, float)
+        Lower end, median and upper end of the absolute value, mm, by the names of the values.
+
+    Raises
+    ------
+    ValueError
+        If the plan has no angles, or tests of the plan are not whole.
+    TypeError
+        If the model has no ``sample_y``.
+
+    Notes
+    -----
+    Each draw of :meth:`ArmResidualRegressor.sample_y`, with noise and with what cones do not show,
+    less the correction is an error of every reading. It is added to where the corrected probe
+    would be on perfect artefacts, whose sizes are off as it is stated; form and fixture are not
+    drawn.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import ArmResidualRegressor
+    >>> from sklearn_raacmm.acceptance import predict_acceptance
+    >>> from sklearn_raacmm.datasets import make_acceptance, make_single_point
+    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
+    >>> model = ArmResidualRegressor(test.arm, orders=4)
+    >>> model = model.fit(test.data, test.target, groups=test.groups)
+    >>> plan = make_acceptance(["single-point"], random_state=1).run
+    >>> low, middle, high = predict_acceptance(model, plan, n_draws=50)["2S far"]
+    >>> 0 < low < middle < high < 0.2
+    True
+    """
+    check_scalar(n_draws, "n_draws", Integral, min_val=2)
+    if not (isinstance(probability, Real) and 0 < probability < 1):
+        raise ValueError(f"probability must be between 0 and 1, got {probability!r:.60}.")
+    if plan.angles is None:
+        raise ValueError("a plan needs joint angles: errors depend on the pose.")
+    factor = model.facts["std_factor"] if isinstance(model, Correction) else 1.0
+    regressor = model.model if isinstance(model, Correction) else model
+    if not hasattr(regressor, "sample_y"):
+        raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
+    arm = model.arm if isinstance(model, Correction) else model.arm_
+    X = check_angles(plan.angles, arm.n_joints, "rad")
+    points = arm.forward(X)
+    X = model.inputs(X) if isinstance(model, Correction) else X
+    rng, mean = check_random_state(random_state), regressor.predict(X)
+    draws = regressor.sample_y(X, n_draws, rng, with_noise=True, with_unseen=True)
+    draws = factor * (draws - mean[:, :, None])
+    found: dict[str, Any] = {}
+    tests = [test for test in LAYOUTS if test != "pose" and np.any(plan.test == test)]
+    rows = {test: np.flatnonzero(plan.test == test) for test in tests}
+    ideal = np.zeros_like(points)
+    for test, own in rows.items():
+        ideal[own] = _on_artefacts(test, Readings(plan, own, points - mean))
+    for k in range(n_draws):
+        run = plan.with_artefacts([_drawn(artefact, rng) for artefact in plan.artefacts])
+        for test, own in rows.items():
+            for name, one in values_of(test, Readings(run, own, ideal + draws[:, :, k])).items():
+                found.setdefault(name, []).append(np.abs(one.errors).max())
+    ends = np.array([(1 - probability) / 2, 0.5, (1 + probability) / 2])
+    return {name: tuple(np.quantile(v, ends).tolist()) for name, v in found.items()}
+
+
+def _drawn(artefact, rng):
+    """An artefact whose size is off by what it is stated to be known to."""
+    if not artefact.size_mm:
+        return artefact
+    return replace(artefact, size_mm=artefact.size_mm + artefact.u_size * rng.normal())
+
+
+def _on_artefacts(test, readings):
+    """Points nearest to these that lie on perfect artefacts, (n, 3), mm."""
+    points, tip = readings.points.copy(), readings.run.tip_mm
+    if test in SPHERES:
+        for rows in readings.groups("artefact", "position").values():
+            centre, _, distances = fit_sphere(points[rows])
+            radius = (readings.artefact(rows).size_in_test + tip) / 2
+            points[rows] = centre + (points[rows] - centre) * (radius / distances)[:, None]
+    elif test in BARS:
+        end = np.char.lower(readings.run.end[readings.rows])
+        for rows in readings.groups("artefact", "position", "repeat").values():
+            a, b = (rows[end[rows] == name] for name in "ab")
+            size = readings.artefact(rows).size_in_test + tip * (test == "bidirectional")
+            along = points[b] - points[a]
+            long = np.linalg.norm(along, axis=1, keepdims=True)
+            points[a] -= (size / long - 1) / 2 * along
+            points[b] += (size / long - 1) / 2 * along
+    else:
+        for rows in readings.groups("position").values():
+            points[rows] = points[rows].mean(axis=0)
+    return points
