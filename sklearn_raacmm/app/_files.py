@@ -217,11 +217,11 @@ def read_tools(table, options):
     column = getattr(options, "tool", None)
     if column is None:
         return None
-    return np.array([_tool_label(label) for label in table.others[column].tolist()])
+    return np.array([text_of_label(label) for label in table.others[column].tolist()])
 
 
-def _tool_label(cell):
-    """Label of a probe, the same whether its block of the table holds numbers only or not."""
+def text_of_label(cell):
+    """Label in a cell, the same whether its block of the table holds numbers only or not."""
     try:
         number = float(cell)
     except ValueError:

@@ -70,6 +70,11 @@ WORDS = {
         "raacmm plan --arm my_arm.json --out plan",
         "--arm --out --cones --poses --lean",
     ),
+    "accept": (
+        "_accept", "judge an arm by its acceptance test, as found and as left: a sheet",
+        "raacmm accept run.xlsx --model my_arm --out sheet.html",
+        "run --model --arm --template --out --language --rule --open",
+    ),
     "demo": (
         "_commands", "learn the correction of a simulated arm, with a report",
         "raacmm demo --open",
@@ -169,6 +174,20 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "choices": ("small", "exact", "none"), "default": "small",
         "help": "how the correction fades where little is known: from small tables (small), as in "
         "Python (exact), not at all (none)",
+    },
+    # -- acceptance
+    "run": {
+        "help": "spreadsheet or folder of CSV with readings, artefacts, limits and entries of the "
+        "sheet"
+    },
+    "accept --model": {"help": "folder written by raacmm learn: the arm as left"},
+    "accept --arm": {"help": "the arm as found (the table of --model, without its correction)"},
+    "accept --out": {"default": "sheet.html", "help": "sheet to write (sheet.html)"},
+    "--template": _flag("write RUN without numbers, .xlsx or a folder of CSV, for this arm"),
+    "--language": {"choices": ("en", "de"), "default": "en", "help": "of the sheet (en)"},
+    "--rule": {
+        "choices": ("guarded", "simple"), "default": "guarded",
+        "help": "decision rule: with a guard of 1.645 u, or without (guarded)",
     },
     # -- arms
     "--lengths-222": _LENGTHS | {"help": "lengths in mm of a 2-2-2 arm"},

@@ -115,12 +115,13 @@ def render(name, **values):
         import jinja2
     except ImportError:
         raise ImportError("Pages need jinja2: pip install jinja2.") from None
+    folder = files("sklearn_raacmm.app")
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
+    )  # fmt: skip
     environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
-    template = files("sklearn_raacmm.app").joinpath(name).read_text(encoding="utf-8")
-    return environment.from_string(template).render(values)
+    return environment.get_template(name).render(values)
 
 
 def describe_result(result):

@@ -78,7 +78,7 @@ def _find_sheet(path, n_numbers, wanted):
     for name in candidates:
         others = ", ".join(other for other in names if other != name)
         more = f" (--sheet takes another: {others})" if others else ""
-        what, read = f"Spreadsheet, sheet {name!r}{more}", partial(_sheet_rows, path, name)
+        what, read = f"Spreadsheet, sheet {name!r}{more}", partial(sheet_rows, path, name)
         best, most = None, 0
         for decimal, separator in ((".", ","), (",", ";")):
             dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
@@ -92,7 +92,7 @@ def _find_sheet(path, n_numbers, wanted):
     raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
 
 
-def _sheet_rows(path, name):
+def sheet_rows(path, name):
     """Yield (row number from 1, cells) of each row of a sheet that is not empty."""
     with _open_book(path) as book:
         sheet = book[name]

@@ -1,0 +1,324 @@
+"""The word ``accept``: a run of acceptance tests judged, on one sheet; and templates for it."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import csv
+import io
+import itertools
+import re
+import webbrowser
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_raacmm._version import __version__
+from sklearn_raacmm.acceptance import (
+    LABELS,
+    LAYOUTS,
+    VALUES,
+    AcceptanceRun,
+    Artefact,
+    evaluate_acceptance,
+    predict_acceptance,
+)
+from sklearn_raacmm.app._accept_words import ENTRIES, translator
+from sklearn_raacmm.app._cells import TableError, find_encoding, parse_number
+from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._files import (
+    correction_files,
+    in_rad,
+    load_arm,
+    load_correction,
+    print_notes,
+    text_of_label,
+)
+from sklearn_raacmm.app._report import render
+from sklearn_raacmm.app._sources import sheet_rows
+from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.export import describe
+from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
+
+OK, FAILED, NOT_JUDGED = 0, 3, 4
+_SHEETS = (".xlsx", ".xlsm")
+_TABLES = ("readings", "artefacts", "limits", "sheet")
+# Columns of the table of artefacts: attribute, heading, factor to its unit; None is text.
+_ARTEFACT = (
+    ("name", "name", None), ("serial", "serial number", None), ("certificate", "certificate", None),
+    ("size_mm", "size [mm]", 1.0), ("expanded_mm", "U [um], k = 2", 1e-3),
+    ("form_mm", "form [um]", 1e-3), ("expansion_per_k", "expansion [1e-6/K]", 1e-6),
+    ("u_expansion_per_k", "u of expansion [1e-6/K]", 1e-6),
+    ("temperature_degc", "temperature [degC]", 1.0),
+    ("u_temperature_k", "u of temperature [K]", 1.0), ("fixture_mm", "u of fixture [um]", 1e-3),
+)  # fmt: skip
+_LIMITS = ("value", "A [um]", "K: A + L / K [mm/um]", "at most [um]")
+_TIP = "diameter of the probe's ball, mm"
+_ANGLE = re.compile(r"(q|j|a|theta|joint|axis)[\s_.\[-]*\d+\]?")
+
+
+def accept(options):
+    """Judge a run as found and as left, and write its sheet; or write a template."""
+    saved = load_correction(options.model) if options.model else None
+    arm = load_arm(options.arm) if options.arm else None
+    run_path = Path(options.run)
+    if options.template:
+        return _write_template(run_path, (arm or getattr(saved, "arm", None)))
+    out = Path(options.out)
+    read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
+    models = correction_files(options.model) if options.model else []
+    check_places([out], [*read, *models, *filter(None, [options.arm])])
+    any_arm, any_model = (saved.arm, saved.model) if saved else (arm, None)
+    run, rows, entries, limits, digest = _read_run(run_path, any_arm)
+    with numbered_rows(rows):
+        result = evaluate_acceptance(
+            run, any_arm, saved, found=arm if saved else None, limits=limits, rule=options.rule
+        )
+    expected = {}
+    if not result.findings and run.angles is not None and hasattr(any_model, "sample_y"):
+        expected = predict_acceptance(saved, run)
+    software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}
+    if saved:
+        software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
+    shown = {"result": result, "artefacts": run.artefacts, "entries": entries}
+    shown |= {"expected": expected, "software": software, "left": saved is not None}
+    page = _page(shown, limits, options.language)
+    write_whole({out: page})
+    print(result)
+    print(f"Written to {out}")
+    if options.open:
+        webbrowser.open(out.resolve().as_uri())
+    side = "after" if saved else "before"
+    decisions = {one.name: getattr(one, f"decision_{side}") for one in result.values}
+    facts = {
+        "values": [vars(one) for one in result.values],
+        "findings": [finding.facts() for finding in result.findings],
+        "expected": expected,
+    }
+    if result.findings:
+        return NOT_JUDGED, facts
+    return (FAILED if any("fail" in one for one in decisions.values()) else OK), facts
+
+
+def _page(shown, limits, language):
+    """The sheet."""
+
+    def number(value, digits, factor=1.0):
+        text = "-" if value is None else f"{factor * value:.{digits}f}"
+        return text.replace(".", ",") if language == "de" else text
+
+    def limit_of(value):
+        if value.name not in limits:
+            return "-"
+        a, slope, most = limits[value.name]
+        text = number(a, 1, 1e3)
+        text += f" + L / {number(1e-3 / slope, 0)}" if slope else ""
+        return text + (f" \u2264 {number(most, 1, 1e3)}" if most < np.inf else "")
+
+    # Of text that comes from outside, what a string of CSS may hold.
+    page_number = re.sub(r"[^\w .,/#:-]", "", shown["entries"]["number"], flags=re.ASCII)
+    return render(
+        "_accept.html", t=translator(language), language=language, labels=ENTRIES, number=number,
+        um=lambda mm: number(mm, 1, 1e3), limit_of=limit_of, page_number=page_number or "_" * 10,
+        **shown,
+    )  # fmt: skip
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def _read_run(path, arm):
+    """A run, numbers of its rows, entries of the sheet, limits, fingerprint of the readings."""
+    tables = {name: _cells(path, name) for name in _TABLES[1:]}
+    readings = path if path.is_file() else path / "readings.csv"
+    sheet = "readings" if readings.suffix.lower() in _SHEETS else None
+    table = _read_readings(readings, arm, sheet)
+    print_notes(table["notes"])
+    entries, tip = dict.fromkeys(ENTRIES, ""), 0.0
+    for row in tables["sheet"]:
+        name, text = row.get("entry", "").lower(), row.get("value", "")
+        if name == _TIP:
+            tip = parse_number(text) if text else 0.0
+        elif key := next((k for k, label in ENTRIES.items() if name in (k, label.lower())), ""):
+            entries[key] = text
+        elif name:
+            raise TableError(f"{path}: the table sheet has the entry {name!r}, which is unknown.")
+    artefacts = [_artefact(path, row) for row in tables["artefacts"]]
+    run = AcceptanceRun(**table["columns"], artefacts=artefacts, tip_mm=tip)
+    limits = dict(filter(None, (_limit(path, row) for row in tables["limits"])))
+    return run, table["rows"], entries, limits, digest_of(readings.read_bytes())
+
+
+def _read_readings(path, arm, sheet):
+    """Labels, angles and points of the table of readings."""
+    columns = Columns(path, 3, sheet)
+    has_points = set("xyz") <= set(columns.names)
+    n_angles = sum(unit in ("deg", "rad") or bool(_ANGLE.fullmatch(name))
+                   for name, unit in zip(columns.names, columns.units, strict=True))  # fmt: skip
+    given = [name for name in LABELS if name in columns.names]
+    if missing := {"test", "artefact"} - set(given):
+        raise TableError(f"{path} has no column {' and no column '.join(sorted(missing))}.")
+    options = {"labelled": False, "others": given, "sheet": sheet}
+    if has_points and not n_angles:  # the reader of angles reads any three columns of numbers
+        table = Layout(path, 3, angles=["x", "y", "z"], angle_unit="deg", **options)
+        where = [columns.names.index(axis) for axis in "xyz"]
+        units = {columns.units[i] for i in where} - {"", "mm"}
+        if units:
+            raise TableError(f"{path}: the points are in {', '.join(units)}, not in mm.")
+        table = table.read()
+        found = {"points": table.angles}
+    else:
+        if arm is None:
+            raise TableError(f"{path} holds joint angles: name --model or --arm, whose they are.")
+        points = ["x", "y", "z"] if has_points else None
+        table = Layout(path, arm.n_joints, points=points, joint_names=arm.names, **options).read()
+        found = {"angles": in_rad(table), "points": table.points}
+    labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
+    return {"columns": labels | found, "rows": table.rows, "notes": table.notes}
+
+
+def _cells(path, name):
+    """Rows of a small table, by its headings without units; none where there is no such table."""
+    if path.suffix.lower() in _SHEETS:
+        try:
+            rows = [cells for _, cells in sheet_rows(path, name)]
+        except TableError as error:
+            if "not a spreadsheet" not in str(error):
+                raise
+            rows = []
+    else:
+        source = (path.parent if path.is_file() else path) / f"{name}.csv"
+        if not source.is_file():
+            return []
+        text = source.read_text(encoding=find_encoding(source))
+        separator = max(";\t,", key=text.partition("\n")[0].count)
+        rows = [row for row in csv.reader(io.StringIO(text), delimiter=separator) if any(row)]
+    texts = [[_text(cell) for cell in row] for row in rows]
+    if not texts:
+        return []
+    heads = [_heading(cell) for cell in texts[0]]
+    return [
+        dict(itertools.zip_longest(heads, row[: len(heads)], fillvalue="")) for row in texts[1:]
+    ]
+
+
+def _text(cell):
+    return str(cell).strip().removesuffix(" 00:00:00")
+
+
+def _heading(text):
+    """A heading without its unit and in small letters."""
+    return re.split(r"[\[:]", text)[0].strip().lower()
+
+
+def _number(path, row, heading, factor):
+    """Number of a cell, None where it is empty."""
+    text = row.get(_heading(heading), "")
+    try:
+        return parse_number(text) * factor if text else None
+    except TableError as error:
+        first = next(iter(row.values()))
+        raise TableError(f"{path}: {first}, column {heading!r}: {error}") from None
+
+
+def _artefact(path, row):
+    """The artefact of a row; what is not stated keeps its default."""
+    given = {}
+    for name, heading, factor in _ARTEFACT:
+        if factor is None:
+            value = row.get(_heading(heading), "")
+        else:
+            value = _number(path, row, heading, factor)
+        if value is not None:
+            given[name] = value
+    try:
+        return Artefact(**given)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}") from None
+
+
+def _limit(path, row):
+    """Name of a value and its limit A, s, B in mm; None where none is stated."""
+    numbers = [_number(path, row, heading, 1.0) for heading in _LIMITS[1:]]
+    if numbers[0] is None:
+        return None
+    a, k, b = numbers
+    if k is not None and k <= 0:
+        raise TableError(f"{path}: K of the limit of {row['value']} must be positive, got {k}.")
+    most = np.inf if b is None else b / 1e3
+    return row["value"], (a / 1e3, 0.0 if k is None else 1e-3 / k, most)
+
+
+# -- the template ---------------------------------------------------------------------------------
+
+
+def _write_template(path, arm):
+    """Write the tables of a whole run without its numbers: a spreadsheet, or a folder of CSV."""
+    numbers = ["x [mm]", "y [mm]", "z [mm]"]
+    if arm is not None:
+        numbers = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
+    readings, names = [[*LABELS, *numbers]], []
+    for test, (levels, n, _) in LAYOUTS.items():
+        if test == "pose":
+            continue
+        artefact = {"single-point": "seat", "volumetric": "bar"}.get(test, "sphere")
+        columns = [column for column, _ in levels]
+        ranges = [_labels_of(column, wanted) for column, wanted in levels]
+        for labels in itertools.product(*ranges):
+            row = {"test": test, "artefact": artefact, **dict(zip(columns, labels, strict=True))}
+            readings += n * [[row.get(name, "") for name in LABELS] + [""] * len(numbers)]
+            names.append(row["artefact"])
+    tables = {
+        "readings": readings,
+        "artefacts": [
+            [heading for _, heading, _ in _ARTEFACT],
+            *([n] for n in dict.fromkeys(names)),
+        ],
+        "limits": [list(_LIMITS), *([name] for name in VALUES)],
+        "sheet": [["entry", "value"], *([label] for label in ENTRIES.values()), [_TIP]],
+    }
+    tables = {k: [row + [""] * (len(t[0]) - len(row)) for row in t] for k, t in tables.items()}
+    if path.suffix.lower() in _SHEETS:
+        files = {path: _spreadsheet(tables)}
+    else:
+        files = {path / f"{name}.csv": _csv(rows) for name, rows in tables.items()}
+    if there := [str(file) for file in files if file.exists()]:
+        raise TableError(f"{there[0]} is there already: a template never replaces readings.")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path not in files:
+        path.mkdir(exist_ok=True)
+    write_whole(files)
+    print(f"Written: {', '.join(map(str, files))}")
+    print("Fill in what you measure, and delete the rows of tests that you leave out.")
+    return OK, {"files": [str(file) for file in files]}
+
+
+def _labels_of(column, wanted):
+    """Labels of a level of a test, as the template has them."""
+    if not isinstance(wanted, int):
+        return wanted
+    return [f"length {i + 1}" if column == "artefact" else str(i + 1) for i in range(wanted)]
+
+
+def _csv(rows):
+    stream = io.StringIO(newline="")
+    csv.writer(stream, lineterminator="\r\n").writerows(rows)
+    return stream.getvalue()
+
+
+def _spreadsheet(tables):
+    """A workbook of these tables, as bytes."""
+    try:
+        import openpyxl
+    except ImportError:
+        raise TableError("spreadsheets need openpyxl: pip install openpyxl.") from None
+    book, stream = openpyxl.Workbook(), io.BytesIO()
+    book.remove(book.active)
+    for name, rows in tables.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append([cell or None for cell in row])
+        sheet.freeze_panes = "A2"
+        for column, heading in zip(sheet.columns, rows[0], strict=True):
+            sheet.column_dimensions[column[0].column_letter].width = max(12, len(heading) + 2)
+    book.save(stream)
+    return stream.getvalue()
