@@ -1,0 +1,298 @@
+"""The command `raacmm accept`: tables in, a sheet out whose numbers are those of the evaluation."""
+
+import csv
+import io
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import ArmResidualRegressor, learn_correction
+from sklearn_raacmm.acceptance import LABELS, VALUES, evaluate_acceptance
+from sklearn_raacmm.app import main
+from sklearn_raacmm.app._accept_words import ENGLISH, ENTRIES, GERMAN, translator
+from sklearn_raacmm.datasets import make_acceptance, make_single_point
+
+pytest.importorskip("jinja2")
+pytest.importorskip("skops")
+openpyxl = pytest.importorskip("openpyxl")
+LIMITS = {
+    "P_Size": (0.03, 0.0, np.inf), "E_Uni": (0.06, 1 / 10_000, 0.15), "2S far": (0.2, 0.0, np.inf),
+}  # fmt: skip
+ENTRY = {"number": '7"; } body { display: none }', "laboratory": "<Labor>", "tested": "2026-11-23"}
+
+
+class Cells(HTMLParser):
+    """Rows of all tables; tags that are left open; how many blanks there are."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.rows, self.blanks, self.outside = [], [], 0, []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.blanks += ("class", "blank") in attrs
+        self.outside += [v for k, v in attrs if k in ("src", "href")]
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if {"td", "th"} & set(self.open):
+            self.rows[-1][-1] += data
+
+
+def tables_of(run, limits=LIMITS, entries=ENTRY):
+    """The tables of a run, as numbers and text."""
+    numbers, heads = np.rad2deg(run.angles), [f"q{i} [deg]" for i in range(1, 7)]
+    if run.points is not None:
+        numbers, heads = run.points, ["x [mm]", "y [mm]", "z [mm]"]
+    labels = zip(*(getattr(run, name).tolist() for name in LABELS), strict=True)
+    readings = [[*LABELS, *heads]]
+    readings += [[*a, *b] for a, b in zip(labels, numbers.tolist(), strict=True)]
+    artefacts = [["name", "serial number", "certificate", "size [mm]", "U [um], k = 2", "form [um]",
+                  "expansion [1e-6/K]", "temperature [degC]", "u of fixture [um]"]]  # fmt: skip
+    for a in run.artefacts:
+        numbers = (a.size_mm, 1), (a.expanded_mm, 1e3), (a.form_mm, 1e3), (a.expansion_per_k, 1e6)
+        numbers += (a.temperature_degc, 1), (a.fixture_mm, 1e3)
+        numbers = ["" if value is None else value * factor for value, factor in numbers]
+        artefacts.append([a.name, a.serial, a.certificate, *numbers])
+    shown = [["value", "A [um]", "K: A + L / K [mm/um]", "at most [um]"]]
+    for name, (a, slope, most) in limits.items():
+        k = 1e-3 / slope if slope else ""
+        shown.append([name, 1e3 * a, k, 1e3 * most if np.isfinite(most) else ""])
+    sheet = [["entry", "value"], *entries.items(), ["Diameter of the probe's ball, mm", run.tip_mm]]
+    return {"readings": readings, "artefacts": artefacts, "limits": shown, "sheet": sheet}
+
+
+def write_folder(folder, tables):
+    """As a German spreadsheet program writes CSV."""
+    folder.mkdir()
+    for name, rows in tables.items():
+        stream = io.StringIO()
+        texts = [[str(c).replace(".", ",") if isinstance(c, float) else c for c in r] for r in rows]
+        csv.writer(stream, delimiter=";").writerows(texts)
+        (folder / f"{name}.csv").write_text(stream.getvalue(), encoding="utf-8-sig")
+    return folder
+
+
+def write_book(path, tables):
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in tables.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append([None if cell == "" else cell for cell in row])
+    book.save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    test = make_single_point(8, 20, bars=[500], random_state=0)
+    model = ArmResidualRegressor(orders=4)
+    found = learn_correction(
+        test.nominal_arm, test.data, test.groups, lengths=test.lengths, model=model, cv=3
+    )
+    folder = tmp_path_factory.mktemp("model")
+    found.save(folder)
+    return found, folder
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_acceptance(random_state=0)
+
+
+@pytest.fixture(scope="module")
+def judged(learned, data, tmp_path_factory):
+    """The result, the exit code, and the sheet in both languages."""
+    correction, folder = learned
+    place = tmp_path_factory.mktemp("run")
+    run = write_folder(place / "run", tables_of(data.run))
+    pages = {}
+    for language in ("en", "de"):
+        out = place / f"{language}.html"
+        words = ["accept", str(run), "--model", str(folder), "--out", str(out)]
+        code = main([*words, "--language", language, "--quiet"])
+        pages[language] = out.read_text(encoding="utf-8")
+    return evaluate_acceptance(data.run, model=correction, limits=LIMITS), code, pages
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_every_number_of_the_sheet_is_one_of_the_result(judged, language):
+    result, code, pages = judged
+    page, t = Cells(pages[language]), translator(language)
+    assert page.outside == []
+    rows = {row[0]: row for row in page.rows if len(row) == 9 and row[0] != "sphere"}
+
+    def um(value):
+        text = f"{1000 * value:.1f}"
+        return text.replace(".", ",") if language == "de" else text
+
+    for one in result.values:
+        row = rows[t(one.name)]
+        assert row[2:4] == [um(one.before), um(2 * one.u_before)]
+        assert row[5:7] == [um(one.after), um(2 * one.u_after)]
+        assert [row[4], row[7].strip()] == [t(one.decision_before), t(one.decision_after)]
+        chi = one.interval_after is not None
+        assert ("χ²" in row[8]) == chi
+        if chi:
+            assert row[8] == f"{um(one.interval_after[0])} … {um(one.interval_after[1])} χ²"
+        else:
+            low, high = (float(v.replace(",", ".")) for v in row[8].split(" … "))
+            assert 0 <= low < high < 1000
+    limit = {"en": "60.0 + L / 10 ≤ 150.0", "de": "60,0 + L / 10 ≤ 150,0"}
+    assert rows["E_Uni"][1] == limit[language]
+    assert rows["L_Dia"][1] == "-"
+    failed = any("fail" in one.decision_after for one in result.values)
+    assert code == (3 if failed else 0)
+
+
+def test_what_nobody_stated_is_a_visible_blank(judged):
+    page = Cells(judged[2]["en"])
+    # Entries without a number, the seat's two numbers, who authorises, and the signature.
+    assert page.blanks == len(ENTRIES) - len(ENTRY) - 1 + 2 + 1 + 1
+    for text in ("This is no statement of conformance", "k = 2", "this item only", "1.645 u"):
+        assert text in judged[2]["en"]
+
+
+def test_text_of_the_user_is_no_code_of_the_page(judged):
+    for page in judged[2].values():
+        style = page[: page.index("</head>")]
+        assert "&lt;Labor&gt;" in page
+        assert "<Labor>" not in page
+        line = re.search(r'@top-right \{ content: "([^"]*)"', style)[1]
+        assert re.sub(r"[\w .,/#:-]", "", line) == ""
+        assert "counter(page)" in style
+        assert "size: A4" in style
+
+
+def test_everything_has_a_german_word():
+    from importlib.resources import files
+
+    text = files("sklearn_raacmm.app").joinpath("_accept.html").read_text("utf-8")
+    used = set(re.findall(r't\("([^"]+)"\)', text)) | set(ENTRIES.values()) | set(ENGLISH)
+    # A formula may be the same in both.
+    used |= {part for test, formula, _, read in VALUES.values() for part in (test, read)}
+    used |= {formula for _, formula, *_ in VALUES.values() if re.search(r"[a-z]{4}", formula)}
+    same = {"2 sqrt(sum d^2 / (n - 1))"}
+    assert used - set(GERMAN) - same == set()
+    names = [translator("de")(name) for name in VALUES]
+    assert names[5:9] == ["effektiver Durchmesser", "2S nah", "2S mittel", "2S fern"]
+    assert "Volumen 2 rms" in names
+    assert translator("en")("2S far") == "2S far"
+
+
+def test_a_spreadsheet_says_the_same_as_json(learned, data, judged, tmp_path, capsys):
+    path = write_book(tmp_path / "run.xlsx", tables_of(data.run))
+    out = ["--out", f"{tmp_path}/sheet.html", "--json"]
+    code = main(["accept", str(path), "--model", str(learned[1]), *out])
+    said = json.loads(capsys.readouterr().out)
+    assert code == judged[1] == said["exit_code"]
+    for one, value in zip(judged[0].values, said["values"], strict=True):
+        assert value["after"] == pytest.approx(one.after, abs=1e-9)
+        assert value["decision_after"] == one.decision_after
+    assert set(said["expected"]) == {one.name for one in judged[0].values}
+
+
+def test_points_without_an_arm_and_a_limit_that_is_missed(data, tmp_path, capsys):
+    from dataclasses import replace
+
+    run = replace(data.run, points=data.arm.forward(data.run.angles))
+    path = write_folder(tmp_path / "run", tables_of(run, {"2S far": (1e-4, 0.0, np.inf)}))
+    assert main(["accept", str(path), "--out", f"{tmp_path}/s.html", "--rule", "simple"]) == 3
+    printed = capsys.readouterr()
+    assert re.search(r"2S far: [\d.]+ um \(U = 2.0 um\) fail\n", printed.out)
+    page = (tmp_path / "s.html").read_text(encoding="utf-8")
+    assert "simple acceptance" in page
+    assert "as left, µm" not in page
+    # The header of the readings in another unit.
+    readings = path / "readings.csv"
+    text = readings.read_text("utf-8-sig")
+    readings.write_text(text.replace("[mm]", "[in]"), "utf-8-sig")
+    assert main(["accept", str(path), "--out", f"{tmp_path}/s.html"]) == 2
+    assert "the points are in in, not in mm" in capsys.readouterr().err
+
+
+def test_a_bad_run_is_not_judged(learned, data, tmp_path, capsys):
+    tables = tables_of(data.run)
+    lost = next(i for i, row in enumerate(tables["readings"]) if row[0] == "length")
+    del tables["readings"][lost]
+    path = write_folder(tmp_path / "run", tables)
+    words = ["accept", str(path), "--model", str(learned[1]), "--out", f"{tmp_path}/s.html"]
+    assert main(words) == 4
+    assert "E_Uni: no value" in capsys.readouterr().out
+    page = (tmp_path / "s.html").read_text(encoding="utf-8")
+    assert "has 0 readings, 1 are needed" in page
+
+
+def test_a_template_is_a_whole_run_but_for_its_numbers(learned, data, tmp_path, capsys):
+    folder, book = tmp_path / "new" / "run", tmp_path / "run.xlsx"
+    for path in (folder, book):
+        assert main(["accept", str(path), "--template", "--model", str(learned[1])]) == 0
+        assert main(["accept", str(path), "--template"]) == 2
+        assert "is there already" in capsys.readouterr().err
+    assert openpyxl.load_workbook(book).sheetnames == ["readings", "artefacts", "limits", "sheet"]
+    with open(folder / "readings.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == [*LABELS, *(f"q{i} [deg]" for i in range(1, 7))]
+    # Filled with the angles of a simulated run, in its order, every test of it is whole.
+    run, order = data.run, {}
+    for i, test in enumerate(run.test):
+        order.setdefault(test, []).append(i)
+    filled = [rows[0]]
+    for row in rows[1:]:
+        if order.get(row[0]) and not (row[0] == "articulation" and row[2] not in "12"):
+            angles = np.rad2deg(run.angles[order[row[0]].pop(0)])
+            filled.append([*row[:6], *(f"{v:.6f}" for v in angles)])
+    with open(folder / "readings.csv", "w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(filled)
+    assert main(["accept", str(folder), "--model", str(learned[1]),
+                 "--out", f"{tmp_path}/s.html"]) == 4  # fmt: skip
+    said = capsys.readouterr().out
+    assert "is not stated: size_mm, expanded_mm, expansion_per_k, temperature_degc, cert" in said
+    assert "readings, " not in said
+    assert re.search(r"2S far: [\d.]+ um", said)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "sentence"),
+    [
+        ("sheet", "laboratory", "laboratry", "entry 'laboratry', which is unknown"),
+        ("limits", "P_Size", "P_Sise", "limits names 'P_Sise'"),
+        ("limits", ";10,0;", ";-10,0;", "K of the limit of E_Uni must be positive, got -10.0"),
+        ("artefacts", "bar 600;simulated;600,0", "bar 600;simulated;x", "column 'size [mm]': 'x'"),
+        ("artefacts", "sphere;S1;simulated;25,0", "sphere;S1;simulated;-1", "number of 0 or more"),
+        ("readings", "test;", "tset;", "has no column test"),
+        ("readings", "probing", "prob", "the run has the test 'prob'"),
+    ],
+)
+def test_a_table_that_is_wrong_is_named(learned, data, tmp_path, capsys, name, old, new, sentence):
+    path = write_folder(tmp_path / "run", tables_of(data.run))
+    file = path / f"{name}.csv"
+    text = file.read_text("utf-8-sig")
+    assert old in text
+    file.write_text(text.replace(old, new), "utf-8-sig")
+    words = ["accept", str(path), "--model", str(learned[1]), "--out", f"{tmp_path}/s.html"]
+    assert main(words) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "s.html").exists()
+
+
+def test_joint_angles_need_an_arm(data, tmp_path, capsys):
+    path = write_folder(tmp_path / "run", tables_of(data.run))
+    assert main(["accept", str(path), "--out", f"{tmp_path}/s.html"]) == 2
+    assert "name --model or --arm, whose they are" in capsys.readouterr().err
+    data.arm.to_json(tmp_path / "arm.json")
+    arm = ["--arm", f"{tmp_path}/arm.json", "--out", f"{tmp_path}/s.html"]
+    assert main(["accept", str(path), *arm]) in (0, 3)
