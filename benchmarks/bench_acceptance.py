@@ -65,11 +65,14 @@ def intervals(options):
         for mix in MIXES:
             pool = make_single_point(k, 400, machine=mix, random_state=1)
             true = single_point_repeatability(pool.points, pool.groups, aggregate=None)
-            held = []
-            for _ in range(options.runs):
-                rows = [400 * i + rng.choice(400, n, replace=False) for i in range(k)]
-                held.append(_held(pool.points[np.concatenate(rows)], groups, true))
-            print(f"{k:2} x {n}, arm {mix:<16} {' '.join(f'{v:.3f}' for v in np.mean(held, 0))}")
+            for how in ("random", "spread"):
+                held = []
+                for _ in range(options.runs):
+                    # Poses come sorted by the swing of the elbow: at random, or one of each part.
+                    rows = [400 * i + _poses(how, n, rng) for i in range(k)]
+                    held.append(_held(pool.points[np.concatenate(rows)], groups, true))
+                shares = " ".join(f"{share:.3f}" for share in np.mean(held, axis=0))
+                print(f"{k:2} x {n}, arm {mix}, {how:<8} {shares}", flush=True)
     print("2 rms of 20 placements")
     pools = {"normal": None}
     for mix in MIXES:
@@ -83,6 +86,14 @@ def intervals(options):
             ends = rms(errors) * np.sqrt(20 / chi2.ppf([0.975, 0.025], 20))
             held.append(ends[0] < (1 if pool is None else rms(pool)) < ends[1])
         print(f"{name:<20} {np.mean(held):.3f}")
+
+
+def _poses(how, n, rng):
+    """Numbers of n of 400 poses."""
+    if how == "random":
+        return rng.choice(400, n, replace=False)
+    ends = np.linspace(0, 400, n + 1).astype(int)
+    return rng.integers(ends[:-1], ends[1:])
 
 
 def _held(points, groups, true):

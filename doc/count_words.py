@@ -16,7 +16,17 @@ DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log")
 RESULTS = ("benchmarks", "beyond_the_paper", "paper_and_ours")
 LISTS = ("changelog", "citing", "code_of_conduct", "contributing", "glossary", "more", "references")
 LISTS += ("maintenance", "roadmap")
-MODULES = ("", ".app", ".datasets", ".display", ".export", ".metrics", ".residuals", ".utils")
+MODULES = (
+    "",
+    ".acceptance",
+    ".app",
+    ".datasets",
+    ".display",
+    ".export",
+    ".metrics",
+    ".residuals",
+    ".utils",
+)
 # Most words of a kind, share of sentences with more than 30 words, most words of a docstring.
 LIMITS = {"user": 14_000, "result": 2_600, "developer": 10_000}
 LONG_SENTENCE, SHARE_OF_LONG, LONGEST_DOCSTRING = 30, 0.02, 900

@@ -8,7 +8,6 @@ conformance to any of them.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.acceptance._evaluate import (
-    COVERAGE,
     AcceptanceResult,
     AcceptanceValue,
     evaluate_acceptance,
@@ -18,7 +17,6 @@ from sklearn_raacmm.acceptance._run import LABELS, AcceptanceRun, Artefact
 from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES
 
 __all__ = [
-    "COVERAGE",
     "LABELS",
     "LAYOUTS",
     "VALUES",

@@ -18,9 +18,9 @@ from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.utils import Finding, check_option, floats
 
 # One-sided 95 % of a normal error, the guard of ISO 14253-1; coverage factor of stated uncertainty.
-_GUARD, COVERAGE = 1.645, 2.0
-RULES = ("guarded", "simple")
-DECISIONS = ("pass", "conditional pass", "conditional fail", "fail")
+_GUARD, _COVERAGE = 1.645, 2.0
+_RULES = ("guarded", "simple")
+_DECISIONS = ("pass", "conditional pass", "conditional fail", "fail")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,7 @@ class AcceptanceResult:
         lines = [f"{finding.weight}: {finding}" for finding in self.findings]
         for one in self.values:
             parts = [
-                f"{1000 * value:.1f} um (U = {1000 * COVERAGE * u:.1f} um)"
+                f"{1000 * value:.1f} um (U = {1000 * _COVERAGE * u:.1f} um)"
                 f"{' ' * bool(decision)}{decision}"
                 for value, u, decision in (
                     (one.before, one.u_before, one.decision_before),
@@ -170,7 +170,7 @@ def evaluate_acceptance(
 
     The standard uncertainty u holds what ISO 14253-5 leaves to the tester: calibration, temperature
     and expansion of the artefact, its form and its fixture, not how the arm repeats. An oval form F
-    moves the diameter of half a sphere by 0.46 F, and L_Dia by 0.64 F (rms, simulated); to P_Form
+    moves the diameter of half a sphere by 0.46 F, and L_Dia by 0.92 F (rms, simulated); to P_Form
     it adds F / 2 (after ISO/TS 23165). Of a size A + s L every single length has its own limit and
     decision; the value is the one with the least room.
 
@@ -188,7 +188,7 @@ def evaluate_acceptance(
     >>> result["2S far"].decision_before
     'pass'
     """
-    check_option("rule", rule, RULES)
+    check_option("rule", rule, _RULES)
     limits = {name: _checked_limit(name, limit) for name, limit in (limits or {}).items()}
     if unknown := sorted(set(run.test.tolist()) - set(LAYOUTS)):
         raise ValueError(f"the run has the test {unknown[0]!r}; known are {', '.join(LAYOUTS)}.")
@@ -229,21 +229,19 @@ def _checked_limit(name, limit):
 
 def _points(run, arm, model, found):
     """Points as found, and as left where there is a model: each with what the arm believes."""
-    believed = [None, None]
-    if run.angles is not None and arm is not None:
-        angles = check_angles(run.angles, arm.n_joints, "rad")
-        believed[0] = (found or arm).forward(angles)
+    if run.angles is None or arm is None:
+        if run.points is None:
+            raise ValueError("a run of joint angles needs the arm that they are of.")
         if model is not None:
-            residuals = np.asarray(model.predict(angles))
-            believed[1] = arm.forward(angles) - residuals
-    if run.points is None and believed[0] is None:
-        raise ValueError("a run of joint angles needs the arm that they are of.")
-    if model is not None and believed[1] is None:
-        raise ValueError("a correction needs the joint angles of the run, and the arm.")
-    sides = [(believed[0] if run.points is None else run.points, believed[0])]
+            raise ValueError("a correction needs the joint angles of the run, and the arm.")
+        return [(run.points, None)]
+    angles = check_angles(run.angles, arm.n_joints, "rad")
+    believed = (found or arm).forward(angles)
+    sides = [(believed if run.points is None else run.points, believed)]
     if model is not None:
-        left = believed[1] if run.points is None else run.points - residuals
-        sides.append((left, believed[1]))
+        residuals, believed = np.asarray(model.predict(angles)), arm.forward(angles)
+        shown = believed if run.points is None else run.points
+        sides.append((shown - residuals, believed - residuals))
     return sides
 
 
@@ -293,5 +291,5 @@ def _judged(sets, limit, rule):
             level = np.where(
                 room >= guard, 0, np.where(room >= 0, 1, np.where(room > -guard, 2, 3))
             )
-            found[f"decision_{side}"] = DECISIONS[int(level.max())]
+            found[f"decision_{side}"] = _DECISIONS[int(level.max())]
     return found

@@ -15,9 +15,10 @@ from sklearn_raacmm.utils import floats
 REFERENCE_DEGC = 20.0
 LABELS = ("test", "artefact", "position", "articulation", "repeat", "end")
 # The diameter of a sphere that is fitted on half of it moves by so much of the sphere's form, the
-# sphere of five centres by so much: root mean squares over oval spheres (harmonics of the second
-# order, by simulation; those of higher orders move both by less).
-FORM_IN_DIAMETER, FORM_IN_LOCATION = 0.46, 0.64
+# sphere round five centres by so much: root mean squares over oval spheres (harmonics of the second
+# order, by simulation 0.43 to 0.48, and 0.92 for five points without symmetry; a pole and four
+# points round it move no centre). Those of higher orders move both by less.
+FORM_IN_DIAMETER, FORM_IN_LOCATION = 0.46, 0.92
 _MM = ("size_mm", "expanded_mm", "form_mm", "fixture_mm")
 _MAY_BE_MISSING = ("size_mm", "expanded_mm", "expansion_per_k", "temperature_degc")
 

@@ -238,10 +238,9 @@ def _artefact(path, row):
 
 def _limit(path, row):
     """Name of a value and its limit A, s, B in mm; None where none is stated."""
-    numbers = [_number(path, row, heading, 1.0) for heading in _LIMITS[1:]]
-    if numbers[0] is None:
+    a, k, b = (_number(path, row, heading, 1.0) for heading in _LIMITS[1:])
+    if a is None:
         return None
-    a, k, b = numbers
     if k is not None and k <= 0:
         raise TableError(f"{path}: K of the limit of {row['value']} must be positive, got {k}.")
     most = np.inf if b is None else b / 1e3
@@ -312,7 +311,8 @@ def _spreadsheet(tables):
     except ImportError:
         raise TableError("spreadsheets need openpyxl: pip install openpyxl.") from None
     book, stream = openpyxl.Workbook(), io.BytesIO()
-    book.remove(book.active)
+    for sheet in book.worksheets:  # the empty one of a new book
+        book.remove(sheet)
     for name, rows in tables.items():
         sheet = book.create_sheet(name)
         for row in rows:
