@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,11 +82,9 @@ class Readings:
 
     def groups(self, *columns):
         """Rows (m,) of this test for each combination of labels, in the order of the file."""
-        labels = zip(
-            *(getattr(self.run, name)[self.rows].tolist() for name in columns), strict=True
-        )
+        labels = [getattr(self.run, name)[self.rows].tolist() for name in columns]
         found: dict[Any, list[int]] = {}
-        for i, label in enumerate(labels):
+        for i, label in enumerate(zip(*labels, strict=True)):
             found.setdefault(label, []).append(i)
         return {label: np.array(rows) for label, rows in found.items()}
 
@@ -112,57 +111,34 @@ def values_of(test: str, readings: Any) -> dict[str, Candidates]:
     return _FUNCTIONS[test](readings)
 
 
-def _probing(readings):
-    sizes, forms, artefacts = [], [], []
-    for rows in readings.groups("position").values():
-        _, radius, distances = fit_sphere(readings.points[rows])
-        artefacts.append(readings.artefact(rows))
-        sizes.append(2 * radius - readings.run.tip_mm - artefacts[-1].size_in_test)
-        forms.append(np.ptp(distances))
-    at = [a.size_in_test for a in artefacts]
-    u_form = [a.form_mm / 2 for a in artefacts]
-    return {
-        "P_Size": Candidates(sizes, at, _u_diameter(artefacts)),
-        "P_Form": Candidates(forms, at, u_form),
-    }
-
-
-def _u_diameter(artefacts):
-    return [np.hypot(a.u_size, FORM_IN_DIAMETER * a.form_mm) for a in artefacts]
+def _spheres(readings, column, name, form_name=None):
+    """Errors of diameters, each of the rows of one label, and their forms."""
+    groups = list(readings.groups(column).values())
+    artefacts = [readings.artefact(rows) for rows in groups]
+    fits = [fit_sphere(readings.points[rows]) for rows in groups]
+    at = np.array([a.size_in_test for a in artefacts])
+    errors = 2 * np.array([radius for _, radius, _ in fits]) - readings.run.tip_mm - at
+    u = [np.hypot(a.u_size, FORM_IN_DIAMETER * a.form_mm) for a in artefacts]
+    found = {name: Candidates(errors, at, u)}
+    if form_name:
+        forms = [np.ptp(distances) for *_, distances in fits]
+        found[form_name] = Candidates(forms, at, [a.form_mm / 2 for a in artefacts])
+    return found
 
 
 def _articulation(readings):
-    labels, found, artefacts = readings.run.articulation[readings.rows], [], []
-    for rows in readings.groups("position").values():
-        artefacts.append(readings.artefact(rows))
-        found.append(articulated_location_error(readings.points[rows], labels[rows]))
+    labels, groups = readings.run.articulation[readings.rows], readings.groups("position").values()
+    artefacts = [readings.artefact(rows) for rows in groups]
+    found = [articulated_location_error(readings.points[rows], labels[rows]) for rows in groups]
     u = [np.hypot(FORM_IN_LOCATION * a.form_mm, a.fixture_mm) for a in artefacts]
     return {"L_Dia": Candidates(found, [a.size_in_test for a in artefacts], u)}
 
 
-def _length(readings, name="E_Uni", tip=0.0):
-    errors, sizes, artefacts = _length_errors(readings, tip)
-    return {name: Candidates(errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
-
-
-def _length_errors(readings, tip=0.0):
+def _lengths(readings, name, has_tip=False):
     _, lengths, artefacts, _ = readings.lengths()
     sizes = np.array([a.size_in_test for a in artefacts])
-    return lengths - tip - sizes, sizes, artefacts
-
-
-def _bidirectional(readings):
-    return _length(readings, "E_Bi", readings.run.tip_mm)
-
-
-def _diameter(readings):
-    errors, artefacts = [], []
-    for rows in readings.groups("repeat").values():
-        artefacts.append(readings.artefact(rows))
-        radius = fit_sphere(readings.points[rows])[1]
-        errors.append(2 * radius - readings.run.tip_mm - artefacts[-1].size_in_test)
-    sizes = [a.size_in_test for a in artefacts]
-    return {"effective diameter": Candidates(errors, sizes, _u_diameter(artefacts))}
+    errors = lengths - has_tip * readings.run.tip_mm - sizes
+    return {name: Candidates(errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
 
 
 def _single_point(readings):
@@ -173,33 +149,28 @@ def _single_point(readings):
         twice = single_point_repeatability(points)
         interval = tuple(repeatability_interval(points).tolist())
         largest = single_point_repeatability(points, statistic="max")
-        half = axis_repeatability(points).max()
         found[f"2S {zone.lower()}"] = Candidates([twice], *more, interval)
         found[f"largest {zone.lower()}"] = Candidates([largest], *more)
-        found[f"half range {zone.lower()}"] = Candidates([half], *more)
+        found[f"half range {zone.lower()}"] = Candidates([axis_repeatability(points).max()], *more)
     return found
 
 
 def _volumetric(readings):
-    errors, sizes, artefacts = _length_errors(readings)
-    n, rms = len(errors), np.sqrt(np.mean(errors**2))
-    common = np.array([a.u_size for a in artefacts])
-    own = np.array([a.fixture_mm for a in artefacts])
-    u, worst, size = np.hypot(common, own), np.abs(errors).argmax(), [sizes.max()]
+    errors, sizes, u, _ = _lengths(readings, "")[""]
+    artefacts, n, rms = readings.lengths()[2], len(errors), np.sqrt(np.mean(errors**2))
+    common, own = np.array([(a.u_size, a.fixture_mm) for a in artefacts]).T
+    worst, ends = np.abs(errors).argmax(), [errors.argmax(), errors.argmin()]
     # Of 2 rms the derivative by an error of the bar, 2 mean / rms, and by that of one placement.
-    u_rms = np.hypot(
-        2 * abs(errors.mean()) / max(rms, 1e-300) * common.max(), 2 * own.max() / n**0.5
-    )
+    slope = 2 * abs(errors.mean()) / max(rms, 1e-300)
+    u_rms = np.hypot(slope * common.max(), 2 * own.max() / np.sqrt(n))
     interval = tuple((2 * rms * np.sqrt(n / chi2.ppf([0.975, 0.025], n))).tolist())
-    ends = [errors.argmax(), errors.argmin()]
     # What the bar's size is off by drops out of a difference, if both were taken on one bar.
-    u_range = np.linalg.norm(own[ends])
-    if artefacts[ends[0]] is not artefacts[ends[1]]:
-        u_range = np.linalg.norm(u[ends])
+    one_bar = artefacts[ends[0]] is artefacts[ends[1]]
+    u_range = np.linalg.norm(own[ends] if one_bar else np.array(u)[ends])
     return {
         "volumetric largest": Candidates([abs(errors[worst])], [sizes[worst]], [u[worst]]),
-        "volumetric range": Candidates([np.ptp(errors)], size, [u_range]),
-        "volumetric 2 rms": Candidates([2 * rms], size, [u_rms], interval),
+        "volumetric range": Candidates([np.ptp(errors)], [sizes.max()], [u_range]),
+        "volumetric 2 rms": Candidates([2 * rms], [sizes.max()], [u_rms], interval),
     }
 
 
@@ -214,8 +185,13 @@ def _pose(readings):
     return {n: Candidates(v, none, none) for n, v in (("AP", accuracy), ("RP", repeatability))}
 
 
-_FUNCTIONS = {
-    "probing": _probing, "articulation": _articulation, "length": _length,
-    "bidirectional": _bidirectional, "diameter": _diameter, "single-point": _single_point,
-    "volumetric": _volumetric, "pose": _pose,
-}  # fmt: skip
+_FUNCTIONS: dict[str, Any] = {
+    "probing": partial(_spheres, column="position", name="P_Size", form_name="P_Form"),
+    "articulation": _articulation,
+    "length": partial(_lengths, name="E_Uni"),
+    "bidirectional": partial(_lengths, name="E_Bi", has_tip=True),
+    "diameter": partial(_spheres, column="repeat", name="effective diameter"),
+    "single-point": _single_point,
+    "volumetric": _volumetric,
+    "pose": _pose,
+}

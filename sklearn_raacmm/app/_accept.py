@@ -6,8 +6,10 @@
 import csv
 import io
 import itertools
+import json
 import re
 import webbrowser
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,6 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._accept_words import ENTRIES, translator
 from sklearn_raacmm.app._cells import TableError, find_encoding, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import (
@@ -53,6 +54,9 @@ _ARTEFACT = (
 )  # fmt: skip
 _LIMITS = ("value", "A [um]", "K: A + L / K [mm/um]", "at most [um]")
 _TIP = "diameter of the probe's ball, mm"
+# Entries of the sheet by their names, and its words: English ones are their own keys.
+WORDS = json.loads(files("sklearn_raacmm.app").joinpath("_accept_words.json").read_text("utf-8"))
+ENTRIES = WORDS["entries"]
 _ANGLE = re.compile(r"(q|j|a|theta|joint|axis)[\s_.\[-]*\d+\]?")
 
 
@@ -87,16 +91,28 @@ def accept(options):
     print(f"Written to {out}")
     if options.open:
         webbrowser.open(out.resolve().as_uri())
-    side = "after" if saved else "before"
-    decisions = {one.name: getattr(one, f"decision_{side}") for one in result.values}
-    facts = {
-        "values": [vars(one) for one in result.values],
-        "findings": [finding.facts() for finding in result.findings],
-        "expected": expected,
-    }
-    if result.findings:
-        return NOT_JUDGED, facts
-    return (FAILED if any("fail" in one for one in decisions.values()) else OK), facts
+    findings = [finding.facts() for finding in result.findings]
+    facts = {"values": list(map(vars, result.values)), "findings": findings, "expected": expected}
+    last = [one.decision_after if saved else one.decision_before for one in result.values]
+    failed = FAILED if any("fail" in decision for decision in last) else OK
+    return (NOT_JUDGED if findings else failed), facts
+
+
+def translator(language):
+    """A function from the words of the sheet to those of the language."""
+    words = WORDS[language]
+
+    def translate(text):
+        if text in words or language == "en":
+            return words.get(text, text)
+        # Names of values word by word: "2S far", "half range near", "volumetric 2 rms".
+        head, _, last = text.rpartition(" ")
+        first, _, rest = text.partition(" ")
+        if head in words and last in words:
+            return f"{words[head]} {words[last]}"
+        return f"{words.get(first, first)} {words.get(rest, rest)}".rstrip()
+
+    return translate
 
 
 def _page(shown, limits, language):
@@ -277,18 +293,16 @@ def _write_template(path, arm):
     }
     tables = {k: [row + [""] * (len(t[0]) - len(row)) for row in t] for k, t in tables.items()}
     if path.suffix.lower() in _SHEETS:
-        files = {path: _spreadsheet(tables)}
+        made = {path: _spreadsheet(tables)}
     else:
-        files = {path / f"{name}.csv": _csv(rows) for name, rows in tables.items()}
-    if there := [str(file) for file in files if file.exists()]:
+        made = {path / f"{name}.csv": _csv(rows) for name, rows in tables.items()}
+    if there := [str(file) for file in made if file.exists()]:
         raise TableError(f"{there[0]} is there already: a template never replaces readings.")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path not in files:
-        path.mkdir(exist_ok=True)
-    write_whole(files)
-    print(f"Written: {', '.join(map(str, files))}")
+    next(iter(made)).parent.mkdir(parents=True, exist_ok=True)
+    write_whole(made)
+    print(f"Written: {', '.join(map(str, made))}")
     print("Fill in what you measure, and delete the rows of tests that you leave out.")
-    return OK, {"files": [str(file) for file in files]}
+    return OK, {"files": [str(file) for file in made]}
 
 
 def _labels_of(column, wanted):

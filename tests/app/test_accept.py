@@ -12,7 +12,7 @@ import pytest
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.acceptance import LABELS, VALUES, evaluate_acceptance
 from sklearn_raacmm.app import main
-from sklearn_raacmm.app._accept_words import ENGLISH, ENTRIES, GERMAN, translator
+from sklearn_raacmm.app._accept import ENTRIES, WORDS, translator
 from sklearn_raacmm.datasets import make_acceptance, make_single_point
 
 pytest.importorskip("jinja2")
@@ -181,12 +181,12 @@ def test_everything_has_a_german_word():
     from importlib.resources import files
 
     text = files("sklearn_raacmm.app").joinpath("_accept.html").read_text("utf-8")
-    used = set(re.findall(r't\("([^"]+)"\)', text)) | set(ENTRIES.values()) | set(ENGLISH)
+    used = set(re.findall(r't\("([^"]+)"\)', text)) | set(ENTRIES.values()) | set(WORDS["en"])
     # A formula may be the same in both.
     used |= {part for test, formula, _, read in VALUES.values() for part in (test, read)}
     used |= {formula for _, formula, *_ in VALUES.values() if re.search(r"[a-z]{4}", formula)}
     same = {"2 sqrt(sum d^2 / (n - 1))"}
-    assert used - set(GERMAN) - same == set()
+    assert used - set(WORDS["de"]) - same == set()
     names = [translator("de")(name) for name in VALUES]
     assert names[5:9] == ["effektiver Durchmesser", "2S nah", "2S mittel", "2S fern"]
     assert "Volumen 2 rms" in names
