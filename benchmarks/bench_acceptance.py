@@ -114,7 +114,7 @@ def _learnt(seed):
 def predict(options):
     """How often the interval of a prediction, from the model alone, holds the value of the run."""
     held, share = {}, {}
-    for seed in range(options.arms):
+    for seed in range(options.first, options.first + options.arms):
         learned, data = _learnt(seed)
         result = evaluate_acceptance(data.run, model=learned)
         expected = predict_acceptance(learned, data.run, random_state=seed)
@@ -132,7 +132,7 @@ def predict(options):
 def after(options):
     """Mean values as found, in the nominal table and calibrated, and as left."""
     rows = {}
-    for seed in range(options.arms):
+    for seed in range(options.first, options.first + options.arms):
         learned, data = _learnt(seed)
         result = evaluate_acceptance(data.run, model=learned)
         nominal = evaluate_acceptance(data.run, learned.arm, found=data.nominal_arm)
@@ -155,6 +155,7 @@ def main():
     parser.add_argument("what", choices=["coverage", "intervals", "predict", "after"])
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--arms", type=int, default=15)
+    parser.add_argument("--first", type=int, default=100, help="number of the first arm")
     options = parser.parse_args()
     warnings.simplefilter("ignore", UserWarning)
     globals()[options.what](options)

@@ -4,6 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import itertools
+from collections import Counter
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +23,7 @@ _OF_SHARE = 1.2816  # standard deviations that hold this share
 # Measured over stated size, and what that says.
 _RATIOS = {
     "the points are in inches": 1 / 25.4,
-    "the stated size is in inches": 25.4,
+    "the stated size, or the heading of the points, is in inches": 25.4,
     "the points are in metres": 1e-3,
     "the stated size is in metres": 1e3,
     "a radius was stated for a diameter": 2.0,
@@ -58,14 +60,11 @@ def _missing(test, readings):
             text = f"{test}: {least} labels{asked} are needed in the column {column}: {there}."
             return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
         labels.append(there)
-    groups = readings.groups(*(column for column, _ in levels))
-    counts: dict = {}
-    for label, rows in groups.items():
-        key = tuple(map(str.lower, label))
-        counts[key] = counts.get(key, 0) + len(rows)
-    names = [column for column, _ in levels]
+    names, counts = [column for column, _ in levels], Counter[Any]()
+    for label, rows in readings.groups(*names).items():
+        counts[tuple(map(str.lower, label))] += len(rows)
     for key in itertools.product(*labels):
-        n = counts.get(key, 0)
+        n = counts[key]
         if n < wanted or (n > wanted and not (more and test in ("single-point", "pose"))):
             where = ", ".join(f"{column} {label}" for column, label in zip(names, key, strict=True))
             text = f"{test}: {where} has {n} readings, {wanted} are needed."
@@ -86,23 +85,29 @@ def _unknown(test, readings):
     return found
 
 
-def _sizes(test, readings):
-    """Stated artefact, its rows and its measured size, of each artefact."""
-    tip = readings.run.tip_mm
-    if test in SPHERES:
-        for rows in readings.groups("artefact", "position").values():
-            yield rows, 2 * fit_sphere(readings.points[rows])[1], tip
+def _measured(test, readings):
+    """Rows of each artefact or place, their measured size, and how far each is off it, mm."""
+    if test in BARS:
+        keys, lengths, _, last = readings.lengths()
+        names = np.array([key[0] for key in keys])
+        for name in dict.fromkeys(names.tolist()):
+            own, middle = names == name, float(np.median(lengths[names == name]))
+            yield last[own], middle, np.abs(lengths[own] - middle)
         return
-    keys, lengths, _, last = readings.lengths()
-    names = np.array([key[0] for key in keys])
-    for name in dict.fromkeys(names.tolist()):
-        own = names == name
-        yield last[own], float(np.median(lengths[own])), tip if test == "bidirectional" else 0.0
+    # All articulations and repeats together: five points would bend their own sphere.
+    for rows in readings.groups("artefact", "position").values():
+        points = readings.points[rows]
+        if test in SPHERES:
+            _, radius, distances = fit_sphere(points)
+            yield rows, 2 * radius, np.abs(distances - radius)
+        else:
+            yield rows, 0.0, np.linalg.norm(points - np.median(points, axis=0), axis=1)
 
 
 def _wrong_sizes(test, readings):
     """Artefacts whose measured size is of another unit, or of another artefact."""
-    for rows, raw, tip in _sizes(test, readings):
+    tip = 0.0 if test in ("length", "volumetric") else readings.run.tip_mm
+    for rows, raw, _ in _measured(test, readings):
         artefact = readings.artefact(rows)
         size = artefact.size_in_test
         off = raw - tip - size
@@ -133,35 +138,10 @@ def _wrong_sizes(test, readings):
     return []
 
 
-def _deviations(test, readings):
-    """How far each row is from what the others of its test say, (k,) mm, and the rows."""
-    off, rows_of = [], []
-    if test in SPHERES:
-        # All articulations and repeats together: five points would bend their own sphere.
-        for rows in readings.groups("artefact", "position").values():
-            distances, radius = (fit_sphere(readings.points[rows])[i] for i in (2, 1))
-            off.append(np.abs(distances - radius))
-            rows_of.append(rows)
-    elif test in BARS:
-        keys, lengths, _, last = readings.lengths()
-        names = np.array([key[0] for key in keys])
-        for name in dict.fromkeys(names.tolist()):
-            own = names == name
-            off.append(np.abs(lengths[own] - np.median(lengths[own])))
-            rows_of.append(last[own])
-    else:
-        for rows in readings.groups("position").values():
-            points = readings.points[rows]
-            off.append(np.linalg.norm(points - np.median(points, axis=0), axis=1))
-            rows_of.append(rows)
-    return np.concatenate(off), np.concatenate(rows_of)
-
-
 def _slips(test, readings):
     """Readings that are so far off that the probe cannot have been where it should."""
-    if not len(readings.rows):
-        return []
-    off, rows = _deviations(test, readings)
+    rows, _, off = zip(*_measured(test, readings), strict=True)
+    rows, off = np.concatenate(rows), np.concatenate(off)
     limit = max(_SLIP_MM, _SLIP_RATIO / _OF_SHARE * float(np.quantile(off, _SHARE)))
     far = off > limit
     if not far.any():

@@ -92,13 +92,11 @@ class AcceptanceResult:
     def __str__(self) -> str:
         lines = [f"{finding.weight}: {finding}" for finding in self.findings]
         for one in self.values:
+            sides = [(one.before, one.u_before, one.decision_before)]
+            sides += [(one.after, one.u_after, one.decision_after)]
             parts = [
-                f"{1000 * value:.1f} um (U = {1000 * _COVERAGE * u:.1f} um)"
-                f"{' ' * bool(decision)}{decision}"
-                for value, u, decision in (
-                    (one.before, one.u_before, one.decision_before),
-                    (one.after, one.u_after, one.decision_after),
-                )
+                f"{1e3 * value:.1f} um (U = {1e3 * _COVERAGE * u:.1f} um) {decision}".rstrip()
+                for value, u, decision in sides
                 if value is not None
             ]
             lines.append(f"{one.name}: {' -> '.join(parts) or 'no value'}")

@@ -56,7 +56,8 @@ def predict_acceptance(
     Notes
     -----
     Each draw of :meth:`ArmResidualRegressor.sample_y`, with noise and with what cones do not show,
-    less the correction is an error of every reading. It is added to where the corrected probe
+    less the correction is an error of every reading; what is common to a position is common to its
+    rows, so that no factor of intervals within positions applies. It is added to where the corrected probe
     would be on perfect artefacts, whose sizes are off as it is stated; form and fixture are not
     drawn.
 
@@ -78,7 +79,6 @@ def predict_acceptance(
         raise ValueError(f"probability must be between 0 and 1, got {probability!r:.60}.")
     if plan.angles is None:
         raise ValueError("a plan needs joint angles: errors depend on the pose.")
-    factor = model.facts["std_factor"] if isinstance(model, Correction) else 1.0
     regressor = model.model if isinstance(model, Correction) else model
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
@@ -88,7 +88,7 @@ def predict_acceptance(
     X = model.inputs(X) if isinstance(model, Correction) else X
     rng, mean = check_random_state(random_state), regressor.predict(X)
     draws = regressor.sample_y(X, n_draws, rng, with_noise=True, with_unseen=True)
-    draws = factor * (draws - mean[:, :, None])
+    draws -= mean[:, :, None]
     found: dict[str, Any] = {}
     tests = [test for test in LAYOUTS if test != "pose" and np.any(plan.test == test)]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}

@@ -36,7 +36,7 @@ from sklearn_raacmm.app._files import (
 )
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import sheet_rows
-from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._tables import Layout, find_point_factor
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
 
@@ -66,7 +66,7 @@ def accept(options):
     arm = load_arm(options.arm) if options.arm else None
     run_path = Path(options.run)
     if options.template:
-        return _write_template(run_path, (arm or getattr(saved, "arm", None)))
+        return _write_template(run_path, arm or getattr(saved, "arm", None), options.language)
     out = Path(options.out)
     read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
     models = correction_files(options.model) if options.model else []
@@ -176,12 +176,8 @@ def _read_readings(path, arm, sheet):
     options = {"labelled": False, "others": given, "sheet": sheet}
     if has_points and not n_angles:  # the reader of angles reads any three columns of numbers
         table = Layout(path, 3, angles=["x", "y", "z"], angle_unit="deg", **options)
-        where = [columns.names.index(axis) for axis in "xyz"]
-        units = {columns.units[i] for i in where} - {"", "mm"}
-        if units:
-            raise TableError(f"{path}: the points are in {', '.join(units)}, not in mm.")
-        table = table.read()
-        found = {"points": table.angles}
+        factor, table = find_point_factor(columns, table.angle_columns), table.read()
+        found = {"points": factor * table.angles}
     else:
         if arm is None:
             raise TableError(f"{path} holds joint angles: name --model or --arm, whose they are.")
@@ -194,31 +190,20 @@ def _read_readings(path, arm, sheet):
 
 def _cells(path, name):
     """Rows of a small table, by its headings without units; none where there is no such table."""
+    source = (path.parent if path.is_file() else path) / f"{name}.csv"
     if path.suffix.lower() in _SHEETS:
-        try:
-            rows = [cells for _, cells in sheet_rows(path, name)]
-        except TableError as error:
-            if "not a spreadsheet" not in str(error):
-                raise
-            rows = []
-    else:
-        source = (path.parent if path.is_file() else path) / f"{name}.csv"
-        if not source.is_file():
-            return []
+        rows = [cells for _, cells in sheet_rows(path, name)]
+    elif source.is_file():
         text = source.read_text(encoding=find_encoding(source))
         separator = max(";\t,", key=text.partition("\n")[0].count)
         rows = [row for row in csv.reader(io.StringIO(text), delimiter=separator) if any(row)]
-    texts = [[_text(cell) for cell in row] for row in rows]
-    if not texts:
+    else:
         return []
-    heads = [_heading(cell) for cell in texts[0]]
-    return [
-        dict(itertools.zip_longest(heads, row[: len(heads)], fillvalue="")) for row in texts[1:]
-    ]
-
-
-def _text(cell):
-    return str(cell).strip().removesuffix(" 00:00:00")
+    # A day in a spreadsheet is its midnight.
+    texts = [[str(cell).strip().removesuffix(" 00:00:00") for cell in row] for row in rows]
+    heads = [_heading(cell) for cell in texts[0]] if texts else []
+    pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in texts[1:])
+    return [dict(pair) for pair in pairs]
 
 
 def _heading(text):
@@ -238,16 +223,12 @@ def _number(path, row, heading, factor):
 
 def _artefact(path, row):
     """The artefact of a row; what is not stated keeps its default."""
-    given = {}
-    for name, heading, factor in _ARTEFACT:
-        if factor is None:
-            value = row.get(_heading(heading), "")
-        else:
-            value = _number(path, row, heading, factor)
-        if value is not None:
-            given[name] = value
+    given = {
+        name: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
+        for name, heading, factor in _ARTEFACT
+    }
     try:
-        return Artefact(**given)
+        return Artefact(**{name: value for name, value in given.items() if value is not None})
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
 
@@ -266,28 +247,23 @@ def _limit(path, row):
 # -- the template ---------------------------------------------------------------------------------
 
 
-def _write_template(path, arm):
+def _write_template(path, arm, language):
     """Write the tables of a whole run without its numbers: a spreadsheet, or a folder of CSV."""
     numbers = ["x [mm]", "y [mm]", "z [mm]"]
     if arm is not None:
         numbers = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
     readings, names = [[*LABELS, *numbers]], []
     for test, (levels, n, _) in LAYOUTS.items():
-        if test == "pose":
-            continue
         artefact = {"single-point": "seat", "volumetric": "bar"}.get(test, "sphere")
         columns = [column for column, _ in levels]
         ranges = [_labels_of(column, wanted) for column, wanted in levels]
-        for labels in itertools.product(*ranges):
+        for labels in itertools.product(*ranges) if test != "pose" else ():
             row = {"test": test, "artefact": artefact, **dict(zip(columns, labels, strict=True))}
             readings += n * [[row.get(name, "") for name in LABELS] + [""] * len(numbers)]
             names.append(row["artefact"])
     tables = {
         "readings": readings,
-        "artefacts": [
-            [heading for _, heading, _ in _ARTEFACT],
-            *([n] for n in dict.fromkeys(names)),
-        ],
+        "artefacts": [[head for _, head, _ in _ARTEFACT], *([n] for n in dict.fromkeys(names))],
         "limits": [list(_LIMITS), *([name] for name in VALUES)],
         "sheet": [["entry", "value"], *([label] for label in ENTRIES.values()), [_TIP]],
     }
@@ -295,7 +271,7 @@ def _write_template(path, arm):
     if path.suffix.lower() in _SHEETS:
         made = {path: _spreadsheet(tables)}
     else:
-        made = {path / f"{name}.csv": _csv(rows) for name, rows in tables.items()}
+        made = {path / f"{n}.csv": _csv(rows, language) for n, rows in tables.items()}
     if there := [str(file) for file in made if file.exists()]:
         raise TableError(f"{there[0]} is there already: a template never replaces readings.")
     next(iter(made)).parent.mkdir(parents=True, exist_ok=True)
@@ -312,10 +288,11 @@ def _labels_of(column, wanted):
     return [f"length {i + 1}" if column == "artefact" else str(i + 1) for i in range(wanted)]
 
 
-def _csv(rows):
+def _csv(rows, language):
+    """A table as spreadsheet programs of the language read it, as bytes."""
     stream = io.StringIO(newline="")
-    csv.writer(stream, lineterminator="\r\n").writerows(rows)
-    return stream.getvalue()
+    csv.writer(stream, delimiter=";" if language == "de" else ",").writerows(rows)
+    return stream.getvalue().encode("utf-8-sig")
 
 
 def _spreadsheet(tables):

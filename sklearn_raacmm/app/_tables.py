@@ -156,7 +156,7 @@ class Layout:
                     f"{n_joints} joints."
                 )
         self.angle_unit = angle_unit or columns.find_unit(self.angle_columns)
-        self.point_factor = _find_point_factor(columns, self.point_columns)
+        self.point_factor = find_point_factor(columns, self.point_columns)
         self.others = {name: columns.column(name, "others") for name in others}
         used = {*self.angle_columns, *self.point_columns, self.position_column}
         used |= set(self.others.values())
@@ -221,7 +221,7 @@ def _refuse_lonely_labels(path, table):
 # -- points of a tracker --------------------------------------------------------------------------
 
 
-def _find_point_factor(columns, point_columns):
+def find_point_factor(columns, point_columns):
     """Millimetres in the unit of the columns of points."""
     units = {columns.units[i] for i in point_columns} or {"mm"}
     if len(units) != 1 or not units <= set(_MM_PER_UNIT):
@@ -245,7 +245,7 @@ def read_points(path):
         found = found[len(found) == 4 and found[0] == 0 :][:3]
     if len(found) != 3:
         raise TableError(f"{path}: which columns are x, y and z? It has {columns}.")
-    factor = _find_point_factor(columns, found)
+    factor = find_point_factor(columns, found)
     rows = list(columns.rows(found))
     # Names stand before the points.
     names = columns.labels(rows, found[0] - 1).tolist() if found[0] else None

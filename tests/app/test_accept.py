@@ -220,8 +220,12 @@ def test_points_without_an_arm_and_a_limit_that_is_missed(data, tmp_path, capsys
     readings = path / "readings.csv"
     text = readings.read_text("utf-8-sig")
     readings.write_text(text.replace("[mm]", "[in]"), "utf-8-sig")
+    assert main(["accept", str(path), "--out", f"{tmp_path}/s.html"]) == 4
+    said = capsys.readouterr().out
+    assert "the stated size, or the heading of the points, is in inches" in said
+    readings.write_text(text.replace("[mm]", "[foot]"), "utf-8-sig")
     assert main(["accept", str(path), "--out", f"{tmp_path}/s.html"]) == 2
-    assert "the points are in in, not in mm" in capsys.readouterr().err
+    assert "the points are in foot, not in mm" in capsys.readouterr().err
 
 
 def test_a_bad_run_is_not_judged(learned, data, tmp_path, capsys):
@@ -243,7 +247,7 @@ def test_a_template_is_a_whole_run_but_for_its_numbers(learned, data, tmp_path, 
         assert main(["accept", str(path), "--template"]) == 2
         assert "is there already" in capsys.readouterr().err
     assert openpyxl.load_workbook(book).sheetnames == ["readings", "artefacts", "limits", "sheet"]
-    with open(folder / "readings.csv", encoding="utf-8", newline="") as file:
+    with open(folder / "readings.csv", encoding="utf-8-sig", newline="") as file:
         rows = list(csv.reader(file))
     assert rows[0] == [*LABELS, *(f"q{i} [deg]" for i in range(1, 7))]
     # Filled with the angles of a simulated run, in its order, every test of it is whole.
