@@ -57,9 +57,9 @@ def predict_acceptance(
     -----
     Each draw of :meth:`ArmResidualRegressor.sample_y`, with noise and with what cones do not show,
     less the correction is an error of every reading; what is common to a position is common to its
-    rows, so that no factor of intervals within positions applies. It is added to where the corrected probe
-    would be on perfect artefacts, whose sizes are off as it is stated; form and fixture are not
-    drawn.
+    rows, so that no factor of intervals within positions applies. It is added to where the
+    corrected probe would be on perfect artefacts, whose sizes are off as it is stated; form and
+    fixture are not drawn.
 
     Examples
     --------

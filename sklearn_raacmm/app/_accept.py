@@ -11,6 +11,7 @@ import re
 import webbrowser
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -223,7 +224,7 @@ def _number(path, row, heading, factor):
 
 def _artefact(path, row):
     """The artefact of a row; what is not stated keeps its default."""
-    given = {
+    given: dict[str, Any] = {
         name: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
         for name, heading, factor in _ARTEFACT
     }
