@@ -15,7 +15,7 @@ DOC = Path(__file__).resolve().parent
 DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log")
 RESULTS = ("benchmarks", "beyond_the_paper", "paper_and_ours")
 LISTS = ("changelog", "citing", "code_of_conduct", "contributing", "glossary", "more", "references")
-LISTS += ("maintenance", "roadmap")
+LISTS += ("acceptance", "maintenance", "roadmap")
 MODULES = (
     "",
     ".acceptance",
