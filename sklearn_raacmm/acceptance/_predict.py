@@ -55,9 +55,11 @@ def predict_acceptance(
 
     Notes
     -----
-    Each draw of :meth:`ArmResidualRegressor.sample_y`, with noise and with what cones do not show,
-    less the correction is an error of every reading; what is common to a position is common to its
-    rows, so that no factor of intervals within positions applies. It is added to where the
+    Each draw of :meth:`ArmResidualRegressor.sample_y` with noise, less the correction, is an error
+    of every reading; what is common to a position is common to its rows, so that no factor of
+    intervals within positions applies. Of what cones do not show, a correction knows the scale as
+    its calibration left it, which is drawn as in :meth:`Correction.distances`; a regressor draws
+    all that it holds possible. The error is added to where the
     corrected probe would be on perfect artefacts, whose sizes are off as it is stated; form and
     fixture are not drawn.
 
@@ -79,16 +81,19 @@ def predict_acceptance(
         raise ValueError(f"probability must be between 0 and 1, got {probability!r:.60}.")
     if plan.angles is None:
         raise ValueError("a plan needs joint angles: errors depend on the pose.")
-    regressor = model.model if isinstance(model, Correction) else model
+    known = model if isinstance(model, Correction) else None
+    regressor: Any = known.model if known else model
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
-    arm = model.arm if isinstance(model, Correction) else model.arm_
+    arm = known.arm if known else model.arm_
     X = check_angles(plan.angles, arm.n_joints, "rad")
     points = arm.forward(X)
-    X = model.inputs(X) if isinstance(model, Correction) else X
+    X = known.inputs(X) if known else X
     rng, mean = check_random_state(random_state), regressor.predict(X)
-    draws = regressor.sample_y(X, n_draws, rng, with_noise=True, with_unseen=True)
+    draws = regressor.sample_y(X, n_draws, rng, with_noise=True, with_unseen=not known)
     draws -= mean[:, :, None]
+    if known:
+        draws += points[:, :, None] * (known.facts["scale_sd"] * rng.normal(size=n_draws))
     found: dict[str, Any] = {}
     tests = [test for test in LAYOUTS if test != "pose" and np.any(plan.test == test)]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}
