@@ -85,7 +85,7 @@ def predict_acceptance(
     regressor: Any = known.model if known else model
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
-    arm = known.arm if known else model.arm_
+    arm = known.arm if known else regressor.arm_
     X = check_angles(plan.angles, arm.n_joints, "rad")
     points = arm.forward(X)
     X = known.inputs(X) if known else X
