@@ -21,20 +21,17 @@ from sklearn_raacmm.metrics import (
 _ISO12, _ASME, _ISO9283 = "ISO 10360-12:2016", "ASME B89.4.22-2004", "ISO 9283:1998"
 # What of a standard was read: nobody could open the texts themselves.
 OPEN_SOURCE, PRACTICE = "open secondary source", "common practice"
+_TIMES, _ENDS = (("position", 7), ("repeat", 3)), ("end", ("a", "b"))
 # Levels of a test: columns whose labels are all combined, with how many there are of each, or
 # which; readings in each combination; whether there may be more of the first level, or of readings.
 LAYOUTS: dict[str, Any] = {
     "probing": ((("position", 2),), 25, False),
     "articulation": ((("position", 1), ("articulation", 5)), 5, True),
-    "length": (
-        (("artefact", 5), ("position", 7), ("repeat", 3), ("end", ("a", "b"))), 1, False,
-    ),
-    "bidirectional": (
-        (("artefact", 5), ("position", 7), ("repeat", 3), ("end", ("a", "b"))), 1, False,
-    ),
+    "length": ((("artefact", 5), *_TIMES, _ENDS), 1, False),
+    "bidirectional": ((("artefact", 5), *_TIMES, _ENDS), 1, False),
     "diameter": ((("repeat", 3),), 9, False),
     "single-point": ((("position", ("near", "middle", "far")),), 10, True),
-    "volumetric": ((("position", 20), ("end", ("a", "b"))), 1, True),
+    "volumetric": ((("position", 20), _ENDS), 1, True),
     "pose": ((("position", 5),), 30, True),
 }  # fmt: skip
 SPHERES, BARS = ("probing", "articulation", "diameter"), ("length", "bidirectional", "volumetric")
@@ -43,13 +40,10 @@ _ZONES = LAYOUTS["single-point"][0][0][1]
 VALUES: dict[str, Any] = {
     "P_Size": ("probing", "D_fit - D_cal, the worse position", _ISO12, OPEN_SOURCE),
     "P_Form": ("probing", "r_max - r_min, the worse position", _ISO12, OPEN_SOURCE),
-    "L_Dia": (
-        "articulation", "diameter of the smallest sphere round 5 centres", _ISO12, OPEN_SOURCE,
-    ),
+    "L_Dia": ("articulation", "diameter of the smallest sphere round 5 centres", _ISO12,
+              OPEN_SOURCE),
     "E_Uni": ("length", "L - L_cal, the worst of 105", _ISO12, OPEN_SOURCE),
-    "E_Bi": (
-        "bidirectional", "L - L_cal over opposite faces, the worst of 105", _ISO12, PRACTICE,
-    ),
+    "E_Bi": ("bidirectional", "L - L_cal over opposite faces, the worst of 105", _ISO12, PRACTICE),
     "effective diameter": ("diameter", "D_fit - D_cal, the worst of 3", _ASME, OPEN_SOURCE),
     **{f"2S {z}": ("single-point", "2 sqrt(sum d^2 / (n - 1))", _ASME, OPEN_SOURCE)
        for z in _ZONES},
@@ -191,7 +185,5 @@ _FUNCTIONS: dict[str, Any] = {
     "length": partial(_lengths, name="E_Uni"),
     "bidirectional": partial(_lengths, name="E_Bi", has_tip=True),
     "diameter": partial(_spheres, column="repeat", name="effective diameter"),
-    "single-point": _single_point,
-    "volumetric": _volumetric,
-    "pose": _pose,
-}
+    "single-point": _single_point, "volumetric": _volumetric, "pose": _pose,
+}  # fmt: skip

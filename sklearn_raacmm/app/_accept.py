@@ -99,25 +99,9 @@ def accept(options):
     return (NOT_JUDGED if findings else failed), facts
 
 
-def translator(language):
-    """A function from the words of the sheet to those of the language."""
-    words = WORDS[language]
-
-    def translate(text):
-        if text in words or language == "en":
-            return words.get(text, text)
-        # Names of values word by word: "2S far", "half range near", "volumetric 2 rms".
-        head, _, last = text.rpartition(" ")
-        first, _, rest = text.partition(" ")
-        if head in words and last in words:
-            return f"{words[head]} {words[last]}"
-        return f"{words.get(first, first)} {words.get(rest, rest)}".rstrip()
-
-    return translate
-
-
 def _page(shown, limits, language):
     """The sheet."""
+    words = WORDS[language]
 
     def number(value, digits, factor=1.0):
         text = "-" if value is None else f"{factor * value:.{digits}f}"
@@ -134,9 +118,9 @@ def _page(shown, limits, language):
     # Of text that comes from outside, what a string of CSS may hold.
     page_number = re.sub(r"[^\w .,/#:-]", "", shown["entries"]["number"], flags=re.ASCII)
     return render(
-        "_accept.html", t=translator(language), language=language, labels=ENTRIES, number=number,
-        um=lambda mm: number(mm, 1, 1e3), limit_of=limit_of, page_number=page_number or "_" * 10,
-        **shown,
+        "_accept.html", t=lambda text: words.get(text, text), language=language, labels=ENTRIES,
+        number=number, um=lambda mm: number(mm, 1, 1e3), limit_of=limit_of,
+        page_number=page_number or "_" * 10, **shown,
     )  # fmt: skip
 
 
@@ -169,13 +153,12 @@ def _read_readings(path, arm, sheet):
     """Labels, angles and points of the table of readings."""
     columns = Columns(path, 3, sheet)
     has_points = set("xyz") <= set(columns.names)
-    n_angles = sum(unit in ("deg", "rad") or bool(_ANGLE.fullmatch(name))
-                   for name, unit in zip(columns.names, columns.units, strict=True))  # fmt: skip
+    has_angles = {"deg", "rad"} & set(columns.units) or any(map(_ANGLE.fullmatch, columns.names))
     given = [name for name in LABELS if name in columns.names]
     if missing := {"test", "artefact"} - set(given):
         raise TableError(f"{path} has no column {' and no column '.join(sorted(missing))}.")
     options = {"labelled": False, "others": given, "sheet": sheet}
-    if has_points and not n_angles:  # the reader of angles reads any three columns of numbers
+    if has_points and not has_angles:  # the reader of angles reads any three columns of numbers
         table = Layout(path, 3, angles=["x", "y", "z"], angle_unit="deg", **options)
         factor, table = find_point_factor(columns, table.angle_columns), table.read()
         found = {"points": factor * table.angles}
@@ -257,7 +240,12 @@ def _write_template(path, arm, language):
     for test, (levels, n, _) in LAYOUTS.items():
         artefact = {"single-point": "seat", "volumetric": "bar"}.get(test, "sphere")
         columns = [column for column, _ in levels]
-        ranges = [_labels_of(column, wanted) for column, wanted in levels]
+        ranges = [
+            [f"{'length ' * (column == 'artefact')}{i + 1}" for i in range(wanted)]
+            if isinstance(wanted, int)
+            else wanted
+            for column, wanted in levels
+        ]
         for labels in itertools.product(*ranges) if test != "pose" else ():
             row = {"test": test, "artefact": artefact, **dict(zip(columns, labels, strict=True))}
             readings += n * [[row.get(name, "") for name in LABELS] + [""] * len(numbers)]
@@ -282,13 +270,6 @@ def _write_template(path, arm, language):
     return OK, {"files": [str(file) for file in made]}
 
 
-def _labels_of(column, wanted):
-    """Labels of a level of a test, as the template has them."""
-    if not isinstance(wanted, int):
-        return wanted
-    return [f"length {i + 1}" if column == "artefact" else str(i + 1) for i in range(wanted)]
-
-
 def _csv(rows, language):
     """A table as spreadsheet programs of the language read it, as bytes."""
     stream = io.StringIO(newline="")
@@ -309,8 +290,5 @@ def _spreadsheet(tables):
         sheet = book.create_sheet(name)
         for row in rows:
             sheet.append([cell or None for cell in row])
-        sheet.freeze_panes = "A2"
-        for column, heading in zip(sheet.columns, rows[0], strict=True):
-            sheet.column_dimensions[column[0].column_letter].width = max(12, len(heading) + 2)
     book.save(stream)
     return stream.getvalue()

@@ -12,7 +12,7 @@ import pytest
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
 from sklearn_raacmm.acceptance import LABELS, VALUES, evaluate_acceptance
 from sklearn_raacmm.app import main
-from sklearn_raacmm.app._accept import ENTRIES, WORDS, translator
+from sklearn_raacmm.app._accept import ENTRIES, WORDS
 from sklearn_raacmm.datasets import make_acceptance, make_single_point
 
 pytest.importorskip("jinja2")
@@ -131,7 +131,11 @@ def judged(learned, data, tmp_path_factory):
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_every_number_of_the_sheet_is_one_of_the_result(judged, language):
     result, code, pages = judged
-    page, t = Cells(pages[language]), translator(language)
+    page = Cells(pages[language])
+
+    def t(text):
+        return WORDS[language].get(text, text)
+
     assert page.outside == []
     rows = {row[0]: row for row in page.rows if len(row) == 9 and row[0] != "sphere"}
 
@@ -185,12 +189,9 @@ def test_everything_has_a_german_word():
     # A formula may be the same in both.
     used |= {part for test, formula, _, read in VALUES.values() for part in (test, read)}
     used |= {formula for _, formula, *_ in VALUES.values() if re.search(r"[a-z]{4}", formula)}
+    used |= {name for name in VALUES if " " in name}
     same = {"2 sqrt(sum d^2 / (n - 1))"}
     assert used - set(WORDS["de"]) - same == set()
-    names = [translator("de")(name) for name in VALUES]
-    assert names[5:9] == ["effektiver Durchmesser", "2S nah", "2S mittel", "2S fern"]
-    assert "Volumen 2 rms" in names
-    assert translator("en")("2S far") == "2S far"
 
 
 def test_a_spreadsheet_says_the_same_as_json(learned, data, judged, tmp_path, capsys):
