@@ -113,25 +113,21 @@ def _wrong_sizes(test, readings):
         off = raw - tip - size
         if abs(off) <= _OTHER_MM:
             continue
+        ratios = np.array([(raw - tip) / size, raw / (size + tip)])
         guesses = [
-            what
-            for what, ratio in _RATIOS.items()
-            for got in (raw - tip, raw * size / (size + tip))
-            if abs(got / size / ratio - 1) < 0.02
+            what for what, ratio in _RATIOS.items() if np.any(np.abs(ratios / ratio - 1) < 0.02)
         ]
-        others = [
-            f"it has the size of {other.name!r}"
-            for other in readings.run.by_name.values()
-            if other.size_mm and abs(raw - tip - other.size_in_test) <= _OTHER_MM
-        ]
+        same = [a.name for a in readings.run.by_name.values()
+                if a.size_mm and abs(raw - tip - a.size_in_test) <= _OTHER_MM]  # fmt: skip
+        others = [f"it has the size of {name!r}" for name in same]
         if tip and abs(abs(off) - tip) <= _OTHER_MM:
             others.append("the probe's ball is compensated twice, or not at all")
         # What is another artefact of the run is no unit.
         guess = (others + guesses + ["it is another artefact"])[0]
         text = (
             f"{test}: the artefact {artefact.name!r} measures {raw - tip:.4g} mm and is stated as "
-            f"{size:.6g} mm: {guess}."
         )
+        text += f"{size:.6g} mm: {guess}."
         code = "artefact-unit" if guess in guesses else "artefact-other"
         advice = "Correct the unit, the artefact's name or its size."
         return [_finding(code, text, advice, readings.rows[rows], abs(off))]
@@ -147,9 +143,7 @@ def _slips(test, readings):
     if not far.any():
         return []
     numbers = row_numbers(readings.rows[rows[far]])
-    text = (
-        f"{test}: {far.sum()} readings are off by up to {off.max():.3g} mm, where "
-        f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."
-    )
+    text = f"{test}: {far.sum()} readings are off by up to {off.max():.3g} mm, where "
+    text += f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."
     advice = "Look whether the probe has slipped, and measure them again."
     return [_finding("slipped", text, advice, readings.rows[rows[far]], off.max())]

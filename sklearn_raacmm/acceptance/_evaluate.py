@@ -17,8 +17,8 @@ from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.utils import Finding, check_option, floats
 
-# One-sided 95 % of a normal error, the guard of ISO 14253-1; coverage factor of stated uncertainty.
-_GUARD, _COVERAGE = 1.645, 2.0
+# One-sided 95 % of a normal error, the guard of ISO 14253-1.
+_GUARD = 1.645
 _RULES = ("guarded", "simple")
 _DECISIONS = ("pass", "conditional pass", "conditional fail", "fail")
 
@@ -92,11 +92,12 @@ class AcceptanceResult:
     def __str__(self) -> str:
         lines = [f"{finding.weight}: {finding}" for finding in self.findings]
         for one in self.values:
-            sides = [(one.before, one.u_before, one.decision_before)]
-            sides += [(one.after, one.u_after, one.decision_after)]
             parts = [
-                f"{1e3 * value:.1f} um (U = {1e3 * _COVERAGE * u:.1f} um) {decision}".rstrip()
-                for value, u, decision in sides
+                f"{1e3 * value:.1f} um (U = {2e3 * u:.1f} um) {decision}".rstrip()
+                for value, u, decision in (
+                    (one.before, one.u_before, one.decision_before),
+                    (one.after, one.u_after, one.decision_after),
+                )
                 if value is not None
             ]
             lines.append(f"{one.name}: {' -> '.join(parts) or 'no value'}")

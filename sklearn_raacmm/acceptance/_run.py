@@ -79,11 +79,10 @@ class Artefact:
     def __post_init__(self) -> None:
         for name in (*_MM, *_MAY_BE_MISSING, "u_expansion_per_k", "u_temperature_k"):
             value = getattr(self, name)
-            if value is None and name in _MAY_BE_MISSING:
-                continue
             # Some materials shrink, and some rooms are cold.
             least = -np.inf if name in ("expansion_per_k", "temperature_degc") else 0.0
-            number = floats(name, value)
+            missing = value is None and name in _MAY_BE_MISSING
+            number = floats(name, 0.0 if missing else value)
             if number.shape or not np.isfinite(number) or number < least:
                 what = "number" if least else "number of 0 or more"
                 raise ValueError(f"artefact {self.name!r}: {name} must be a {what}, got {value!r}.")
@@ -99,28 +98,20 @@ class Artefact:
     @property
     def size_in_test(self) -> float:
         """Size at the temperature of the test, mm."""
-        size: Any = self.size_mm
-        return float(size * (1 + self._factor * self._warming))
+        factor, warming = self._expansion
+        return float((self.size_mm or 0.0) * (1 + factor * warming))
 
     @property
     def u_size(self) -> float:
         """Standard uncertainty of the size in the test, mm: certificate, expansion, temperature."""
-        size, expanded = (self.size_mm or 0.0), (self.expanded_mm or 0.0)
-        parts = (
-            expanded / 2,
-            size * self._warming * self.u_expansion_per_k,
-            size * self._factor * self.u_temperature_k,
-        )
-        return float(np.linalg.norm(parts))
+        factor, warming = self._expansion
+        per_size = np.hypot(warming * self.u_expansion_per_k, factor * self.u_temperature_k)
+        return float(np.hypot((self.expanded_mm or 0.0) / 2, (self.size_mm or 0.0) * per_size))
 
     @property
-    def _factor(self) -> Any:
-        return self.expansion_per_k or 0.0
-
-    @property
-    def _warming(self) -> Any:
-        degc: Any = self.temperature_degc
-        return 0.0 if degc is None else degc - REFERENCE_DEGC
+    def _expansion(self) -> tuple[float, float]:
+        degc = self.temperature_degc
+        return self.expansion_per_k or 0.0, 0.0 if degc is None else degc - REFERENCE_DEGC
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -173,9 +164,8 @@ class AcceptanceRun:
     def __post_init__(self) -> None:
         n = np.size(self.test)
         for name in LABELS:
-            given = getattr(self, name)
-            labels = np.array([""] * n if given is None else list(map(str, given)), dtype=str)
-            self._set(name, labels)
+            given = [""] * n if getattr(self, name) is None else map(str, getattr(self, name))
+            self._set(name, np.array(list(given), dtype=str))
         if self.angles is None and self.points is None:
             raise ValueError("a run needs angles or points, and has neither.")
         for name, width in (("angles", -1), ("points", 3)):

@@ -86,8 +86,7 @@ def accept(options):
         software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
     shown = {"result": result, "artefacts": run.artefacts, "entries": entries}
     shown |= {"expected": expected, "software": software, "left": saved is not None}
-    page = _page(shown, limits, options.language)
-    write_whole({out: page})
+    write_whole({out: _page(shown, limits, options.language)})
     print(result)
     print(f"Written to {out}")
     if options.open:
@@ -211,10 +210,7 @@ def _artefact(path, row):
         name: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
         for name, heading, factor in _ARTEFACT
     }
-    try:
-        return Artefact(**{name: value for name, value in given.items() if value is not None})
-    except ValueError as error:
-        raise TableError(f"{path}: {error}") from None
+    return Artefact(**{name: value for name, value in given.items() if value is not None})
 
 
 def _limit(path, row):
@@ -240,14 +236,11 @@ def _write_template(path, arm, language):
     for test, (levels, n, _) in LAYOUTS.items():
         artefact = {"single-point": "seat", "volumetric": "bar"}.get(test, "sphere")
         columns = [column for column, _ in levels]
-        ranges = [
-            [f"{'length ' * (column == 'artefact')}{i + 1}" for i in range(wanted)]
-            if isinstance(wanted, int)
-            else wanted
-            for column, wanted in levels
-        ]
+        ranges = [n if isinstance(n, tuple) else range(1, n + 1) for _, n in levels]
         for labels in itertools.product(*ranges) if test != "pose" else ():
             row = {"test": test, "artefact": artefact, **dict(zip(columns, labels, strict=True))}
+            if isinstance(row["artefact"], int):
+                row["artefact"] = f"length {row['artefact']}"
             readings += n * [[row.get(name, "") for name in LABELS] + [""] * len(numbers)]
             names.append(row["artefact"])
     tables = {

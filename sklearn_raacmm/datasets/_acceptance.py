@@ -24,6 +24,8 @@ from sklearn_raacmm.datasets._simulation import SimulatedArm
 _TESTS = ("probing", "articulation", "length", "diameter", "single-point", "volumetric")
 _LENGTHS = (200.0, 400.0, 600.0, 800.0, 1000.0)
 _TIP_MM = 6.0
+# Places, articulations or repeats, and points of each.
+_OF_SPHERES = {"probing": (2, 1, 25), "articulation": (2, 5, 5), "diameter": (1, 3, 9)}
 # A room, a steel bar and a ceramic sphere, with certificates and uncertainties as these are usual.
 _ROOM: Any = {"expansion_per_k": 11.5e-6, "temperature_degc": 21.0, "fixture_mm": 0.001}
 _BAR: Any = {"expanded_mm": 0.004, **_ROOM}
@@ -84,19 +86,15 @@ def make_acceptance(
     own = np.random.RandomState(rng.randint(2**31 - 1))
     drawn = _Drawn(simulated, rng, own, 0.0 if exact else 1.0)
     for test in tests:
-        if test == "single-point":
-            drawn.cones()
-        elif test in ("probing", "articulation", "diameter"):
-            drawn.sphere(test)
-        else:
-            drawn.bars(test)
-    poses = [pose[None] for pose in drawn.poses]
-    warming = simulated.errors.warming_k
-    angles, _, true_points = take_readings(simulated, np.array(drawn.points), poses, rng, warming)
-    columns: dict[str, Any] = dict(zip(LABELS, zip(*drawn.labels, strict=True), strict=True))
-    stated = drawn.artefacts.values()
+        draw = drawn.sphere if test in _OF_SPHERES else drawn.bars
+        (drawn.cones if test == "single-point" else draw)(test)
+    labels, points, near = zip(*drawn.rows, strict=True)
+    poses, warming = [pose[None] for pose in near], simulated.errors.warming_k
+    angles, _, true_points = take_readings(simulated, np.array(points), poses, rng, warming)
+    columns: dict[str, Any] = dict(zip(LABELS, zip(*labels, strict=True), strict=True))
+    stated = tuple(drawn.artefacts.values())
     return Bunch(
-        run=AcceptanceRun(**columns, angles=angles, artefacts=tuple(stated), tip_mm=_TIP_MM),
+        run=AcceptanceRun(**columns, angles=angles, artefacts=stated, tip_mm=_TIP_MM),
         arm=calibrated_arm(simulated),
         nominal_arm=simulated.nominal_arm,
         simulation=Bunch(machine=simulated, true_points=true_points),
@@ -108,13 +106,7 @@ class _Drawn:
 
     def __init__(self, machine, rng, own, error):
         self.machine, self.rng, self.own, self.error = machine, rng, own, error
-        self.labels, self.points, self.poses = [], [], []
-        self.artefacts, self.true_sizes = {}, {}
-
-    def _add(self, labels, point, pose):
-        self.labels.append(labels)
-        self.points.append(point)
-        self.poses.append(pose)
+        self.rows, self.artefacts, self.true_sizes = [], {}, {}
 
     def _true_size(self, artefact):
         """The size that an artefact has during the test; what is stated is off by its errors."""
@@ -130,18 +122,17 @@ class _Drawn:
             self.true_sizes[artefact.name] = there.size_in_test
         return self.true_sizes[artefact.name]
 
-    def cones(self):
+    def cones(self, test):
+        """Ten poses in a seat near, in the middle and far."""
         self.artefacts["seat"] = Artefact(name="seat", fixture_mm=_ROOM["fixture_mm"])
         places, poses = draw_cones(self.machine, 3, 10, self.rng)
         for zone, place, own in zip(("near", "middle", "far"), places, poses, strict=True):
             for pose in own:
-                self._add(("single-point", "seat", zone, "", "", ""), place, pose)
+                self.rows.append(((test, "seat", zone, "", "", ""), place, pose))
 
     def sphere(self, test):
         """Points on the upper half: of a position, of each articulation, or of each repeat."""
-        n_places, n_times, n = {
-            "probing": (2, 1, 25), "articulation": (2, 5, 5), "diameter": (1, 3, 9),
-        }[test]  # fmt: skip
+        n_places, n_times, n = _OF_SPHERES[test]
         artefact = Artefact(name="sphere", serial="S1", certificate="simulated", **_SPHERE)
         radius = (self._true_size(artefact) + _TIP_MM) / 2
         # The form: n' A n with the largest less the smallest eigenvalue as stated, of mean 0.
@@ -154,12 +145,11 @@ class _Drawn:
             for k in range(n_times):
                 where = (str(k + 1), "") if test == "articulation" else ("", str(k + 1))
                 shift = self.error * artefact.fixture_mm / 2 * self.own.normal(size=3)
-                if test != "articulation":
-                    shift = 0 * shift
+                shift *= test == "articulation"
                 for j, out in enumerate(_half_sphere(n, self.rng.uniform(0, 2 * np.pi))):
                     at = place + shift + (radius + out @ form @ out) * out
                     labels = (test, artefact.name, str(i + 1), *where, "")
-                    self._add(labels, at, poses[i][k * n + j])
+                    self.rows.append((labels, at, poses[i][k * n + j]))
 
     def bars(self, test):
         """Ends of bars: five lengths in seven positions thrice, or one bar in twenty once."""
@@ -178,13 +168,12 @@ class _Drawn:
             for k in range(n_times):
                 for end in (0, 1):
                     labels = (test, name, position, "", str(k + 1), "ab"[end])
-                    self._add(labels, pair[end] + (2 * end - 1) * half, poses[2 * i + end][k])
+                    at = pair[end] + (2 * end - 1) * half
+                    self.rows.append((labels, at, poses[2 * i + end][k]))
 
 
 def _half_sphere(n, turn):
     """Directions (n, 3) spread evenly over the upper half of a sphere."""
-    i = np.arange(n) + 0.5
-    z = 1 - i / n
-    azimuth = _GOLDEN_ANGLE * i + turn
-    across = np.sqrt(1 - z**2)
+    z = 1 - (np.arange(n) + 0.5) / n
+    azimuth, across = _GOLDEN_ANGLE * n * (1 - z) + turn, np.sqrt(1 - z**2)
     return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z])
