@@ -56,8 +56,8 @@ def _missing(test, readings):
         fits = set(there) == set(needed) if named else len(there) == needed
         if not fits and not (more and i == 0 and not named and len(there) > needed):
             asked = f" ({', '.join(needed)})" if named else ""
-            there = ", ".join(name or "without a label" for name in there[:8])
-            text = f"{test}: {least} labels{asked} are needed in the column {column}: {there}."
+            got = ", ".join(name or "without a label" for name in there[:8])
+            text = f"{test}: {least} labels{asked} are needed in the column {column}; got {got}."
             return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
         labels.append(there)
     names, counts = [column for column, _ in levels], Counter[Any]()

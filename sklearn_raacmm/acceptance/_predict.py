@@ -55,13 +55,13 @@ def predict_acceptance(
 
     Notes
     -----
-    Each draw of :meth:`ArmResidualRegressor.sample_y` with noise, less the correction, is an error
-    of every reading; what is common to a position is common to its rows, so that no factor of
-    intervals within positions applies. Of what cones do not show, a correction knows the scale as
-    its calibration left it, which is drawn as in :meth:`Correction.distances`; a regressor draws
-    all that it holds possible. The error is added to where the
-    corrected probe would be on perfect artefacts, whose sizes are off as it is stated; form and
-    fixture are not drawn.
+    Each draw of :meth:`~sklearn_raacmm.ArmResidualRegressor.sample_y` with noise, less the
+    correction, is an error of every reading. What is common to a position is common to its rows, so
+    that no factor of intervals within positions applies. Of what cones do not show, a correction
+    knows the scale as its calibration left it, which is drawn as in
+    :meth:`~sklearn_raacmm.Correction.distances`; a regressor draws all that it holds possible. The
+    error is added to where the corrected probe would be on perfect artefacts, whose sizes are off
+    as it is stated; form and fixture are not drawn.
 
     Examples
     --------
