@@ -84,10 +84,7 @@ class AcceptanceResult:
     rule: str
 
     def __getitem__(self, name: str) -> AcceptanceValue:
-        for value in self.values:
-            if value.name == name:
-                return value
-        raise KeyError(name)
+        return {value.name: value for value in self.values}[name]
 
     def __str__(self) -> str:
         lines = [f"{finding.weight}: {finding}" for finding in self.findings]
