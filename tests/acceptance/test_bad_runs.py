@@ -86,7 +86,9 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("spoil", "code", "text", "n_lost"), BAD, ids=lambda b: str(b)[10:30])
+@pytest.mark.parametrize(
+    ("spoil", "code", "text", "n_lost"), BAD, ids=[case[0].__name__ for case in BAD]
+)
 def test_a_bad_run_has_a_finding_and_no_number(run, spoil, code, text, n_lost):
     good, bad = evaluate_acceptance(run), evaluate_acceptance(spoil(run))
     assert good.findings == ()
