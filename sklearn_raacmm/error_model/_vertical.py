@@ -44,12 +44,10 @@ def fit_with_vertical(rows, positions, terms, with_field):
     """
     # A force that is always there is not told from gravity in its direction.
     may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
-    for _ in range(_ROUNDS):
+    fitted, rounds = fit_with_constants(rows, positions, terms, with_field), 0
+    while may_turn and rounds < _ROUNDS and (up := _higher(fitted, terms, with_field)):
+        terms, rounds = terms._replace(up=up), rounds + 1
         fitted = fit_with_constants(rows, positions, terms, with_field)
-        up = _higher(fitted, terms, with_field) if may_turn else ()
-        if not up:
-            break
-        terms = terms._replace(up=up)
     if terms.up:
         shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (terms.up, rows.arm.up)]
         said = (

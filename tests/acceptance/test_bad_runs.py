@@ -155,6 +155,7 @@ def test_points_in_a_plane_are_no_sphere(run):
     assert "lie in one plane" in finding.text
 
 
+@pytest.mark.exhaustive
 def test_an_arm_that_is_bad_is_no_bad_run():
     """Neither errors twice as usual nor a nominal table are taken for slips or other artefacts."""
     for seed in range(2):

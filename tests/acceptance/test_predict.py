@@ -76,6 +76,7 @@ def test_what_cannot_be_predicted_is_refused(data):
         predict_acceptance(White(data.arm, 0.1), data.run, n_draws=1)
 
 
+@pytest.mark.exhaustive
 def test_a_perfect_arm_has_the_values_of_the_artefacts_errors():
     perfect = make_acceptance(machine=ArmErrors.only(), exact=True, random_state=2)
     for value in evaluate_acceptance(perfect.run, perfect.simulation.machine.true_arm).values:
