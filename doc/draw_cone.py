@@ -1,7 +1,7 @@
 """Draw an arm in a cone, and its points before and after: ``python doc/draw_cone.py``.
 
-The data are those of the first example of README.md: a simulated single-point test. Each position is
-corrected by a model of the other ones. Writes ``doc/images/cone.svg``.
+The data are those of the first example of README.md, a simulated single-point test. Each position
+is corrected by a model of the other ones. Writes ``doc/images/cone.svg``.
 """
 
 from pathlib import Path

@@ -80,9 +80,10 @@ def test_get_started_runs_for_a_reader_with_a_file_of_his_own(tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     text = (DOC / "get_started.md").read_text(encoding="utf-8")
     start = text.index("### A file to try with")
-    skipped = text[start : text.index("## Read", start)]
+    skipped = text[start : text.index("### Read it", start)]
     assert "Skip this part" in skipped
-    doctest.run_docstring_examples(skipped, {"np": np, "pd": pd})
+    names = {"np": np, "pd": pd, "joints": [f"q{i}" for i in range(1, 7)]}
+    doctest.run_docstring_examples(skipped, names)
     assert Path("cone_test.csv").exists()
     failed, tried = run_examples(text.replace(skipped, ""), "page")
     assert failed == 0
