@@ -104,7 +104,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "show_memory": False,
     "thumbnail_size": (640, 448),
-    "default_thumb_file": str(DOC / "images" / "not_run.png")  # where the data are missing,
+    "default_thumb_file": str(DOC / "images" / "not_run.png"),  # where data are missing
     "download_all_examples": False,
     "show_signature": False,
     "min_reported_time": 1,
