@@ -65,7 +65,7 @@ def main():
     shown = int(np.argsort(scores.table["after"])[len(scores.table["after"]) // 2])
     rows = scores.rows_by_position[shown]
     figure, axes = plt.subplots(
-        1, 3, figsize=(9.6, 3.5), width_ratios=[1.15, 1, 1], layout="constrained"
+        1, 3, figsize=(8.2, 3.0), width_ratios=[1.15, 1, 1], layout="constrained"
     )
     side_view(axes[0], learned.arm, test.data[rows])
     scatter(axes[1], scores.left_before[rows], BEFORE, scores.table["before"][shown], "Before")
