@@ -52,11 +52,18 @@ nitpick_ignore_regex = [("py:.*", r"metadata_routing"), ("std:.*", r"metadata_ro
 toc_object_entries_show_parents = "hide"
 html_theme = "pydata_sphinx_theme"
 html_title = "sklearn_raacmm"
+html_favicon = "_static/logo.svg"
 html_show_sourcelink = False
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
 html_sidebars = {page: [] for page in ("index", "install", "get_started")}
 html_theme_options = {
+    "logo": {
+        "text": project,
+        "image_light": "_static/logo.svg",
+        "image_dark": "_static/logo.svg",
+        "alt_text": "",
+    },
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "header_links_before_dropdown": 8,
@@ -97,7 +104,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "show_memory": False,
     "thumbnail_size": (640, 448),
-    "default_thumb_file": str(DOC / "images" / "paper_residuals.png"),
+    "default_thumb_file": str(DOC / "images" / "not_run.png"),  # where data are missing
     "download_all_examples": False,
     "show_signature": False,
     "min_reported_time": 1,

@@ -82,7 +82,7 @@ def update(options):
         return CHANGED, facts
     tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
-    print(f"Changed most, in parts of what is usual: {', '.join(parts[:4]) or 'nothing'}.")
+    print(f"Changed most, in per cent of its usual size: {', '.join(parts[:4]) or 'nothing'}.")
     rms = np.sqrt(np.mean(np.sum((now - was) ** 2, axis=1)))
     print(
         f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "

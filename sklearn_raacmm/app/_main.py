@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     Parameters
     ----------
     arguments : list of str, default=None
-        None: those of the command line.
+        Arguments after the command's name. None: the arguments of the command line.
 
     Returns
     -------

@@ -74,7 +74,7 @@ def read_table(
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
-        Names of the columns of the joint angles. None: those of the arm's joints, or columns
+        Names of the columns of the joint angles. None: the names of the arm's joints, or columns
         numbered from 0 or 1, such as q1 to q6.
     position : str, default=None
         Name of the column of the positions' labels. None: one called so, or the only one of text;

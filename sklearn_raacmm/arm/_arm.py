@@ -44,7 +44,7 @@ class Arm:
 
         - "standard": ``Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)``;
         - "modified" (Craig): ``Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)``, where `a` and `alpha`
-          of row ``i`` are those usually written with the index ``i - 1``;
+          of row ``i`` are the lengths and twists usually written with the index ``i - 1``;
 
         with ``theta_i = joint_signs_i * angle_i + theta_offset_i``.
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
@@ -484,8 +484,8 @@ class Arm:
         Returns
         -------
         str
-            The text. Its kinematics are those of `forward`. A tool is no part of UR's kinematics:
-            there the probe's distance from the last axis is left out. Another `up` than the file's
+            The text. It has the kinematics of `forward`. A tool is no part of UR's kinematics, so
+            UR's file leaves out the probe's distance from the last axis. An `up` unlike the file's
             turns the fixed joint between its first link and `base`, if there is one.
 
         Raises

@@ -149,11 +149,12 @@ def calibrate(
     so that least squares alone would shrink it. The distances are therefore divided by the scale of
     the links: the prior, or known lengths, alone decide the scale.
 
-    Prior standard deviations are those of MacKay's fixed point: the sum of squares of the
-    departures over the number of parameters that the data determine. Long lengths, of at least a
-    quarter of the longest, and short ones have one each: a forgotten offset of 60 mm must not widen
-    what is believed of the links, which carry the scale. With few data they are drawn to 0.4 mm,
-    0.3 mm and 0.003 rad (``benchmarks/bench_lengths.py scale``).
+    Prior standard deviations follow from MacKay's fixed point: a variance is the sum of squares of
+    the departures over the number of parameters that the data determine. Long lengths, of at least
+    a quarter of the longest, and short lengths have one prior standard deviation each: a forgotten
+    offset of 60 mm must not widen what is believed of the links, which carry the scale. With few
+    data these prior standard deviations are drawn to 0.4 mm, 0.3 mm and 0.003 rad
+    (``benchmarks/bench_lengths.py scale``).
 
     The parameters of two parallel axes in a row (UR10) depend on each other; the prior chooses.
 

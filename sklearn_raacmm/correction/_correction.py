@@ -141,10 +141,10 @@ class Correction:
         points : ndarray of shape (n_samples, 3)
             Corrected points in the arm's base frame, mm.
         std : ndarray of shape (n_samples, 3)
-            Standard deviation of each coordinate of one reading, mm (k = 1). Beside that within a
-            position, that of a coordinate in the base frame holds the scale, s (P - S) with P the
-            point, S the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a
-            function of the place. For distances see :meth:`distances`.
+            Standard deviation of each coordinate of one reading, mm (k = 1). In the base frame it
+            holds the standard deviation within a position, the scale, s (P - S) with P the point, S
+            the shoulder and s ``calibration.scale_sd``, and how the arm may give way as a function
+            of the place. For distances see :meth:`distances`.
 
         Raises
         ------
@@ -275,7 +275,8 @@ class Correction:
         Returns
         -------
         Correction
-            With the probe and the base that were found; `calibration` is that of these poses.
+            The same correction with the new probe and base; its `calibration` is the fit to these
+            poses.
 
         Raises
         ------

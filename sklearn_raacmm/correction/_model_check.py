@@ -36,8 +36,8 @@ from sklearn_raacmm.utils import (
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
 _ORDERS = (1, 2)
-# Poses that are named as slipped: this many on the average in a set without any; when they are more
-# than this share of all, they are no slips. A choice: a hundredth and a tenth, of nothing measured.
+# Poses that the check names as slipped: this many on the average in a set without slips. If more
+# than the second share of all poses lie that far off, they are no slips. Both are chosen by hand.
 _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # Poses farther off than this share of all, if errors were normal, count as though they were there:
 # those of a real arm have longer tails, of which a single pose must not raise an alarm. Without

@@ -49,10 +49,10 @@ def update_correction(
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     :func:`check_correction` says whether that is needed.
-    Coefficients may change by a part tau of what they were expected to be before any data (a
-    harmonic above order 8 by a part of what it was), base and tool by some millimetres. How much
-    has changed is found by the evidence, for the harmonics of each joint and for each other family
-    of columns. With no new pose the result is the old model, with very many what these poses say.
+    Coefficients may change by a share tau of their prior standard deviation (a harmonic above order
+    8 by a share of its old size), base and tool by some millimetres. The evidence finds tau for the
+    harmonics of each joint and for each other family of columns. Without new poses the result is
+    the old model; with very many new poses the old model does not matter.
 
     Parameters
     ----------

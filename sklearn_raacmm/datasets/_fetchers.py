@@ -73,7 +73,7 @@ def fetch_panda_ball_socket(
         Which of the two robots: 387 poses at 6 placements of a pair of sockets, or 559 poses at 9,
         with outliers.
     data_home : str or path-like, default=None
-        Folder to keep the files in, under ``panda_ball_socket``. None: that of
+        Folder to keep the files in, under ``panda_ball_socket``. None: the folder of
         :func:`sklearn.datasets.get_data_home`, usually ``~/scikit_learn_data``.
     download_if_missing : bool, default=True
         If False, raise an OSError where a file is not there or damaged.

@@ -41,7 +41,7 @@ class SimulatedArm:
     random_state : int, RandomState instance or None, default=0
         Draws the individual: the same one has the same draws whatever the sizes.
     up : array-like of shape (3,), default=(0, 0, 1)
-        Direction against gravity in the base frame, see `Arm`. Poses are those of the upright arm:
+        Direction against gravity in the base frame, see `Arm`. Poses do not depend on it:
         cones open towards the base's z axis whatever its direction.
 
     Attributes

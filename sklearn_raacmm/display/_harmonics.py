@@ -37,8 +37,7 @@ class HarmonicDisplay:
     phase_sd : ndarray of shape (n_harmonics,)
         Standard deviations of the phases, degrees.
     gear_ratios : ndarray of shape (n_joints,)
-        Likely gear ratio of each joint, 0 where the orders show none. It can be given to
-        :class:`ArmResidualRegressor`.
+        Likely gear ratio of each joint, 0 where the orders show none.
     axes_ : ndarray of matplotlib Axes of shape (n_joints, 3)
         A row for each joint; amplitudes, phases and log Bayes factors.
     figure_ : matplotlib Figure

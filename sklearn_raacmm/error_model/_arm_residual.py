@@ -68,9 +68,10 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
     causes : list of str, default=("gravity", "kinematics", "wobble")
         Which of these causes are in the model.
     offsets : bool or "auto", default="auto"
-        Whether each position (`groups` of `fit`) has an unknown constant offset of any size: it has
-        where `y` are deviations from the position's own mean. "auto": where the positions' means
-        are zero; else the evidence finds how large they are. False: there are none.
+        Whether each position (`groups` of `fit`) has an unknown constant offset of any size. True:
+        every position has one, as where `y` are deviations from the position's own mean. False: no
+        position has one. "auto": True where the means of `y` over the positions are zero; else the
+        evidence finds how large the offsets are.
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not

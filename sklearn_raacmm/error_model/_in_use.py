@@ -213,8 +213,8 @@ class FittedArmModel(PointCorrectionMixin):
     ) -> np.ndarray:
         """Draw corrections of all poses together, as the posterior has them.
 
-        What is computed from corrected points, a diameter or a flatness, is computed from each of
-        200 draws: their standard deviation is that of the result.
+        Compute a result, such as a diameter or a flatness, from the corrected points of each of 200
+        draws. The standard deviation of these 200 results is the standard deviation of the result.
 
         Parameters
         ----------

@@ -201,8 +201,8 @@ def load_c(
 
     Notes
     -----
-    The compiler is that of the environment variable CC, or cc, gcc or clang. Inputs are not checked
-    but for their number. Where ``predict`` raises, the result is NaN.
+    The environment variable CC names the compiler; else cc, gcc or clang is taken. The number of
+    inputs is checked, their values are not. Where ``predict`` raises, the result is NaN.
 
     Examples
     --------

@@ -35,9 +35,9 @@ SMALL_RISE = 0.01
 # Noise is known beforehand as three observations would show it, at a hundredth of the square of y:
 # with fewer rows than columns the evidence else grows without limit as all noise is explained away.
 _ASSUMED_ROWS, _ASSUMED_SHARE = 3.0, 0.01
-# Least share of the first guess that a variance falls to. Least mean square of residuals: its
-# square is a number yet. Least noise variance, relative to the mean square of y. These three only
-# keep arithmetic from overflow.
+# Least share of the first guess that a variance falls to. Least mean square of residuals, whose
+# square is still above zero in floating point. Least noise variance, relative to the mean square of
+# y. These three only keep arithmetic from underflow and overflow.
 _LEAST_SHARE, _NO_NOISE, _LEAST_NOISE = 1e-8, 1e-120, 1e-12
 # Halvings of a step that lowers the evidence.
 _HALVINGS = 5

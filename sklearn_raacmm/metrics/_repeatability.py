@@ -169,7 +169,7 @@ def within_position_scatter(
     statistic: str = "2s",
     aggregate: str | None = "mean",
 ) -> Any:
-    """Single-point repeatability left after a correction: that of ``y_true - y_pred``.
+    """Single-point repeatability left after a correction, of the residuals ``y_true - y_pred``.
 
     A cone-hole test shows residuals only up to one unknown constant per position, which this
     measure does not see. R2 of centred residuals punishes a model that knows the constant.

@@ -41,8 +41,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
-    You may need `n_centers` for a given size, `shared` for a small export of several outputs, and
-    `loss` for outliers. The order of rows does not matter; an integer weight is so many repeats.
+    The order of rows does not matter; an integer weight is so many repeats.
 
     Parameters
     ----------
@@ -77,13 +76,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     shared : bool, default=False
         Whether outputs share kernel, widths and centres, chosen by the trace of the error
         reduction: the published form, in which outputs of large numbers count most. By default each
-        has the network that it would have alone, and three outputs have three times the centres.
+        output has the network that it would have alone.
 
     loss : {"auto", "squared", "tukey"}, default="auto"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
-        "auto" takes this where it makes the rows more probable than least squares, far ones having
-        a variance of their own, and an eighth of the rows is the most. It needs widths or ridge to
-        be found, and at most 100 000 rows.
+        "auto" takes this where it makes the rows more probable than least squares does, for at most
+        an eighth of the rows. It needs widths or ridge to be found, and at most 100 000 rows.
 
     random_state : int, RandomState instance or None, default=None
         Draws the rows of the search, and candidates.
@@ -97,8 +95,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Centres, in the order of selection, of one network after another.
 
     center_indices_ : ndarray of shape (n_centers,)
-        Their rows in X. Of candidates equal to 1e-9 of what they explain the first, in the order of
-        their features, is taken; of those nearly as equal the choice may hang on the processor.
+        Rows of the centres in X. Of candidates that explain the same share, to 1e-9, the network
+        takes the first in the order of their features.
 
     coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
         Weights; 0 at the centres of other outputs.
@@ -110,29 +108,32 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Linear term.
 
     kernel_, length_scale_, alpha_ : str, ndarray of shape (n_features,) and float
-        As found or given; of several networks an entry or row for each output.
+        Kernel, widths and ridge of the network, as given or found by `fit`. With a network for each
+        output these are arrays with one entry or row for each output.
 
     noise_variance_, signal_variance_, group_std_ : float or ndarray of shape (n_outputs,)
-        Of the process: noise of an observation, signal, and constants of groups.
+        Variance of the noise of one observation, and variance of the function, in squared units of
+        `y`; standard deviation of the groups' constants, in units of `y`.
 
     relevance_ : ndarray of shape (n_features,)
         Slope along each feature, per standard deviation of the feature, as a share of the sum.
 
     log_marginal_likelihood_value_ : float
-        Of the rows on which structures were compared, summed over outputs.
+        Log marginal likelihood, in nats, of the rows on which `fit` compared kernels and widths,
+        summed over outputs.
 
     error_reduction_ : ndarray of shape (n_centers,)
         Share of the variance by which each centre lowered the objective.
 
     criterion_path_ : ndarray of shape (n_tried,)
-        Share that is left after 1, 2, ... centres.
+        Share of the objective that is left after 1, 2 and more centres.
 
     n_iter_ : int
         Number of centres tried.
 
     stop_reason_ : str
-        Why there are no more: "n_centers", "max_centers", "criterion", "all rows", or "dependent"
-        and "rank", where others are combinations of the chosen ones.
+        Why there are no more centres: "n_centers", "max_centers", "criterion", "all rows", or
+        "dependent" and "rank", where all other columns are combinations of the chosen columns.
 
     row_weight_ : ndarray of shape (n_samples,)
         The factor of each row's weight, where the loss is robust.
