@@ -126,10 +126,11 @@ def test_every_way_gives_what_predict_gives(tmp_path, seed):
 @pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::UserWarning")  # poses far from the training ones
 @pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("fade", ["exact", "small"])
 @pytest.mark.parametrize("seed", [4])  # of an arm
-def test_sanitizers(tmp_path, compiler, seed):
+def test_sanitizers(tmp_path, compiler, seed, fade):
     model, X, std = random_model(np.random.default_rng(seed))
-    source, _ = export_c(model, tmp_path / "arm.c", std=True)
+    source, _ = export_c(model, tmp_path / "arm.c", std=True, fade=fade)
     (tmp_path / "main.c").write_text(MAIN % {"n": len(X) + 1, "d": X.shape[1]})
     program = tmp_path / "main"
     command = [compiler, "-std=c99", *SANITIZE, "-o", program, tmp_path / "main.c", source, "-lm"]
@@ -144,6 +145,7 @@ def test_sanitizers(tmp_path, compiler, seed):
     got = np.array(done.stdout.split(), dtype=float).reshape(-1, 3, 2)
     mean, std = model.predict(X, return_std=True)
     # Coefficients may nearly cancel far from the poses.
-    np.testing.assert_allclose(got[:-1, :, 0], mean, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(got[:-1, :, 1], std, rtol=1e-3, atol=1e-10)
+    share = 1e-9 if fade == "exact" else 0.02  # by which the corrections may differ
+    np.testing.assert_allclose(got[:-1, :, 0], mean, rtol=share, atol=1e-10)
+    np.testing.assert_allclose(got[:-1, :, 1], std, rtol=max(share, 1e-3), atol=1e-10)
     assert np.isnan(got[-1]).all()
