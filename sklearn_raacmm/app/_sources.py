@@ -123,7 +123,11 @@ def _open_book(path):
                 f"{path} of {path.stat().st_size / 1e6:.1f} MB unpacks to {size / 1e6:.0f} MB, "
                 "which is no table: save the sheet as CSV."
             )
-        with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+        # A file of our own: of a sheet that is not read to its end some versions leave theirs open.
+        with (
+            open(path, "rb") as file,
+            closing(openpyxl.load_workbook(file, read_only=True, data_only=True)) as book,
+        ):
             yield book
     except TableError:
         raise
