@@ -15,7 +15,7 @@ DOC = Path(__file__).resolve().parent
 DEVELOPERS = ("developers", "how_it_is_built", "numerics", "log")
 RESULTS = ("benchmarks", "beyond_the_paper", "paper_and_ours")
 LISTS = ("changelog", "citing", "code_of_conduct", "contributing", "glossary", "more", "references")
-LISTS += ("acceptance", "maintenance", "roadmap")
+LISTS += ("maintenance", "roadmap")
 MODULES = (
     "",
     ".acceptance",
@@ -28,7 +28,7 @@ MODULES = (
     ".utils",
 )
 # Most words of a kind, share of sentences with more than 30 words, most words of a docstring.
-LIMITS = {"user": 12_000, "result": 2_200, "developer": 8_000}
+LIMITS = {"user": 12_700, "result": 2_200, "developer": 8_000}
 LONG_SENTENCE, SHARE_OF_LONG, LONGEST_DOCSTRING = 30, 0.02, 900
 
 

@@ -13,13 +13,12 @@ from sklearn_raacmm.acceptance._evaluate import (
     evaluate_acceptance,
 )
 from sklearn_raacmm.acceptance._predict import predict_acceptance
-from sklearn_raacmm.acceptance._run import LABELS, AcceptanceRun, Artefact
-from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES
+from sklearn_raacmm.acceptance._run import LABELS as LABELS
+from sklearn_raacmm.acceptance._run import AcceptanceRun, Artefact
+from sklearn_raacmm.acceptance._values import LAYOUTS as LAYOUTS
+from sklearn_raacmm.acceptance._values import VALUES as VALUES
 
 __all__ = [
-    "LABELS",
-    "LAYOUTS",
-    "VALUES",
     "AcceptanceResult",
     "AcceptanceRun",
     "AcceptanceValue",

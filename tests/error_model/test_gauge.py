@@ -107,15 +107,16 @@ def errors_over_deviations(name, seed, single_point):
 
 
 @pytest.mark.exhaustive
+@pytest.mark.xfail(strict=True, reason="since tubes slope at their ends: .929 inside, rms .865")
 @pytest.mark.parametrize("single_point", [False, True])
 def test_deviations_are_right_on_three_arms(single_point):
-    """Monte Carlo: root mean square of error over deviation is near 1, 95 % lie within 1.96."""
+    """Monte Carlo: root mean square of error over deviation is 1, 95 % lie within 1.96."""
     found = [
         errors_over_deviations(name, seed, single_point) for name in NAMES for seed in range(4)
     ]
     sizes = np.sqrt([np.mean(np.square(z)) for z in found])
-    assert 0.85 < np.sqrt(np.mean(np.square(sizes))) < 1.1
-    assert np.mean([np.mean(np.abs(z) < 1.96) for z in found]) == pytest.approx(0.95, abs=0.025)
+    assert 0.9 < np.sqrt(np.mean(np.square(sizes))) < 1.1
+    assert np.mean([np.mean(np.abs(z) < 1.96) for z in found]) == pytest.approx(0.95, abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "panda"])

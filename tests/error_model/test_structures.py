@@ -11,6 +11,8 @@ from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
 from sklearn_raacmm.error_model._structures import offered_harmonics
 
 ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
+# A sd of 29 arc seconds, since columns of gravity share it with slopes at the ends of tubes.
+SLOPES = pytest.mark.xfail(strict=True, reason="gravity has a sd of 29 arc seconds")
 
 
 def draw_angles(n, seed=0, width=2.0):
@@ -81,7 +83,11 @@ def test_orders_of_gears_are_found_by_default():
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("n_rows", "offsets"),
-    [(3000, True), (3000, False), (12_000, True)],
+    [
+        (3000, True),
+        pytest.param(3000, False, marks=SLOPES),
+        pytest.param(12_000, True, marks=SLOPES),
+    ],
 )
 def test_evidence_does_not_run_away(n_rows, offsets):
     """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""
@@ -91,7 +97,7 @@ def test_evidence_does_not_run_away(n_rows, offsets):
     rows = Rows(d.arm, d.data, y, np.ones(len(y)), d.groups if offsets else None)
     model = fit_linear_model(rows, terms, with_field=True).model
     assert 2 < model.prior_sd["kinematics"] < 30
-    assert 20 < model.prior_sd["gravity"] < 300
+    assert 30 < model.prior_sd["gravity"] < 300
     assert model.prior_sd["wobble"] < 5
     assert 0.002 < model.noise_sd < 0.006
 
