@@ -77,6 +77,8 @@ def _higher(fitted, terms, with_field):
     few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
     table = column_table(rows.arm, few._replace(harmonics=few.harmonics[:0]))
     loads = table["kind"] == LOAD
+    if rows.y.shape[1] * len(np.unique(rows.X, axis=0)) < loads.sum():
+        return ()  # along any direction so many columns explain so few poses
     parts = [rows.sums(few._replace(up=tuple(axis.tolist()))) for axis in _AXES]
     start = state.variance.copy()
     families = np.unique(structures.family[loads])

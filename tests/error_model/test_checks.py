@@ -68,7 +68,6 @@ def test_a_residual_of_ten_reaches_is_in_another_unit():
         _check_vectors(y, ARM)
 
 
-@pytest.mark.filterwarnings("ignore:Gravity seems to pull")  # of eleven different poses
 def test_residuals_of_which_most_are_zero_do_not_overflow():
     """Their median distance is 0, so that no scale tells who is far off: all rows count."""
     y = np.zeros((40, 3))
