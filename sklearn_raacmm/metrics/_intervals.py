@@ -53,8 +53,8 @@ def repeatability_interval(
     \operatorname{tr} C^2` degrees of freedom (F. E. Satterthwaite, Biometrics Bulletin 2, 1946)
     where deviations are normal. A mean of positions has the degrees of freedom of its variance,
     and the bias of roots, :math:`1 / 4 \nu`, is taken out. Of normal
-    deviations 94 to 98 % of the intervals hold what they promise; of simulated arms more where the
-    elbow swings from left to right, as tests have it, and fewer, in the worst case 77 %, where
+    deviations 94 to 99 % of the intervals hold what they promise; of simulated arms more where the
+    elbow swings from left to right, as tests have it, and fewer, in the worst case 81 %, where
     poses are drawn at random (``benchmarks/bench_acceptance.py intervals``).
 
     Examples
