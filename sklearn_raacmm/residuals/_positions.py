@@ -20,7 +20,7 @@ _LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
 _SINGULAR = 1e-9
 # Turns, at most, and the change of the constants, as a share of the targets' root mean square, at
 # which they are settled. With six turns trees and perceptrons leave the same to 1 % in the mean
-# of twelve simulated sets (`benchmarks/bench_chain.py --turns`).
+# of twelve simulated sets.
 MOST_TURNS, _SETTLED = 3, 0.01
 
 
