@@ -91,7 +91,7 @@ def left(folds, labels, absolute, model=None, known=False):
             continue
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # widths at their bounds, perceptrons stopped early
-            fitted = model(arm).fit(X, y, groups=groups if known else None)
+            fitted = model(arm).fit(X, y, groups=groups if known else False)
         rests.append(fitted.correct(T, measured))
     rest = np.concatenate(rests)
     if absolute:

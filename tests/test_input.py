@@ -169,8 +169,6 @@ FUNCTIONS = [
     ("interval", metrics.repeatability_interval, "points groups"),
     ("sphere", lambda points: metrics.fit_sphere(points)[2], "points"),
     ("axes", lambda points: metrics.axis_repeatability(points, GROUPS), "points"),
-    ("report", lambda p, g: metrics.repeatability_report(p, g).axis_2s_x, "points groups"),
-    ("scatter", partial(metrics.within_position_scatter, POINTS, groups=GROUPS), "residuals"),
     ("R2", lambda p: metrics.within_position_r2_score(p, RESIDUALS, groups=GROUPS), "points"),
     ("gauge", partial(pairs, metrics.gauge_lengths), "points groups"),
     ("block", partial(pairs, metrics.block_lengths), "points groups"),
@@ -223,8 +221,6 @@ REFUSING = [
         lambda p, y: display.LengthErrorDisplay.from_predictions(p, y, **BARS),
         "points residuals",
     ),
-    ("scatter, of labels", lambda g: metrics.within_position_scatter(POINTS, RESIDUALS, groups=g),
-     "groups"),
     ("R2, of labels", lambda g: metrics.within_position_r2_score(POINTS, RESIDUALS, groups=g),
      "groups"),
     ("axes, of labels", partial(metrics.axis_repeatability, POINTS), "groups"),
@@ -723,7 +719,6 @@ EDGES = {
     "2S: large": (lambda: TWO_S(LINE * 1e49) / 1e49, 2 * np.sqrt(2.5)),
     "2S: one coordinate": (lambda: TWO_S(LINE[:, 2]), 2 * np.sqrt(2.5)),
     "axes: denormal": (lambda: metrics.axis_repeatability(LINE * TINY) / TINY, [0, 0, 2.0]),
-    "report: one group": (lambda: metrics.repeatability_report(LINE).deviation_max, [2.0]),
     "sphere: a point at its centre": (
         lambda: metrics.probing_size_error(WITH_CENTRE, 10), 2 * best_radius(WITH_CENTRE) - 10
     ),
