@@ -1,10 +1,10 @@
 """What positions are worth to the chain.
 
 Every regressor of the chain is fitted twice: with ``fit(X, y, groups=positions)``, which names the
-rows of one position, and without. On simulated arms it learns at some positions and is
-judged at twenty others by the mean 2S that its correction leaves; on real arms at placements (UR10:
-goals) left out. The table has what is left, as a share of what there was, and the ratio of both
-fits. Settings are the same for both.
+rows of one position, and with ``groups=False``. On simulated arms it learns at some positions and
+is judged at twenty others by the mean 2S that its correction leaves; on real arms at placements
+(UR10: goals) left out. The table has what is left, as a share of what there was, and the ratio of
+both fits. Settings are the same for both.
 
 The default, the network on twelve simulated arms and the real ones, takes about ten CPU minutes;
 ``--models`` measures the others.
@@ -17,13 +17,12 @@ from itertools import product
 import numpy as np
 from _comparison import ALL, INPUTS, PAPER, Table, chain, gaussian_process
 from _data_sets import MIXES, panda, ur10
-from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.kernel_ridge import KernelRidge
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
+from sklearn_raacmm.residuals import polynomial_chain
 
 # Positions that are learnt from, and poses at each of them.
 SHAPES = [(10, 60), (30, 20)]
@@ -37,16 +36,11 @@ MODELS = {
     "polynomial": lambda arm, inputs: polynomial_chain(
         arm, degree=3 if inputs == PAPER else 2, **INPUTS[inputs]
     ),
-    "database": lambda arm, inputs: database_chain(arm, **INPUTS[inputs]),
-    "BP network": lambda arm, inputs: bp_network_chain(arm, random_state=0, **INPUTS[inputs]),
     "Gaussian process": gaussian_process,
     "kernel ridge": lambda arm, inputs: chain(
         arm,
         KernelRidge(kernel="rbf", alpha=0.1, gamma=1 / (2 * (1 if inputs == PAPER else 4) ** 2)),
         inputs,
-    ),
-    "extra trees": lambda arm, inputs: chain(
-        arm, ExtraTreesRegressor(100, min_samples_leaf=5, random_state=0), inputs
     ),
 }
 
@@ -90,7 +84,7 @@ def left(folds, labels, absolute, model=None, known=False):
             rests.append(measured)
             continue
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # widths at their bounds, perceptrons stopped early
+            warnings.simplefilter("ignore")  # widths at their bounds
             fitted = model(arm).fit(X, y, groups=groups if known else False)
         rests.append(fitted.correct(T, measured))
     rest = np.concatenate(rests)
