@@ -11,14 +11,14 @@ import numpy as np
 
 from sklearn_raacmm.export._c_templates import (
     ALL_FINITE,
-    EXP,
     FRAMES,
     HELPERS,
-    KERNEL_LOOPS,
+    KERNELS,
     LESS,
+    MOST,
+    ROOTS,
     TURNS,
     VARIANCES,
-    exponential,
 )
 from sklearn_raacmm.utils import LARGEST
 
@@ -296,9 +296,8 @@ class _Writer:
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", np.pad(centers, ((0, 0), (0, n - k))), note)
-        most = self.tables.literal(-EXP[self.real]["least"])
-        if any("falling_exp" in line for line in KERNEL_LOOPS[kernel]):
-            self.tables.helpers["falling_exp"] = exponential(self.tables)
+        most, root = (self.tables.literal(x) for x in (MOST[self.real], np.sqrt(ROOTS[kernel])))
+        body = KERNELS[kernel].format(v=v, real=self.real, f=self.f, most=most, root=root)
         self.declare(number, " = {0}", padded=True)
         self.put(
             f"for (int i = 0; i < {d}; ++i) {{",
@@ -306,11 +305,8 @@ class _Writer:
             f"    for (int c = 0; c < {n}; ++c)",
             f"        {v}[c] += (z - {center}[i][c]) * (z - {center}[i][c]);", "}",
             f"/* {kernel}, of the squared distance in units of the length scales */",
+            f"for (int c = 0; c < {n}; ++c) {{", *body.splitlines(), "}",
         )  # fmt: skip
-        roots = {f"sqrt{i}": self.tables.literal(np.sqrt(i)) for i in (3, 5)}
-        for line in KERNEL_LOOPS[kernel]:
-            body = line.format(v=v, f=self.f, most=most, **roots)
-            self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
 
     def _variances(self, number, op):
         self.declare(number)
