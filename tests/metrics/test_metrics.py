@@ -166,10 +166,6 @@ def test_gauge_lengths_and_errors_by_hand():
     np.testing.assert_allclose(lengths, [300.03, 500, 300])
     calibrated = [300, 500.04, 300.01]
     np.testing.assert_allclose(metrics.length_error(lengths, calibrated), [0.03, -0.04, -0.01])
-    by_hand = {"max": 0.04, "range": 0.07, "2rms": 2 * np.sqrt(26e-4 / 3), "mean": 0.08 / 3}
-    for statistic, value in by_hand.items():
-        found = metrics.length_error(lengths, calibrated, statistic=statistic)
-        assert found == pytest.approx(value)
     np.testing.assert_allclose(metrics.length_error([300.1, 299.9], 300), [0.1, -0.1])
 
 
