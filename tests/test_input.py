@@ -512,9 +512,7 @@ def refused():
     yield metrics.probing_form_error, "points", [POINTS * 0], "one plane"
     gauges = partial(metrics.gauge_lengths, POINTS, GROUPS.astype(str))
     yield gauges, "pairs", [[[0, 1]]], "group 0"
-    lengths = partial(metrics.length_error, calibrated=[300])
     yield partial(metrics.length_error, calibrated=[]), "measured", [[]], r"\(0,\)"
-    yield partial(lengths, [300]), "statistic", ["rms"], "'rms' is not"
     yield lambda warming: MACHINE.forward(ANGLES, warming_k=warming), "warming", [np.nan], "warming"
     yield lambda n_poses: MACHINE.find_poses([400, 0, 300], n_poses), "n_poses", [-1], "n_poses"
     yield ArmErrors.only, "sag", [1], "unexpected keyword argument 'sag'"
@@ -526,7 +524,6 @@ def refused():
     yield poses, "magnification", ["big"], "magnification must be"
     yield poses, "arm", ["panda"], "must be an Arm"
     yield export.fingerprint, "model", [None], "not an estimator"
-    yield lambda y: export.describe(CHAIN, ANGLES, y), "y", [RESIDUALS[:, :2]], "model predicts"
     yield (
         partial(export.export_c, LINEAR, "a.c"),
         "card",
