@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_scalar
 
-from sklearn_raacmm.arm import Arm, arm_or_built_in, check_arm
+from sklearn_raacmm.arm import Arm, arm_or_built_in
 from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
@@ -117,7 +117,6 @@ class ArmPosesDisplay(FittedDisplay):
             If shapes differ, values are not finite, or the axes are flat.
         """
         arm = arm_or_built_in(arm, cls.__name__)
-        check_arm(arm)
         chains = arm_chains(arm, X, angle_unit)
         before, after = before_and_after(len(chains), y, y_pred, groups)
         return cls(chains=chains, before=before, after=after, name=name).plot(ax, **options)
