@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,7 @@ from sklearn.metrics import r2_score
 
 from sklearn_raacmm.utils import (
     Finding,
+    RegressorMixin,
     are_deviations,
     centred,
     check_weights,
@@ -24,7 +25,7 @@ from sklearn_raacmm.utils import (
 _DIGITS, _OFF_THE_DIGITS, _POSE_DIGITS = 3, 0.3137, 6
 
 
-class PointCorrectionMixin:
+class PointCorrectionMixin(RegressorMixin):
     """`correct` and `score` of a regressor that predicts residuals of an arm's points.
 
     The estimator has `_points_of`, the arm's points at X or None, and `_knows_deviations_only`:
@@ -34,9 +35,13 @@ class PointCorrectionMixin:
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__score = {"groups": True}
 
-    def correct(
-        self: Any, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
-    ) -> Any:
+    if TYPE_CHECKING:  # what the estimator has
+        predict: Any
+
+        def _points_of(self, X: ArrayLike) -> Any: ...
+        def _knows_deviations_only(self) -> bool: ...
+
+    def correct(self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any) -> Any:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters
@@ -84,7 +89,7 @@ class PointCorrectionMixin:
         return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
 
     def score(
-        self: Any,
+        self,
         X: ArrayLike,
         y: ArrayLike,
         groups: ArrayLike | None = None,
@@ -127,8 +132,7 @@ class PointCorrectionMixin:
                 "misjudges, and score got no groups: take "
                 "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
             )
-        of_any_regressor: Any = super()
-        return of_any_regressor.score(X, y, sample_weight)
+        return super().score(X, y, sample_weight)
 
 
 def within_positions_score(
