@@ -37,11 +37,6 @@ _ELEMENTWISE = {
 _BY_NUMBER = {*_ELEMENTWISE, "join", "finite", "within"}
 
 
-def _whole(n):
-    """The next multiple of `_VECTOR`: zeros fill up the rest."""
-    return -(-n // _VECTOR) * _VECTOR
-
-
 class _Writer:
     """Writes one program as a function."""
 
@@ -344,7 +339,8 @@ def _packed(rows):
 
     Rows are filled up with zeros to whole vectors. What is no triangle stays a matrix.
     """
-    n, last = _whole(rows.shape[1]), len(rows) - 1
+    # The next multiple: zeros fill up the rest.
+    n, last = -(-rows.shape[1] // _VECTOR) * _VECTOR, len(rows) - 1
     full, c = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.arange(len(rows))
     for at, text in ((c, "c"), (last - c, f"({last} - c)")):
         if not np.any(full[at[:, None] < np.arange(n)]):

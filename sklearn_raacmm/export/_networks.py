@@ -48,11 +48,6 @@ def _network_variance(p, net, x, phi):
     its digits would be lost.
     """
     k, parts = len(net.centers), []
-    if np.any(net.noise_variance < 0) or np.any(net.signal_variance < 0):
-        raise ValueError(
-            f"The network's variances must not be negative, got {net.noise_variance} of the noise "
-            f"and {net.signal_variance} of the signal: it cannot be exported."
-        )
     if k > MOST_CENTERS:
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "
