@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
 from sklearn_raacmm.measurements._set_ups import base_motions
-from sklearn_raacmm.utils import Finding, align, are_deviations, centred
+from sklearn_raacmm.utils import Finding, align, centred
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -162,24 +162,6 @@ def are_not_of_these_points(targets, points):
             return
 
 
-def are_of_positions_unnamed(targets, points):
-    """Deviations from the means of positions, which the fit does not know."""
-    if points is None or targets.codes is not None:
-        return
-    labels, codes = np.unique(np.round(points - targets.y, 3), axis=0, return_inverse=True)
-    codes = codes.ravel()
-    if 2 * len(labels) > len(codes) or len(labels) < 2:
-        return
-    if are_deviations(targets.y, codes, targets.weights):
-        yield Finding(
-            "groups-missing",
-            f"y are deviations from the means of {len(labels)} positions, and the fit does not "
-            "know of these.",
-            "Give groups, the label of the position of each row.",
-            "note",
-        )
-
-
 def are_what_calibration_takes(targets, points):
     """The arm's static parameters explain nearly all: it has not been calibrated."""
     y, arm = targets.y, targets.arm
@@ -237,7 +219,6 @@ CHECKS = (
     are_too_large,
     are_of_another_frame,
     are_not_of_these_points,
-    are_of_positions_unnamed,
     are_what_calibration_takes,
     are_all_zero,
 )
