@@ -21,7 +21,8 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability, within_position_r2_score
-from sklearn_raacmm.residuals import positions_of, within_positions_score
+from sklearn_raacmm.residuals import positions_of
+from sklearn_raacmm.residuals._point_correction import score_within
 from sklearn_raacmm.utils import centred
 
 
@@ -193,14 +194,14 @@ def test_score_against_pandas(weighted):
         return w @ np.square(values - means.loc[groups].to_numpy()).sum(axis=1)
 
     expected = 1 - sum_of_squares(y - p) / sum_of_squares(y)
-    score = within_positions_score(y, p, groups, w if weighted else None)
+    score = score_within(y, p, groups, w if weighted else None)
     assert score == pytest.approx(expected)
     if not weighted:
         assert score == pytest.approx(within_position_r2_score(y, p, groups=groups))
     # Known in full: the constants count.
     full = y + 2 * rng.normal(size=(6, 3))[groups]
-    assert within_positions_score(full, 0 * full, groups) <= 0
-    assert within_positions_score(full, full, groups) == 1
+    assert score_within(full, 0 * full, groups) <= 0
+    assert score_within(full, full, groups) == 1
 
 
 def test_the_points_that_residuals_are_from_tell_positions(test):
