@@ -18,7 +18,7 @@ from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, proces
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
+from sklearn_raacmm.measurements import check_targets, find_dwells
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     ends_in_direction,
@@ -334,7 +334,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         weights, arm = np.ones(len(y)), self._arm()
         angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
         offsets = codes is not None and are_deviations(y, codes, weights)
-        report_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
+        report_findings(check_targets(y, weights, arm, angles, codes, offsets))
 
     def _get_regressor(self):
         if isinstance(self.regressor, type):
