@@ -1,7 +1,5 @@
 """What the comparisons share: the models that they compare, and tables for the terminal."""
 
-import warnings
-
 import numpy as np
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -44,14 +42,6 @@ def gaussian_process(arm, inputs):
         0.5, (1e-5, 1e2)
     )
     return chain(arm, GaussianProcessRegressor(kernel, normalize_y=True), inputs)
-
-
-def fit(model, angles, residuals, positions):
-    """Fit a model, which is given the positions."""
-    with warnings.catch_warnings():
-        # A Gaussian process says so when a width runs to its bound: a feature without influence.
-        warnings.filterwarnings("ignore", message=".*close to the specified.*bound")
-        return model.fit(angles, residuals, groups=positions)
 
 
 def fetched(fetch, *args, **options):

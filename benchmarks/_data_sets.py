@@ -34,7 +34,7 @@ MIXES = ["typical", "gravity", "eccentricity"]
 PERFECT = ("-", "perfect model")
 UR10_ROWS = 1500
 # What `run` returns beside a prediction.
-COSTS = ("fit_seconds", "predict_seconds_per_row", "pickle_bytes", "numbers")
+COSTS = ("fit_seconds", "predict_seconds_per_row", "pickle_bytes")
 
 
 class Problem(NamedTuple):
@@ -100,8 +100,7 @@ def some_goals(data, n_rows):
 def calibrated(data, train):
     """Calibrate on the training rows: the arm, and the residuals of all rows in its base frame."""
     result = calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
-    true = (data.tracker_points - result.base_translation) @ result.base_rotation
-    residuals = result.arm.forward(data.data) - true
+    residuals = result.residuals(data.data, data.tracker_points)
     return SimpleNamespace(arm=result.arm, residuals=residuals)
 
 
@@ -209,7 +208,6 @@ def compare(problem, names, jobs):
         "fit_seconds": ("fit s", 7, ".2f"),
         "predict_seconds_per_row": ("s/row", 8, ".1e"),
         "pickle_bytes": ("bytes", 8, ".0f"),
-        "numbers": ("numbers", 7, ".0f"),
     }
     table, records = Table(("inputs", 24, ""), ("regressor", 26, ""), *columns.values()), []
     # What a correction is judged by: the deviation where it is known, else 2S.

@@ -14,7 +14,7 @@ In the tables lengths are in mm. mean, max: deviation from the position's mean p
 tracker's point); 2S: single-point repeatability; less: reduction of its mean (UR10: of the
 deviation); of possible: share of what a perfect model reduces, which knows all but the noise; 300
 mm, 500 mm: error of known lengths; R2: plain, and with one free constant per position (within);
-fit s: CPU seconds with the choice of settings; bytes: pickled; numbers: kept in order to predict.
+fit s: CPU seconds with the choice of settings; bytes: pickled.
 """
 
 import argparse

@@ -200,7 +200,7 @@ def individuals_table(results):
 
 def regressors_table(results):
     """Every regressor on three simulated arms, with its costs."""
-    head = ["inputs", "regressor", *MIXES, "fit (s)", "predict (µs)", "size (kB)", "numbers"]
+    head = ["inputs", "regressor", *MIXES, "fit (s)", "predict (µs)", "size (kB)"]
     rows = []
     for model in results.comparisons[simulated("typical")]["models"]:
         if not all(results.has(simulated(mix), model) for mix in MIXES):
@@ -212,10 +212,10 @@ def regressors_table(results):
             share = f" ({per_cent(100 * r['of_possible'])})" if "of_possible" in r else ""
             cells.append(f"{1000 * r['two_s_mean_mm']:.1f}{share}")
         r = results.of(simulated("typical"), model)
-        costs = [""] * 4
+        costs = [""] * 3
         if "fit_seconds" in r:
             costs = [f"{r['fit_seconds']:.2g}", f"{1e6 * r['predict_seconds_per_row']:.0f}"]
-            costs += [f"{r['pickle_bytes'] / 1000:.0f}", f"{r['numbers']:.0f}"]
+            costs += [f"{r['pickle_bytes'] / 1000:.0f}"]
         rows.append([inputs, name, *cells, *costs])
     return markdown(head, _in_order(rows))
 

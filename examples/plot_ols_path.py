@@ -14,7 +14,7 @@ from sklearn.model_selection import GroupShuffleSplit
 
 from sklearn_raacmm import PoseFeatures, RBFNetRegressor, cartesian_to_cylindrical
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.metrics import within_position_scatter
+from sklearn_raacmm.metrics import single_point_repeatability
 
 data = make_single_point(n_positions=16, n_poses=40, machine="gravity", random_state=0)
 pose = PoseFeatures(data.arm).fit_transform(data.data)
@@ -36,9 +36,8 @@ for size in sizes:
     for alpha, of in ((found.alpha_, errors), (0.0, plain_errors)):
         model = RBFNetRegressor(int(size), alpha=alpha, **settings)
         prediction = model.fit(pose[train], radial[train]).predict(pose[test])
-        of.append(
-            1000 * within_position_scatter(radial[test], prediction, groups=data.groups[test])
-        )
+        left = radial[test] - prediction
+        of.append(1000 * single_point_repeatability(left, data.groups[test]))
 longest = RBFNetRegressor(n_most, alpha=found.alpha_, **settings).fit(pose[train], radial[train])
 
 # %%
@@ -67,7 +66,7 @@ left.set(
 )  # fmt: skip
 right.plot(sizes, plain_errors, "s:", color="0.6", ms=4, label="plain least squares")
 right.plot(sizes, errors, "o-", color="#0072B2", ms=4, label="with the ridge that was found")
-uncorrected = within_position_scatter(radial[test], 0 * radial[test], groups=data.groups[test])
+uncorrected = single_point_repeatability(radial[test], data.groups[test])
 right.axhline(1000 * uncorrected, color="0.3", ls="--", lw=1, label="uncorrected")
 lines = (("k", "-"), ("#E69F00", "--"))
 for (n_centers, size), (colour, style) in zip(stops.items(), lines, strict=True):

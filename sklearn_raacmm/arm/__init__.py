@@ -15,7 +15,6 @@ from sklearn_raacmm.arm._kinematics import (
     frame_columns,
     parameter_jacobian,
     points_of,
-    probe_points,
     reach_mm,
 )
 
@@ -34,7 +33,6 @@ __all__ = [
     "frame_columns",
     "parameter_jacobian",
     "points_of",
-    "probe_points",
     "reach_mm",
     "usual_pose",
 ]

@@ -20,6 +20,7 @@ def check_arm(arm: object) -> None:
 def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
     if arm is not None:
+        check_arm(arm)
         return arm
     text = (
         f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are not "

@@ -20,20 +20,21 @@ def dh_theta(arm: Any, angles: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
 
 
-def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
+def carried(arm: Any, angles: np.ndarray, fixed: list[Any]) -> np.ndarray:
     """Points in the base frame, (len(fixed), 3, n_samples) mm, that are fixed in frames of the arm.
 
     `fixed` has the number of each point's frame and its three coordinates in it, mm. A point
     through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
     """
+    theta = dh_theta(arm, angles)
     cos, sin = np.cos(theta), np.sin(theta)
-    if theta.shape[1] == 1:
+    if len(angles) == 1:
         # Python's numbers are ten times as fast as arrays of one number, and round alike.
         cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()
     a, d, cos_alpha, sin_alpha = (
         values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
     )
-    points = np.empty((len(fixed), 3, theta.shape[1]))
+    points = np.empty((len(fixed), 3, len(angles)))
     for point, (frame, (x, y, z)) in zip(points, fixed, strict=True):
         for i in reversed(range(frame)):
             c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
@@ -49,12 +50,6 @@ def carried(arm: Any, theta: np.ndarray, fixed: list[Any]) -> np.ndarray:
     return points
 
 
-def probe_points(arm: Any, theta: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
-    """Probe points (3, n_samples), in mm; `probes` as of `points_of`."""
-    own: Any = arm.probe.tolist() if probes is None else probes.T
-    return carried(arm, theta, [(len(arm.a), own)])[0]
-
-
 def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
     """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time.
 
@@ -62,8 +57,8 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
     """
     points = np.empty((len(angles), 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
-        own = None if probes is None else probes[rows]
-        points[rows] = probe_points(arm, dh_theta(arm, angles[rows]), own).T
+        own: Any = arm.probe.tolist() if probes is None else probes[rows].T
+        points[rows] = carried(arm, angles[rows], [(len(arm.a), own)])[0].T
     return points
 
 

@@ -23,7 +23,7 @@ def data_folder(data_home, name):
     return Path(get_data_home(data_home)) / name
 
 
-def cached_file(name, folder, address, *, download_if_missing, n_retries, delay):
+def cached_file(name, folder, address, *, download_if_missing, n_retries=3, delay=1.0):
     """Path of a file of `SHA256` below a folder, downloaded where it is not there or damaged."""
     path, url, sha256 = folder / name, f"{address.rstrip('/')}/{name}", SHA256[name]
     if not download_if_missing:

@@ -5,7 +5,6 @@
 
 from datetime import datetime
 from functools import partial
-from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -41,8 +40,6 @@ _CONSTRAINTS = {
     "download_if_missing": ["boolean"],
     "return_X_y": ["boolean"],
     "as_frame": ["boolean"],
-    "n_retries": [param_checks.Interval(Integral, 0, None, closed="left")],
-    "delay": [param_checks.Interval(Real, 0, None, closed="left")],
     "base_url": [str, None],
 }
 
@@ -58,8 +55,6 @@ def fetch_panda_ball_socket(
     download_if_missing: bool = True,
     return_X_y: bool = False,
     as_frame: bool = False,
-    n_retries: int = 3,
-    delay: float = 1.0,
     base_url: str | None = None,
 ) -> Any:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
@@ -81,10 +76,6 @@ def fetch_panda_ball_socket(
         Return ``(data, target, placements)`` only; split by the last.
     as_frame : bool, default=False
         Return pandas objects.
-    n_retries : int, default=3
-        How often to ask again where the network or the server fails.
-    delay : float, default=1.0
-        Seconds between tries.
     base_url : str, default=None
         Where to find ``<arm>/<placement>/hole_0.csv`` instead of the authors' repository: a mirror,
         or ``"file:///..."`` for the folder ``data`` of a clone, with the same checksums.
@@ -128,8 +119,6 @@ def fetch_panda_ball_socket(
         folder=data_folder(data_home, "panda_ball_socket"),
         address=_address(base_url, PANDA_URL),
         download_if_missing=download_if_missing,
-        n_retries=n_retries,
-        delay=delay,
     )
     names = [name for name in SHA256 if name.startswith(arm)]
     tables = [np.loadtxt(fetch(name), delimiter=",", ndmin=2) for name in names]
@@ -166,8 +155,6 @@ def fetch_ur10_tracker(
     download_if_missing: bool = True,
     return_X_y: bool = False,
     as_frame: bool = False,
-    n_retries: int = 3,
-    delay: float = 1.0,
     base_url: str | None = None,
 ) -> Any:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
@@ -176,7 +163,7 @@ def fetch_ur10_tracker(
 
     Parameters
     ----------
-    data_home, download_if_missing, as_frame, n_retries, delay
+    data_home, download_if_missing, as_frame
         As in :func:`fetch_panda_ball_socket`; the folder is ``ur10_tracker``.
     return_X_y : bool, default=False
         Return ``(data, target, groups)`` only; split by the last.
@@ -221,8 +208,6 @@ def fetch_ur10_tracker(
         data_folder(data_home, "ur10_tracker"),
         _address(base_url, UR10_URL),
         download_if_missing=download_if_missing,
-        n_retries=n_retries,
-        delay=delay,
     )
     # Semicolons between fields, decimal commas.
     lines = path.read_text(encoding="utf-8-sig").replace(",", ".").splitlines()[1:]

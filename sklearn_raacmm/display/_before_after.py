@@ -146,21 +146,13 @@ class RepeatabilityDisplay(FittedDisplay):
             ax
         )
 
-    def plot(
-        self,
-        ax: Any = None,
-        *,
-        before_kwargs: dict[str, Any] | None = None,
-        after_kwargs: dict[str, Any] | None = None,
-    ) -> Self:
+    def plot(self, ax: Any = None) -> Self:
         """Draw the figure.
 
         Parameters
         ----------
         ax : matplotlib Axes, default=None
             Axes to draw on. None: new ones.
-        before_kwargs, after_kwargs : dict, default=None
-            Passed to the two calls of matplotlib's ``plot``.
 
         Returns
         -------
@@ -171,7 +163,7 @@ class RepeatabilityDisplay(FittedDisplay):
         place = np.arange(1, len(self.before) + 1)
         unit = unit_of([self.before, self.after])
         intervals = (self.before_interval, self.after_interval)
-        draw_sides(self, ax, slice(None), unit, (before_kwargs, after_kwargs), intervals)
+        draw_sides(self, ax, slice(None), unit, intervals)
         name_places(ax, place, place if self.positions is None else self.positions)
         ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({unit[1]})")
         shown = (self.before, self.after, self.floor, *intervals)
@@ -296,21 +288,13 @@ class LengthErrorDisplay(FittedDisplay):
             name=name,
         ).plot(axes)
 
-    def plot(
-        self,
-        axes: Any = None,
-        *,
-        before_kwargs: dict[str, Any] | None = None,
-        after_kwargs: dict[str, Any] | None = None,
-    ) -> Self:
+    def plot(self, axes: Any = None) -> Self:
         """Draw the figure.
 
         Parameters
         ----------
         axes : array-like of matplotlib Axes of shape (n_lengths,), default=None
             Axes to draw on. None: new ones.
-        before_kwargs, after_kwargs : dict, default=None
-            Passed to the two calls of matplotlib's ``plot``.
 
         Returns
         -------
@@ -325,7 +309,7 @@ class LengthErrorDisplay(FittedDisplay):
         for ax, size in zip(axes, sizes, strict=True):
             rows = np.flatnonzero(self.lengths == size)
             ax.axhline(0, color="0.8", linewidth=1, zorder=0)
-            draw_sides(self, ax, rows, unit, (before_kwargs, after_kwargs))
+            draw_sides(self, ax, rows, unit)
             name_places(ax, *2 * [np.arange(1, len(rows) + 1)])
             ax.set(xlabel="placement", title=f"{size:g} mm")
             space_for_legend(ax, low - 0.05 * (high - low), high, 0.5, "mean |error|")

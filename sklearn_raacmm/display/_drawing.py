@@ -113,27 +113,27 @@ def unit_of(values):
     return (1000.0, "µm") if size < _MICROMETRES_UP_TO else (1.0, "mm")
 
 
-def draw_sides(display, ax, rows, unit, kwargs, intervals=(None, None)):
+def draw_sides(display, ax, rows, unit, intervals=(None, None)):
     """Draw these rows of a display's values (mm): before, after and, where it is known, the floor.
 
     Where `intervals` (n, 2) of before and after are given, as vertical lines.
     """
     factor, name = unit
     digits = ".1f" if name == "µm" else ".3f"
-    for values, label, style, more, interval, shift in (
-        (display.before, "before", BEFORE, kwargs[0], intervals[0], -_SHIFT),
-        (display.after, display.name, AFTER, kwargs[1], intervals[1], _SHIFT),
-        (display.floor, "noise floor", FLOOR, None, None, 0.0),
+    for values, label, style, interval, shift in (
+        (display.before, "before", BEFORE, intervals[0], -_SHIFT),
+        (display.after, display.name, AFTER, intervals[1], _SHIFT),
+        (display.floor, "noise floor", FLOOR, None, 0.0),
     ):
         if values is None:
             continue
         shown = factor * np.asarray(values)[rows]
         place = np.arange(1, len(shown) + 1) + shift
-        style = style | {"label": f"{label}: {np.mean(np.abs(shown)):{digits}} {name}"}
-        (drawn,) = ax.plot(place, shown, **(style | (more or {})))
+        label = f"{label}: {np.mean(np.abs(shown)):{digits}} {name}"
+        ax.plot(place, shown, label=label, **style)
         if interval is not None:
             low, high = factor * np.asarray(interval)[rows].T
-            ax.vlines(place, low, high, color=drawn.get_color(), linewidth=1.2)
+            ax.vlines(place, low, high, color=style["color"], linewidth=1.2)
 
 
 def name_places(ax, place, labels):

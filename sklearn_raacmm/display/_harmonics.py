@@ -110,15 +110,13 @@ class HarmonicDisplay:
         harmonics, n_joints = estimator.harmonics_, estimator.arm_.n_joints
         return cls(harmonics=harmonics, n_joints=n_joints).plot(axes)
 
-    def plot(self, axes: Any = None, *, errorbar_kwargs: dict[str, Any] | None = None) -> Self:
+    def plot(self, axes: Any = None) -> Self:
         """Draw.
 
         Parameters
         ----------
         axes : array-like of matplotlib Axes of shape (n_joints, 3), default=None
             Axes to draw on. None: new ones.
-        errorbar_kwargs : dict, default=None
-            Passed to the calls of matplotlib's ``errorbar``.
 
         Returns
         -------
@@ -128,7 +126,6 @@ class HarmonicDisplay:
         n = self.n_joints
         size = (10, 1.0 + 1.1 * n)
         axes = axes_grid(axes, (n, 3), figsize=size, sharex=True, sharey="col")
-        style = _DOTS | (errorbar_kwargs or {})
         for joint, (left, middle, right) in enumerate(axes, start=1):
             mine = self.harmonics["joint"] == joint
             some = self.harmonics[mine]
@@ -142,13 +139,13 @@ class HarmonicDisplay:
                 left.text(0.98, 0.8, "none found", **at)
                 continue
             order = some["order"]
-            left.vlines(order, 0, some["amplitude_arcsec"], color=style["color"], linewidth=1)
-            left.errorbar(order, some["amplitude_arcsec"], self.amplitude_sd[mine], **style)
-            middle.errorbar(order, some["phase_deg"], self.phase_sd[mine], **style)
+            left.vlines(order, 0, some["amplitude_arcsec"], color=_DOTS["color"], linewidth=1)
+            left.errorbar(order, some["amplitude_arcsec"], self.amplitude_sd[mine], **_DOTS)
+            middle.errorbar(order, some["phase_deg"], self.phase_sd[mine], **_DOTS)
             # From half a nat on, so that a logarithmic axis serves all: hundreds are common.
             evidence = np.maximum(some["log_bayes_factor"], 0.5)
-            right.vlines(order, 0.5, evidence, color=style["color"], linewidth=1)
-            right.errorbar(order, evidence, **style)
+            right.vlines(order, 0.5, evidence, color=_DOTS["color"], linewidth=1)
+            right.errorbar(order, evidence, **_DOTS)
         titles = ("amplitude (arc seconds)", "phase (deg)", "log Bayes factor (nats)")
         for ax, title in zip(axes[0], titles, strict=True):
             ax.set_title(title, fontsize="medium")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_scalar
 
-from sklearn_raacmm.arm import Arm, arm_or_built_in, check_arm
+from sklearn_raacmm.arm import Arm, arm_or_built_in
 from sklearn_raacmm.display._drawing import (
     AFTER,
     BEFORE,
@@ -117,7 +117,6 @@ class ArmPosesDisplay(FittedDisplay):
             If shapes differ, values are not finite, or the axes are flat.
         """
         arm = arm_or_built_in(arm, cls.__name__)
-        check_arm(arm)
         chains = arm_chains(arm, X, angle_unit)
         before, after = before_and_after(len(chains), y, y_pred, groups)
         return cls(chains=chains, before=before, after=after, name=name).plot(ax, **options)
@@ -128,9 +127,6 @@ class ArmPosesDisplay(FittedDisplay):
         *,
         max_poses: int = 12,
         magnification: float | str = "auto",
-        arm_kwargs: dict[str, Any] | None = None,
-        before_kwargs: dict[str, Any] | None = None,
-        after_kwargs: dict[str, Any] | None = None,
     ) -> Self:
         """Draw the figure.
 
@@ -143,8 +139,6 @@ class ArmPosesDisplay(FittedDisplay):
         magnification : float or "auto", default="auto"
             How many times longer than in truth the residuals are drawn. "auto": 1, 2 or 5 times a
             power of ten, such that the longest is 12 to 30 % of the arm's extent.
-        arm_kwargs, before_kwargs, after_kwargs : dict, default=None
-            Passed to matplotlib's ``plot`` of the stick figures and of the residuals.
 
         Returns
         -------
@@ -168,17 +162,17 @@ class ArmPosesDisplay(FittedDisplay):
         self.magnification_ = self._magnification() if magnification == "auto" else magnification
         shown = np.unique(np.linspace(0, len(tips) - 1, min(max_poses, len(tips))).astype(int))
         for chain in self.chains[shown]:
-            ax.plot(*chain.T, **(_STICKS | (arm_kwargs or {})))
-        for residuals, label, style, kwargs in (
-            (self.before, "before", _BEFORE, before_kwargs),
-            (self.after, self.name, _AFTER, after_kwargs),
+            ax.plot(*chain.T, **_STICKS)
+        for residuals, label, style in (
+            (self.before, "before", _BEFORE),
+            (self.after, self.name, _AFTER),
         ):
             if residuals is not None:
                 # One line goes from every tip along its residual, NaN between them.
                 lines = np.full((len(tips), 3, 3), np.nan)
                 lines[:, 0] = tips
                 lines[:, 1] = tips + self.magnification_ * residuals
-                ax.plot(*lines.reshape(-1, 3).T, **(style | {"label": label} | (kwargs or {})))
+                ax.plot(*lines.reshape(-1, 3).T, label=label, **style)
         ends = tips + self.magnification_ * self.before
         corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]], ends])
         ax.plot(*np.array([[0, 0, 0], [0, 0, 1e-9]]).T, "s", color="0.4", markersize=6)

@@ -136,21 +136,13 @@ class ResidualDisplay(FittedDisplay):
             name=name,
         ).plot(axes)
 
-    def plot(
-        self,
-        axes: Any = None,
-        *,
-        before_kwargs: dict[str, Any] | None = None,
-        after_kwargs: dict[str, Any] | None = None,
-    ) -> Self:
+    def plot(self, axes: Any = None) -> Self:
         """Draw the figure.
 
         Parameters
         ----------
         axes : array-like of matplotlib Axes of shape (3, 3), default=None
             Axes to draw on. None: new ones.
-        before_kwargs, after_kwargs : dict, default=None
-            Passed to the calls of matplotlib's ``plot``.
 
         Returns
         -------
@@ -162,16 +154,15 @@ class ResidualDisplay(FittedDisplay):
         # Rasterised: thousands of dots would make a vector file of megabytes.
         dots = _DOTS | {"rasterized": True}
         factor, unit = unit_of(self.before)
-        sides = [(self.before, "before", BEFORE["color"], "--", before_kwargs)]
+        sides = [(self.before, "before", BEFORE["color"], "--")]
         if self.after is not None:
-            sides.append((self.after, self.name, AFTER["color"], "-", after_kwargs))
+            sides.append((self.after, self.name, AFTER["color"], "-"))
         for i, j in np.ndindex(3, 3):
             ax, angle = axes[i, j], np.rad2deg(self.pose[:, j])
-            for values, label, color, _, kwargs in sides:
-                style = dots | {"color": color, "label": label} | (kwargs or {})
-                ax.plot(angle, factor * values[:, i], **style)
+            for values, label, color, _ in sides:
+                ax.plot(angle, factor * values[:, i], color=color, label=label, **dots)
             if self.after is not None:
-                for values, label, color, line, _ in sides:
+                for values, label, color, line in sides:
                     middle, band = _band(angle, factor * values[:, i])
                     name = [f"90 %, {label}"] + [None] * (len(band) - 1)
                     ax.plot(middle, band.T, color=color, linestyle=line, lw=1.4, label=name)

@@ -14,7 +14,7 @@ from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
 from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
 from sklearn_raacmm.error_model._fit import Rows
-from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
+from sklearn_raacmm.measurements import check_targets, find_dwells
 from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
     Finding,
@@ -68,8 +68,8 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         and estimator.offsets == "auto"
         and are_deviations(y, positions, weights)
     )
-    targets = Targets(y, weights, arm, X[:, : arm.n_joints], positions, deviations)
-    report_findings(check_targets(targets))
+    given = y, weights, arm, X[:, : arm.n_joints], positions, deviations
+    report_findings(check_targets(*given))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     X = X if probes is None else np.hstack([X, probes])
     return Rows(arm, X, y, weights, codes, tuple(lengths)), positions

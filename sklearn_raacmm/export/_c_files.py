@@ -61,8 +61,7 @@ def sources(program, name, stem, dtype, card=None, notes=()):
         f"/* {stem}.c\n{banner} *\n"
         " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
         " * changes, so every function may be called from any thread.\n */\n"
-        f'#include "{stem}.h"\n\n#include <float.h>\n#include <math.h>\n#include <stdint.h>\n'
-        "#include <string.h>\n\n"
+        f'#include "{stem}.h"\n\n#include <math.h>\n\n'
         f"#ifndef {pair}\n"
         f'#error "{stem}.c and {stem}.h are of different exports: copy both files of one export."\n'
         "#endif\n#ifdef __FAST_MATH__\n"

@@ -11,14 +11,14 @@ import numpy as np
 
 from sklearn_raacmm.export._c_templates import (
     ALL_FINITE,
-    EXP,
     FRAMES,
     HELPERS,
-    KERNEL_LOOPS,
+    KERNELS,
     LESS,
+    MOST,
+    ROOTS,
     TURNS,
     VARIANCES,
-    exponential,
 )
 from sklearn_raacmm.utils import LARGEST
 
@@ -37,11 +37,6 @@ _ELEMENTWISE = {
 _BY_NUMBER = {*_ELEMENTWISE, "join", "finite", "within"}
 
 
-def _whole(n):
-    """The next multiple of `_VECTOR`: zeros fill up the rest."""
-    return -(-n // _VECTOR) * _VECTOR
-
-
 class _Writer:
     """Writes one program as a function."""
 
@@ -53,7 +48,6 @@ class _Writer:
             for place, i in enumerate(op.inputs):
                 self.users[i].append((number, place))
         self.kept = set(self.outputs.values())
-        self.padded = set()
         self.lines = []
         for number in range(1, len(self.ops)):
             self._write(number)
@@ -122,10 +116,8 @@ class _Writer:
         self.declare(number)
         self.loop(self.ops[number].size, lambda i: f"v{number}[{i}] = {expression(i)};")
 
-    def declare(self, number, fill="", padded=False):
-        n = self.ops[number].size
-        self.padded |= {number} if padded else set()
-        self.put(f"{self.real} v{number}[{_whole(n) if padded else n}]{fill};")
+    def declare(self, number, n=None, fill=""):
+        self.put(f"{self.real} v{number}[{n or self.ops[number].size}]{fill};")
 
     def _write(self, number):
         op = self.ops[number]
@@ -205,24 +197,22 @@ class _Writer:
     def _affine(self, number, op):
         matrix, shift = op.given["matrix"], op.given["shift"]
         rows, columns = matrix.shape
-        (source,), x = op.inputs, self.array(op.inputs[0])
+        x = self.array(op.inputs[0])
         if not np.any(matrix):
             self._assign(number, lambda i: self._init(shift, i))
         elif 2 * np.count_nonzero(matrix) <= matrix.size:
             self._sparse(number, matrix, shift, x)
         elif rows < _VECTOR:
             self.declare(number)
-            full = source in self.padded and columns >= _VECTOR
-            n = _whole(columns) if full else columns
-            table = self.tables("rows", np.pad(matrix, ((0, 0), (0, n - columns))))
+            table = self.tables("rows", matrix)
             self.put(f"for (int i = 0; i < {rows}; ++i) {{")
-            lines = self._sum(n, f"{table}[i][j] * {x}[j]", f"v{number}[i]")
+            lines = self._sum(columns, f"{table}[i][j] * {x}[j]", f"v{number}[i]")
             self.put(*(f"    {line}" for line in lines))
             self.put(*([f"    v{number}[i] += {self._init(shift)};"] if np.any(shift) else []), "}")
         else:
             n, packed, length = _packed(matrix.T)
             table = self.tables("columns", packed.ravel())
-            self.declare(number, " = {0}", padded=True)
+            self.declare(number, n, " = {0}")
             if np.any(shift):
                 self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift)};")
             lines = ["for (int i = 0; i < n; ++i)", f"    v{number}[i] += row[i] * {x}[c];"]
@@ -290,27 +280,23 @@ class _Writer:
     def _radial(self, number, op):
         centers, kernel = op.given["centers"].T, op.given["kernel"]
         d, k = centers.shape
-        n, v, x = _whole(k), f"v{number}", self.array(op.inputs[0])
+        v, x = f"v{number}", self.array(op.inputs[0])
         shift = self.tables("center_shift", op.given["shift"], "middle of the centres")
         note = "1 / length scale; 0 for a feature that did not vary"
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
-        center = self.tables("center", np.pad(centers, ((0, 0), (0, n - k))), note)
-        most = self.tables.literal(-EXP[self.real]["least"])
-        if any("falling_exp" in line for line in KERNEL_LOOPS[kernel]):
-            self.tables.helpers["falling_exp"] = exponential(self.tables)
-        self.declare(number, " = {0}", padded=True)
+        center = self.tables("center", centers, note)
+        most, root = (self.tables.literal(x) for x in (MOST[self.real], np.sqrt(ROOTS[kernel])))
+        body = KERNELS[kernel].format(v=v, real=self.real, f=self.f, most=most, root=root)
+        self.declare(number, fill=" = {0}")
         self.put(
             f"for (int i = 0; i < {d}; ++i) {{",
             f"    const {self.real} z = ({x}[i] - {shift}[i]) * {width}[i];",
-            f"    for (int c = 0; c < {n}; ++c)",
+            f"    for (int c = 0; c < {k}; ++c)",
             f"        {v}[c] += (z - {center}[i][c]) * (z - {center}[i][c]);", "}",
             f"/* {kernel}, of the squared distance in units of the length scales */",
+            f"for (int c = 0; c < {k}; ++c) {{", *body.splitlines(), "}",
         )  # fmt: skip
-        roots = {f"sqrt{i}": self.tables.literal(np.sqrt(i)) for i in (3, 5)}
-        for line in KERNEL_LOOPS[kernel]:
-            body = line.format(v=v, f=self.f, most=most, **roots)
-            self.put(f"for (int c = 0; c < {n}; ++c)", f"    {body}")
 
     def _variances(self, number, op):
         self.declare(number)
@@ -353,7 +339,8 @@ def _packed(rows):
 
     Rows are filled up with zeros to whole vectors. What is no triangle stays a matrix.
     """
-    n, last = _whole(rows.shape[1]), len(rows) - 1
+    # The next multiple: zeros fill up the rest.
+    n, last = -(-rows.shape[1] // _VECTOR) * _VECTOR, len(rows) - 1
     full, c = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.arange(len(rows))
     for at, text in ((c, "c"), (last - c, f"({last} - c)")):
         if not np.any(full[at[:, None] < np.arange(n)]):

@@ -10,18 +10,6 @@ import numpy as np
 
 # C99 promises 63 significant characters within a file; the rest is for what is appended.
 _MAX_NAME = 40
-_KEYWORDS = """
-    auto break case char const continue default do double else enum extern float for goto if inline
-    int long register restrict return short signed sizeof static struct switch typedef union
-    unsigned void volatile while
-    alignas alignof and and_eq asm atomic_cancel atomic_commit atomic_noexcept bitand bitor bool
-    catch char8_t char16_t char32_t class co_await co_return co_yield compl concept const_cast
-    consteval constexpr constinit decltype delete dynamic_cast explicit export false friend
-    mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public
-    reflexpr reinterpret_cast requires static_assert static_cast synchronized template this
-    thread_local throw true try typeid typename typeof typeof_unqual using virtual wchar_t xor
-    xor_eq main
-"""
 
 
 def check_name(name):
@@ -32,8 +20,6 @@ def check_name(name):
             "name must be a C identifier: a letter, then letters, digits or single underscores, "
             f"at most {_MAX_NAME} characters; got {name!r:.60}."
         )
-    if name in _KEYWORDS.split():
-        raise ValueError(f"name must not be a word of C or C++, got {name!r}.")
     return name
 
 
@@ -46,13 +32,11 @@ def plain(text):
     return re.sub(r"[^A-Za-z0-9 _.,:;=+()\[\]'|#%<>/-]", "_", str(text))
 
 
-def comment(lines, width=96):
+def comment(lines):
     """Lines of a C comment, without its ends; long ones go on in the next line."""
     text = ""
     for line in lines:
-        wrapped = textwrap.wrap(
-            plain(line), width, initial_indent=" * ", subsequent_indent=" *     "
-        )
+        wrapped = textwrap.wrap(plain(line), 96, initial_indent=" * ", subsequent_indent=" *     ")
         text += "\n".join(wrapped or [" *"]) + "\n"
     return text
 
@@ -120,9 +104,9 @@ class Tables:
         return f"{head}static const {kind} {name}{shape} = {{\n{body}\n}};\n"
 
 
-def _wrap(values, literal, indent, width=95):
+def _wrap(values, literal, indent):
     """Values with commas, in lines of limited width."""
     return textwrap.fill(
-        ", ".join(map(literal, values)), width, initial_indent=indent, subsequent_indent=indent,
+        ", ".join(map(literal, values)), 95, initial_indent=indent, subsequent_indent=indent,
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a fitted model is, what it was fitted on, and how much it helped."""
+"""What a fitted model is, and what it was fitted on."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -14,10 +14,7 @@ import numpy as np
 import sklearn
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
-from sklearn.base import clone
-from sklearn.model_selection import GroupKFold
-from sklearn.utils import _safe_indexing, check_consistent_length
-from sklearn.utils.validation import has_fit_parameter
+from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import build_program
@@ -29,13 +26,8 @@ from sklearn_raacmm.export._steps import (
     find_arm,
     leaves,
 )
-from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import encode_groups, floats, share_of_means
+from sklearn_raacmm.utils import encode_groups, floats
 
-# Positions' mean residuals count as taken off below this share of their squares that chance would
-# leave: those of a single-point test are zero but for the digits of a file. Noise alone at twelve
-# positions has less than half in one of 200 draws (chi-squared), which is too often.
-_CENTRED = 0.09
 # Characters shown of a text that comes from outside.
 _LONGEST = 1000
 
@@ -104,8 +96,6 @@ def describe(
     X: ArrayLike | None = None,
     y: ArrayLike | None = None,
     groups: ArrayLike | None = None,
-    *,
-    n_folds: int = 5,
 ) -> ModelCard:
     """Say what a fitted model is, so that whoever receives its file knows.
 
@@ -122,23 +112,17 @@ def describe(
         rows, the range of every joint and the hull of the probe's positions.
 
     y : array-like of shape (n_samples, 3) or (n_samples,), default=None
-        Residuals in mm that it was fitted on: for the error before and after.
+        Residuals in mm that it was fitted on: for the fingerprint of the data.
 
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each row.
 
-    n_folds : int, default=5
-        With `groups`, the error after the correction is that at positions left out, in so many
-        folds. 0, or without `groups`, or of a model that :func:`update_correction` has changed:
-        that at the rows given, and the card says so.
-
     Returns
     -------
     ModelCard
-        A dict of plain values, fit for JSON. ``str`` of it is Markdown. Deviations are in mm; 2S is
-        the single-point repeatability, the mean over positions. Where `y` are deviations from the
-        means of their positions, the means are taken off what is left, too. ``data_fingerprint``
-        is the SHA-256 of the rows given.
+        A dict of plain values, fit for JSON, to which more facts may be added, such as errors at
+        positions left out: ``card["error"] = learned.scores.summary``. ``str`` of it is Markdown.
+        ``data_fingerprint`` is the SHA-256 of the rows given.
 
     Raises
     ------
@@ -158,7 +142,7 @@ def describe(
     ...     PoseFeatures(test.arm, append_azimuth=True),
     ...     CylindricalResidualTarget(RBFNetRegressor(20)),
     ... ).fit(test.data, test.target)
-    >>> card = describe(model, test.data, test.target, test.groups, n_folds=3)
+    >>> card = describe(model, test.data, test.target, test.groups)
     >>> card["training"]["positions"], card["input"]
     (6, '6 joint angles in rad')
     >>> print(str(card)[:32])
@@ -167,9 +151,6 @@ def describe(
     check_fitted(model)
     if X is None and (y is not None or groups is not None):
         raise ValueError("y and groups describe rows of X, which is None.")
-    whole = isinstance(n_folds, int | np.integer) and not isinstance(n_folds, bool)
-    if not whole or n_folds < 0 or n_folds == 1:
-        raise ValueError(f"n_folds must be 0 or a whole number of at least 2, got {n_folds!r:.60}.")
     arm, unit = _arm(model)
     first = next(leaves(model))[1]
     then = "".join(f", then {name}" for name, _ in extra_columns(model))
@@ -197,37 +178,8 @@ def describe(
     if updates:
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:
-        card.update(_describe_rows(model, X, y, groups, 0 if updates else n_folds))
-        if updates and "error" in card:  # a copy that is fitted anew is not the updated model
-            card["error"]["after_is_measured_at"] += "; the model was updated after its fit"
+        card["training"] = _training(model, X, y, groups)
     return card
-
-
-def _describe_rows(model, X, y, groups, n_folds):
-    """The card's sections on the rows given: `training`, and with y `error`."""
-    first, (arm, unit) = next(leaves(model))[1], _arm(model)
-    given = X  # a table keeps the names that the model was fitted with
-    X = floats("X", X, -1)
-    if X.shape[1] != first.n_features_in_:
-        raise ValueError(
-            f"X has {X.shape[1]} columns, but the model was fitted on {first.n_features_in_}."
-        )
-    codes = None if groups is None else encode_groups(groups, len(X))[1]
-    if y is not None:
-        y = floats("y", y, finite=True)
-        check_consistent_length(X, y)
-    sections = {"training": _training(X, codes, arm, unit, [n for n, _ in extra_columns(model)])}
-    # The numbers that the model was fitted on: float64 and int64, little-endian.
-    digest = hashlib.sha256()
-    for values, kind in ((X, "<f8"), (y, "<f8"), (codes, "<i8")):
-        digest.update(repr(None if values is None else values.shape).encode())
-        if values is not None:
-            digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
-    sections["training"]["data_fingerprint"] = digest.hexdigest()
-    if y is not None:
-        named = given if hasattr(first, "feature_names_in_") else X
-        sections["error"] = _error(model, named, y, codes, groups, n_folds)
-    return sections
 
 
 def _arm(model):
@@ -237,14 +189,33 @@ def _arm(model):
         return None, None
 
 
-def _training(X, codes, arm, unit, extra):
-    facts = {"rows": len(X), "positions": None if codes is None else int(codes.max()) + 1}
+def _training(model, X, y, groups):
+    """What the model was fitted on."""
+    (arm, unit), n = _arm(model), next(leaves(model))[1].n_features_in_
+    X = floats("X", X, -1)
+    if X.shape[1] != n:
+        raise ValueError(f"X has {X.shape[1]} columns, but the model was fitted on {n}.")
+    codes = None if groups is None else encode_groups(groups, len(X))[1]
+    if y is not None:
+        y = floats("y", y, finite=True)
+        check_consistent_length(X, y)
+    # The numbers that the model was fitted on: float64 and int64, little-endian.
+    digest = hashlib.sha256()
+    for values, kind in ((X, "<f8"), (y, "<f8"), (codes, "<i8")):
+        digest.update(repr(None if values is None else values.shape).encode())
+        if values is not None:
+            digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
+    facts: dict[str, Any] = {
+        "rows": len(X),
+        "positions": None if codes is None else int(codes.max()) + 1,
+        "data_fingerprint": digest.hexdigest(),
+    }
     if arm is None:
         return facts
     X, given = np.split(X, [arm.n_joints], axis=1)
     facts[f"smallest_joint_angles_{unit}"] = X.min(axis=0).round(4).tolist()
     facts[f"largest_joint_angles_{unit}"] = X.max(axis=0).round(4).tolist()
-    for name, column in zip(extra, given.T, strict=True):
+    for (name, _), column in zip(extra_columns(model), given.T, strict=True):
         facts[f"range_of_{name.replace(' ', '_')}"] = [float(column.min()), float(column.max())]
     points = arm.forward(X, angle_unit=unit)
     radius = np.hypot(*points[:, :2].T)
@@ -256,38 +227,4 @@ def _training(X, codes, arm, unit, extra):
         facts["hull_corners_mm"] = points[hull.vertices].round(2).tolist()
     except (QhullError, ValueError):  # points of one plane, or fewer than four
         facts["hull_volume_litre"] = 0.0
-    return facts
-
-
-def _error(model: Any, X: Any, y: Any, codes: Any, groups: Any, n_folds: int) -> dict[str, Any]:
-    """Errors before and after; the latter at positions that a copy of the model has not seen."""
-    n_outputs = np.shape(model.predict(_safe_indexing(X, [0])).ravel())[0]
-    if y.size != len(y) * n_outputs:
-        raise ValueError(
-            f"y has shape {y.shape}, but the model predicts {n_outputs} numbers a row."
-        )
-    predicted = np.reshape(model.predict(X), y.shape)
-    seen = "these rows; if the model was fitted on them, this is better than it will be on others"
-    folds = 0 if groups is None else min(n_folds, int(codes.max()) + 1)
-    if folds >= 2:
-        takes_groups = has_fit_parameter(model, "groups")
-        groups = np.asarray(groups)
-        for train, test in GroupKFold(folds).split(codes, groups=codes):
-            extra = {"groups": groups[train]} if takes_groups else {}
-            fold = clone(model).fit(_safe_indexing(X, train), y[train], **extra)
-            predicted[test] = np.reshape(fold.predict(_safe_indexing(X, test)), y[test].shape)
-        seen = f"positions not seen: {folds} folds by position, fitted again each time"
-    spatial = groups is not None and y.ndim == 2 and y.shape[1] == 3
-    relative = spatial and share_of_means(y, codes, np.ones(len(y))) < _CENTRED
-    facts = {"after_is_measured_at": seen, "position_means_are_taken_off": relative}
-    for when, left in (("before", y), ("after", y - predicted)):
-        # Residuals of a single-point test say nothing of a position's mean, nor can the model.
-        if relative:
-            means = [left[codes == code].mean(axis=0) for code in range(int(codes.max()) + 1)]
-            left = left - np.array(means)[codes]
-        size = np.abs(left) if y.ndim == 1 else np.linalg.norm(left, axis=1)
-        facts[f"mean_{when}_mm"] = float(size.mean())
-        facts[f"largest_{when}_mm"] = float(size.max())
-        if spatial:
-            facts[f"mean_2S_{when}_mm"] = float(single_point_repeatability(left, codes))
     return facts

@@ -358,14 +358,12 @@ def linear_model(chain, linear, fading):
 def _small_doubt(chain, linear, fading):
     factors = np.ones(chain.p.size(chain.x))
     factors[: chain.arm.n_joints] = np.pi / 180 if chain.unit == "deg" else 1.0
-    poses = poses_from_far_to_near(chain.model, lambda rows: _doubt(linear, rows * factors))
+    poses = poses_from_far_to_near(
+        chain.model, lambda rows: linear.predict_with_doubt(rows * factors)[2]
+    )
     if chain.poses is not None:
         poses = np.concatenate([poses, chain.poses])
     return small_doubt(linear, fading, poses * factors)
-
-
-def _doubt(linear, rows):
-    return linear.predict_with_doubt(rows)[2]
 
 
 def compare_shares(model, exact, program):

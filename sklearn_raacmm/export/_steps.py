@@ -78,7 +78,7 @@ def find_arm(model) -> tuple[Any, Any]:
     return found[0][1:] if found else (None, None)
 
 
-def extra_columns(model):
+def extra_columns(model) -> Any:
     """Name and reference of each column after the angles, as `Terms` has them."""
     for _, step in leaves(model):
         if isinstance(step, ArmResidualRegressor):

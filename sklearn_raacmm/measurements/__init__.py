@@ -13,12 +13,11 @@ from sklearn_raacmm.measurements._order import (
     order_explained_by,
 )
 from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
-from sklearn_raacmm.measurements._targets import Targets, check_targets
+from sklearn_raacmm.measurements._targets import check_targets
 
 __all__ = [
     "MOST_EXPLAINED",
     "Dwells",
-    "Targets",
     "base_motions",
     "check_targets",
     "coarse_angles",

@@ -3,13 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
 from sklearn_raacmm.measurements._set_ups import base_motions
-from sklearn_raacmm.utils import Finding, align, are_deviations, centred
+from sklearn_raacmm.utils import Finding, align, centred
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
 # base: no calibrated arm is that far off.
@@ -37,32 +37,21 @@ HOW_TO = (
 )
 
 
-class Targets(NamedTuple):
-    """What a model of residuals is given to learn."""
+class _Targets:
+    """What a model of residuals is given to learn, without rows of no weight."""
 
-    y: np.ndarray  # (n, 3) mm
-    weights: np.ndarray  # (n,)
-    arm: Arm | None = None  # None: where the probe was is not known
-    angles: Any = None  # (n, n_joints) rad
-    codes: np.ndarray | None = None  # (n,) position of each row
-    offsets: bool = False  # whether positions have constants that nobody knows
-
-    @property
-    def reach(self) -> float:
-        return np.inf if self.arm is None else reach_mm(self.arm)
-
-    def used(self) -> tuple[Self, np.ndarray | None]:
-        """The same without rows of no weight, and with the arm's points or None."""
-        kept = self.weights > 0
-        names = [n for n in ("y", "weights", "angles", "codes") if getattr(self, n) is not None]
-        rows: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
-        some = self._replace(**rows)
-        return some, None if self.arm is None else points_of(self.arm, some.angles)
+    def __init__(self, y, weights, arm, angles, codes, offsets):
+        kept = weights > 0
+        self.y, self.weights, self.arm, self.offsets = y[kept], weights[kept], arm, offsets
+        self.codes = None if codes is None else codes[kept]
+        self.angles = None if arm is None else angles[kept]
+        self.points = None if arm is None else points_of(arm, self.angles)
+        self.reach = np.inf if arm is None else reach_mm(arm)
 
 
-def are_points(targets, points):
+def are_points(targets):
     """The probe's points, in whatever frame, are refused."""
-    y = targets.y
+    y, points = targets.y, targets.points
     if points is None or len(y) < _LEAST_ROWS:
         return
     rotation, shift = align(points, y)
@@ -78,7 +67,7 @@ def are_points(targets, points):
         )
 
 
-def are_too_large(targets, points):
+def are_too_large(targets):
     """Half of the targets are longer than any residual."""
     y, reach = targets.y, targets.reach
     if targets.offsets:  # offsets may be of any size
@@ -96,9 +85,9 @@ def are_too_large(targets, points):
         )
 
 
-def are_of_another_frame(targets, points):
+def are_of_another_frame(targets):
     """A motion of the base explains nearly all of them; without the arm, a shift."""
-    y = targets.y
+    y, points = targets.y, targets.points
     size = _rms(y)
     striking = _STRIKING_MM if points is None else _STRIKING_SHARE * targets.reach
     if targets.offsets or len(y) < _LEAST_ROWS or size < striking:
@@ -123,8 +112,9 @@ def are_of_another_frame(targets, points):
         )
 
 
-def are_not_of_these_points(targets, points):
+def are_not_of_these_points(targets):
     """In a single-point test y are the deviations of the arm's own points, in mm."""
+    points = targets.points
     if points is None or targets.codes is None or not targets.offsets:
         return
     y, shown = (centred(v, targets.codes, targets.weights) for v in (targets.y, points))
@@ -162,27 +152,9 @@ def are_not_of_these_points(targets, points):
             return
 
 
-def are_of_positions_unnamed(targets, points):
-    """Deviations from the means of positions, which the fit does not know."""
-    if points is None or targets.codes is not None:
-        return
-    labels, codes = np.unique(np.round(points - targets.y, 3), axis=0, return_inverse=True)
-    codes = codes.ravel()
-    if 2 * len(labels) > len(codes) or len(labels) < 2:
-        return
-    if are_deviations(targets.y, codes, targets.weights):
-        yield Finding(
-            "groups-missing",
-            f"y are deviations from the means of {len(labels)} positions, and the fit does not "
-            "know of these.",
-            "Give groups, the label of the position of each row.",
-            "note",
-        )
-
-
-def are_what_calibration_takes(targets, points):
+def are_what_calibration_takes(targets):
     """The arm's static parameters explain nearly all: it has not been calibrated."""
-    y, arm = targets.y, targets.arm
+    y, arm, points = targets.y, targets.arm, targets.points
     # In a small part of the volume a table explains whatever is smooth.
     size = _rms(y)
     if points is None or size < _LARGE_MM or _spread(points) < _WIDE * targets.reach:
@@ -219,7 +191,7 @@ def are_what_calibration_takes(targets, points):
         )
 
 
-def are_all_zero(targets, points):
+def are_all_zero(targets):
     """The arm's own points were given as measured ones."""
     if targets.y.size and not targets.y.any():
         yield Finding(
@@ -230,27 +202,34 @@ def are_all_zero(targets, points):
         )
 
 
-# Each takes `Targets` of rows that count and the arm's points or None, and yields findings; after a
-# finding of weight the rest has nothing to add.
+# Each takes `_Targets` and yields findings; after a finding of weight the rest has nothing to add.
 CHECKS = (
     are_points,
     are_too_large,
     are_of_another_frame,
     are_not_of_these_points,
-    are_of_positions_unnamed,
     are_what_calibration_takes,
     are_all_zero,
 )
 
 
-def check_targets(targets: Targets) -> list[Finding]:
+def check_targets(
+    y: np.ndarray,
+    weights: np.ndarray,
+    arm: Arm | None = None,
+    angles: Any = None,
+    codes: np.ndarray | None = None,
+    offsets: bool = False,
+) -> list[Finding]:
     """Findings on the targets of a model: of the first kind that there is.
 
-    The others would say the same in other words.
+    The others would say the same in other words. y (n, 3) are in mm, weights (n,); angles (n,
+    n_joints) in rad, where it is known of which arm they are; codes (n,) the position of each row,
+    and `offsets` whether positions have constants that nobody knows.
     """
-    used, points = targets.used()
+    targets = _Targets(y, weights, arm, angles, codes, offsets)
     for check in CHECKS:
-        found = list(check(used, points))
+        found = list(check(targets))
         if found:
             return found
     return []

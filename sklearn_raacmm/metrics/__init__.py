@@ -18,11 +18,9 @@ from sklearn_raacmm.metrics._acceptance import (
 from sklearn_raacmm.metrics._intervals import repeatability_interval
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
-    repeatability_report,
     repeatability_scorer,
     single_point_repeatability,
     within_position_r2_score,
-    within_position_scatter,
 )
 from sklearn_raacmm.metrics._spheres import fit_sphere
 
@@ -36,9 +34,7 @@ __all__ = [
     "probing_form_error",
     "probing_size_error",
     "repeatability_interval",
-    "repeatability_report",
     "repeatability_scorer",
     "single_point_repeatability",
     "within_position_r2_score",
-    "within_position_scatter",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.metrics import _spheres
-from sklearn_raacmm.utils import check_groups, check_option, floats, group_means
+from sklearn_raacmm.utils import check_groups, floats, group_means
 
 # Points of a face that are this close to a line, by its length, do not determine a plane.
 _LEAST_SPREAD = 1e-3
@@ -111,10 +111,8 @@ def _ends(points, groups, pairs) -> Any:
     return means, ends, labels, points - means[position], position
 
 
-def length_error(
-    measured: ArrayLike, calibrated: ArrayLike, *, statistic: str | None = None
-) -> Any:
-    r"""Length errors D = L - L_cal, or one number for them all.
+def length_error(measured: ArrayLike, calibrated: ArrayLike) -> np.ndarray:
+    """Length errors D = L - L_cal.
 
     Parameters
     ----------
@@ -122,14 +120,11 @@ def length_error(
         Measured lengths, mm.
     calibrated : float or array-like of shape (n_lengths,)
         Calibrated lengths, mm.
-    statistic : {"max", "range", "2rms", "mean", None}, default=None
-        None gives D itself, with its sign; "max" the largest :math:`|D|`, "mean" the mean
-        :math:`|D|`, "range" :math:`\max D - \min D`, "2rms" :math:`2\sqrt{\sum D^2 / n}`.
 
     Returns
     -------
-    error : ndarray of shape (n_lengths,) or float
-        In mm.
+    error : ndarray of shape (n_lengths,)
+        In mm, with its sign.
 
     Raises
     ------
@@ -138,8 +133,9 @@ def length_error(
 
     Notes
     -----
-    After the volumetric test of ASME B89.4.22-2004 (max, range and 2 rms over the placements of a
-    ball bar) and E_Uni of ISO 10360-12:2016 (each D against its limit).
+    E_Uni of ISO 10360-12:2016 is each D against its limit; of the placements of a ball bar ASME
+    B89.4.22-2004 takes the largest, the range and 2 rms:
+    :func:`~sklearn_raacmm.acceptance.evaluate_acceptance` has them with their uncertainty.
 
     Examples
     --------
@@ -147,21 +143,13 @@ def length_error(
     >>> length_error([300.02, 499.97], [300, 500]).round(3)
     array([ 0.02, -0.03])
     """
-    check_option("statistic", statistic, ("max", "range", "2rms", "mean", None))
     measured = _check_lengths("measured", measured)
     calibrated = _check_lengths("calibrated", calibrated)
     if len(calibrated) not in (1, len(measured)):
         raise ValueError(
             f"{len(measured)} measured lengths, but {len(calibrated)} calibrated ones."
         )
-    error = measured - calibrated
-    if statistic is None:
-        return error
-    if statistic == "range":
-        return float(np.ptp(error))
-    if statistic == "2rms":
-        return float(2 * np.sqrt(np.mean(error**2)))
-    return float(getattr(np, statistic)(np.abs(error)))
+    return measured - calibrated
 
 
 def probing_size_error(points: ArrayLike, diameter: float) -> float:

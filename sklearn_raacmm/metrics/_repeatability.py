@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn import get_config
 from sklearn.metrics import make_scorer
-from sklearn.utils import Bunch
 
 from sklearn_raacmm.utils import (
     check_groups,
@@ -19,10 +18,7 @@ from sklearn_raacmm.utils import (
     group_means,
 )
 
-# Of deviations (n, q) about the means of positions: one row for each position.
-_REPORTED = {"repeatability_2s": "2s", "deviation_max": "max", "deviation_mean": "mean"}
-_DISTANCES = tuple(_REPORTED.values())
-_AXES = ("half_range", "2s")
+_DISTANCES = ("2s", "max", "mean")
 
 
 def single_point_repeatability(
@@ -37,7 +33,8 @@ def single_point_repeatability(
     Parameters
     ----------
     points : array-like of shape (n_points, n_coordinates) or (n_points,)
-        Measured or corrected points, mm.
+        Measured or corrected points, mm. Of residuals less predictions it is what a correction
+        leaves: the constant of a position, which a cone-hole test cannot show, has no part in it.
     groups : array-like of shape (n_points,), default=None
         Label of the position (the cone) of each point. None: all are of one position.
     statistic : {"2s", "max", "mean"}, default="2s"
@@ -113,97 +110,11 @@ def axis_repeatability(
     >>> axis_repeatability([[0.0, 1, 0], [0.2, 1, 0], [0.1, 1, 0.6]])
     array([0.1, 0. , 0.3])
     """
-    check_option("statistic", statistic, _AXES)
+    check_option("statistic", statistic, ("half_range", "2s"))
     check_option("aggregate", aggregate, ("mean", "max", None))
     deviations, position, counts, _ = deviations_by_group(points, groups)
     values = _of_positions(deviations, position, counts, statistic)
     return values if aggregate is None else getattr(np, aggregate)(values, axis=0)
-
-
-def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> Any:
-    """Every single-point measure of every position, as columns of a table.
-
-    Parameters
-    ----------
-    points, groups
-        As in :func:`single_point_repeatability`, with three coordinates.
-
-    Returns
-    -------
-    report : :class:`~sklearn.utils.Bunch`
-        Arrays of shape (n_positions,), ready for ``pandas.DataFrame(report)``: ``position``,
-        ``n_points``, and in mm ``repeatability_2s``, ``deviation_max``, ``deviation_mean``,
-        ``half_range_x`` to ``_z`` and ``axis_2s_x`` to ``_z``.
-
-    Raises
-    ------
-    ValueError
-        As :func:`single_point_repeatability`; or if there are not three coordinates.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.metrics import repeatability_report
-    >>> report = repeatability_report([[0, 0, 0], [0.2, 0, 0]], ["A", "A"])
-    >>> print(report.position, report.n_points, report.deviation_max, report.half_range_x)
-    ['A'] [2] [0.1] [0.1]
-    """
-    deviations, position, counts, labels = deviations_by_group(points, groups)
-    if deviations.shape[1] != 3:
-        raise ValueError(f"points have {deviations.shape[1]} coordinates; x, y and z are needed.")
-    columns = {"position": labels, "n_points": counts}
-    for name, statistic in _REPORTED.items():
-        columns[name] = single_point_repeatability(
-            points, groups, statistic=statistic, aggregate=None
-        )
-    for statistic, name in zip(_AXES, ("half_range", "axis_2s"), strict=True):
-        values = _of_positions(deviations, position, counts, statistic)
-        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
-    return Bunch(**columns)
-
-
-def within_position_scatter(
-    y_true: ArrayLike,
-    y_pred: ArrayLike,
-    *,
-    groups: ArrayLike | None = None,
-    statistic: str = "2s",
-    aggregate: str | None = "mean",
-) -> Any:
-    """Single-point repeatability left after a correction, of the residuals ``y_true - y_pred``.
-
-    A cone-hole test shows residuals only up to one unknown constant per position, which this
-    measure does not see. R2 of centred residuals punishes a model that knows the constant.
-
-    Parameters
-    ----------
-    y_true : array-like of shape (n_points, n_coordinates) or (n_points,)
-        Residuals (or points), mm.
-    y_pred : array-like of the shape of y_true
-        The model's predictions, mm.
-    groups, statistic, aggregate
-        As in :func:`single_point_repeatability`.
-
-    Returns
-    -------
-    scatter : float or ndarray of shape (n_positions,)
-        In mm; smaller is better.
-
-    Raises
-    ------
-    ValueError
-        If the shapes of y_true and y_pred differ; or as :func:`single_point_repeatability`.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.metrics import within_position_scatter
-    >>> y_true = [[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, 0], [0, -0.1, 0]]
-    >>> y_pred = [[0.2, 0, 0], [0.0, 0, 0], [0, 0.0, 0], [0, -0.2, 0]]
-    >>> round(within_position_scatter(y_true, y_pred, groups=[1, 1, 2, 2]), 12)
-    0.0
-    """
-    return single_point_repeatability(
-        _difference(y_true, y_pred), groups, statistic=statistic, aggregate=aggregate
-    )
 
 
 def within_position_r2_score(
@@ -216,8 +127,12 @@ def within_position_r2_score(
 
     Parameters
     ----------
-    y_true, y_pred, groups
-        As in :func:`within_position_scatter`.
+    y_true : array-like of shape (n_points, n_coordinates) or (n_points,)
+        Residuals (or points), mm.
+    y_pred : array-like of the shape of y_true
+        The model's predictions, mm.
+    groups
+        As in :func:`single_point_repeatability`.
 
     Returns
     -------
@@ -227,7 +142,8 @@ def within_position_r2_score(
     Raises
     ------
     ValueError
-        As :func:`within_position_scatter`; or if y_true does not vary within any position.
+        As :func:`single_point_repeatability`; if the shapes of y_true and y_pred differ; or if
+        y_true does not vary within any position.
 
     Examples
     --------
@@ -264,9 +180,10 @@ def repeatability_scorer(
     Returns
     -------
     scorer : callable
-        ``scorer(estimator, X, y)``: minus :func:`within_position_scatter`, in mm, so that greater
-        is better. Without X and groups, a scorer of :func:`~sklearn.metrics.make_scorer` that
-        requests `groups`, for metadata routing, which has to be enabled by then.
+        ``scorer(estimator, X, y)``: minus :func:`single_point_repeatability` of what is left of y,
+        in mm, so that greater is better. Without X and groups, a scorer of
+        :func:`~sklearn.metrics.make_scorer` that requests `groups`, for metadata routing, which has
+        to be enabled by then.
 
     Raises
     ------
@@ -313,7 +230,7 @@ def _routed_scatter(y_true, y_pred, *, groups=None, **options):
             "repeatability_scorer() got no groups. Enable metadata routing and pass groups, or "
             "tell the scorer beforehand: repeatability_scorer(X, groups)."
         )
-    return within_position_scatter(y_true, y_pred, groups=groups, **options)
+    return single_point_repeatability(_difference(y_true, y_pred), groups, **options)
 
 
 class _RowScorer:
@@ -341,7 +258,8 @@ class _RowScorer:
                 f"{n_unknown} of {len(rows)} rows were not in the X given to "
                 "repeatability_scorer(X, groups), so their groups are unknown."
             )
-        return -within_position_scatter(y, estimator.predict(X), groups=position, **self.options)
+        left = _difference(y, estimator.predict(X))
+        return -single_point_repeatability(left, position, **self.options)
 
 
 def _difference(y_true, y_pred):

@@ -24,7 +24,6 @@ from sklearn_raacmm.residuals._point_correction import (
     PointCorrectionMixin,
     found_positions,
     positions_of,
-    within_positions_score,
 )
 from sklearn_raacmm.residuals._pose_features import PoseFeatures
 from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
@@ -46,5 +45,4 @@ __all__ = [
     "positions_of",
     "shoulder_wrist_distance",
     "to_cartesian",
-    "within_positions_score",
 ]

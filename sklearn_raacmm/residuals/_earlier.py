@@ -119,7 +119,7 @@ def bp_network_chain(
     Returns
     -------
     chain : CylindricalResidualTarget
-        Not fitted. With `groups` the constants of positions are found by turns.
+        Not fitted.
 
     References
     ----------

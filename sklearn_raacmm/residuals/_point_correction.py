@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,7 @@ from sklearn.metrics import r2_score
 
 from sklearn_raacmm.utils import (
     Finding,
+    RegressorMixin,
     are_deviations,
     centred,
     check_weights,
@@ -24,7 +25,7 @@ from sklearn_raacmm.utils import (
 _DIGITS, _OFF_THE_DIGITS, _POSE_DIGITS = 3, 0.3137, 6
 
 
-class PointCorrectionMixin:
+class PointCorrectionMixin(RegressorMixin):
     """`correct` and `score` of a regressor that predicts residuals of an arm's points.
 
     The estimator has `_points_of`, the arm's points at X or None, and `_knows_deviations_only`:
@@ -34,9 +35,13 @@ class PointCorrectionMixin:
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__score = {"groups": True}
 
-    def correct(
-        self: Any, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
-    ) -> Any:
+    if TYPE_CHECKING:  # what the estimator has
+        predict: Any
+
+        def _points_of(self, X: ArrayLike) -> Any: ...
+        def _knows_deviations_only(self) -> bool: ...
+
+    def correct(self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any) -> Any:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters
@@ -84,7 +89,7 @@ class PointCorrectionMixin:
         return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
 
     def score(
-        self: Any,
+        self,
         X: ArrayLike,
         y: ArrayLike,
         groups: ArrayLike | None = None,
@@ -107,8 +112,9 @@ class PointCorrectionMixin:
         Returns
         -------
         score : float
-            See :func:`~sklearn_raacmm.residuals.within_positions_score`; without positions that of
-            any regressor of scikit-learn.
+            In a single-point test the share of the sum of squared deviations from positions' means
+            that the predictions take away. Without positions, and where the means are not small,
+            that of any regressor of scikit-learn.
 
         Raises
         ------
@@ -120,53 +126,18 @@ class PointCorrectionMixin:
         if points is not None:
             groups = positions_of(points, floats("y", y, 3))
         if groups is not None:
-            return within_positions_score(y, self.predict(X), groups, sample_weight)
+            return score_within(y, self.predict(X), groups, sample_weight)
         if self._knows_deviations_only():
             raise ValueError(
                 "This model was fitted on deviations from positions' means, which plain R2 "
                 "misjudges, and score got no groups: take "
                 "scoring=sklearn_raacmm.metrics.repeatability_scorer(X, groups)."
             )
-        of_any_regressor: Any = super()
-        return of_any_regressor.score(X, y, sample_weight)
+        return super().score(X, y, sample_weight)
 
 
-def within_positions_score(
-    y: ArrayLike, prediction: ArrayLike, groups: ArrayLike, sample_weight: ArrayLike | None = None
-) -> float:
-    """R2 of deviations within positions, or of all, by what the targets are.
-
-    In a single-point test it is the share of the sum of squared deviations from positions' means
-    that the prediction takes away. Where the means are not small, it is plain R2.
-
-    Parameters
-    ----------
-    y : array-like of shape (n_samples,) or (n_samples, n_outputs)
-        Residuals, mm.
-    prediction : array-like of the shape of y
-        Predicted residuals, mm.
-    groups : array-like of shape (n_samples,)
-        Label of the position of each row.
-    sample_weight : array-like of shape (n_samples,), default=None
-        Weight of each row.
-
-    Returns
-    -------
-    score : float
-        1 for a perfect prediction, 0 for one that is no better than none.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, something is not a finite number, or labels are missing.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.residuals import within_positions_score
-    >>> y = [0.1, -0.1, 0.2, -0.2]
-    >>> within_positions_score(y, [0.6, 0.4, 0.2, -0.2], ["A", "A", "B", "B"])
-    1.0
-    """
+def score_within(y, prediction, groups, sample_weight=None):
+    """R2 of deviations within positions; plain R2 where the means of positions are not small."""
     y, prediction = floats("y", y, -1), floats("prediction", prediction, -1)
     if y.shape != prediction.shape:
         raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")

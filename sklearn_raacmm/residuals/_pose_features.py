@@ -15,8 +15,7 @@ from sklearn_raacmm.arm import (
     arm_for,
     carried,
     check_angles,
-    dh_theta,
-    probe_points,
+    points_of,
 )
 from sklearn_raacmm.utils import (
     TransformerMixin,
@@ -165,7 +164,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         if self.joints == "pose":
             columns, probe = _pose(self.arm_, angles)
         elif self.append_azimuth:
-            probe = probe_points(self.arm_, dh_theta(self.arm_, angles))
+            probe = points_of(self.arm_, angles).T
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
@@ -220,7 +219,7 @@ def _pose(arm, angles):
     """Columns (n,) of the pose, in rad, and probe points (3, n), mm: sines serve both."""
     shoulder, wrist = arm.pose_frames
     fixed = [(shoulder, _ORIGIN), (wrist, _ORIGIN), (arm.n_joints, arm.probe.tolist())]
-    start, end, probe = carried(arm, dh_theta(arm, angles), fixed)
+    start, end, probe = carried(arm, angles, fixed)
     x, y, z = end - start
     reach = np.hypot(x, y)
     short = np.flatnonzero(np.hypot(reach, z) < MIN_LENGTH_MM)

@@ -6,7 +6,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, check_arm, dh_theta
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, carried, check_angles, check_arm
 
 _ORIGIN = (0.0, 0.0, 0.0)
 
@@ -106,4 +106,4 @@ def _corners(arm, angles, angle_unit):
     # The axis of joint i runs through the origin of frame i - 1, in the modified convention of i.
     elbow = arm.pose_joints[1] - (arm.convention == "standard")
     fixed = [(frame, _ORIGIN) for frame in (first, elbow, last)]
-    return carried(arm, dh_theta(arm, angles), fixed)
+    return carried(arm, angles, fixed)

@@ -18,10 +18,6 @@ from sklearn_raacmm.utils import group_means
 _LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
 # Combinations of constants that a regressor takes for its own but for so small a part.
 _SINGULAR = 1e-9
-# Turns, at most, and the change of the constants, as a share of the targets' root mean square, at
-# which they are settled. With six turns trees and perceptrons leave the same to 1 % in the mean
-# of twelve simulated sets (`benchmarks/bench_chain.py --turns`).
-MOST_TURNS, _SETTLED = 3, 0.01
 
 
 def last_step_of(regressor):
@@ -48,39 +44,30 @@ def n_features_of(regressor, X, y):
     return np.shape(X)[1]
 
 
-def constants_of(regressor, X, y, codes, weights, fit_params):
-    """Constants of positions for a regressor that knows none.
+def is_linear(regressor):
+    """Whether predictions are linear in the targets, with the same map for any of them."""
+    last = last_step_of(regressor)[0]
+    if isinstance(last, BaseSearchCV):
+        last = last_step_of(last.estimator)[0]
+    if type(last) not in _LINEAR or getattr(last, "positive", False):
+        return False
+    # Ridges may be one for each target, which for a process are one for each row.
+    return np.ndim(getattr(last, "alpha", 0)) == 0 or isinstance(last, GaussianProcessRegressor)
 
-    They leave a mean of zero at each position once the regressor is fitted without them. Where
-    predictions are linear in the targets (`_LINEAR`), one set of equations has them: the joint
-    minimum (R. Frisch, F. V. Waugh, Econometrica 1(4), 1933, 387-401), for a Gaussian process
-    generalised least squares. Others take turns: fit, take the means of what is left, fit again.
+
+def constants_of(regressor, X, y, codes, weights, fit_params):
+    """Constants of positions for a regressor that knows none, and is linear: `is_linear`.
+
+    They leave a mean of zero at each position once the regressor is fitted without them. One set of
+    equations has them: the joint minimum (R. Frisch, F. V. Waugh, Econometrica 1(4), 1933,
+    387-401), for a Gaussian process generalised least squares.
 
     Of targets (n,) or (n, q) they are (n_positions,) or (n_positions, q), to be subtracted.
     """
-    fitted = clone(regressor).fit(X, y, **fit_params)
-    features, last = before_last(fitted, X)
-    if _is_linear(last):
-        return _solved(last, features, y, codes, weights)
-    constants = np.zeros((codes.max() + 1, *y.shape[1:]))
-    size = np.sqrt(np.average(np.square(y), axis=0, weights=weights).sum())
-    for turn in range(1, MOST_TURNS + 1):
-        left = group_means(y - fitted.predict(X).reshape(y.shape), codes, weights)
-        change = np.sqrt(np.square(left - constants).reshape(len(left), -1).sum(axis=1).mean())
-        constants = left
-        if change <= _SETTLED * size or turn == MOST_TURNS:
-            break
-        fitted = clone(regressor).fit(X, y - constants[codes], **fit_params)
-    return constants
-
-
-def _is_linear(fitted):
-    """Whether predictions are linear in the targets, with the same map for any of them."""
-    if type(fitted) not in _LINEAR or getattr(fitted, "positive", False):
-        return False
-    # Ridges may be one for each target, which for a process are one for each row.
-    one_ridge = np.ndim(getattr(fitted, "alpha", 0)) == 0
-    return one_ridge or isinstance(fitted, GaussianProcessRegressor)
+    features, last = before_last(clone(regressor).fit(X, y, **fit_params), X)
+    if isinstance(last, BaseSearchCV):
+        features, last = before_last(last.best_estimator_, features)
+    return _solved(last, features, y, codes, weights)
 
 
 def _solved(fitted, features, y, codes, weights):

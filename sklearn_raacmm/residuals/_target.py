@@ -18,7 +18,7 @@ from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, proces
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.measurements import Targets, check_targets, find_dwells
+from sklearn_raacmm.measurements import check_targets, find_dwells
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     ends_in_direction,
@@ -31,6 +31,7 @@ from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, fou
 from sklearn_raacmm.residuals._positions import (
     before_last,
     constants_of,
+    is_linear,
     last_step_of,
     n_features_of,
     takes_groups,
@@ -92,10 +93,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
 
     A single-point test shows the residuals of a position up to one constant, and `groups` says
     which rows are of one position. A regressor whose `fit` takes groups is handed them, with
-    metadata routing off or on, if there are more positions than features. For others the constants
-    are estimated here: exactly for least squares, ridge, kernel ridge and Gaussian processes, by
-    one more fit; else by turns, in at most three more fits. Residuals whose means at the positions
-    are not small are known in full, as those against a tracker, and have no constants.
+    metadata routing off or on, if there are more positions than features. For least squares, ridge,
+    kernel ridge and Gaussian processes the constants are estimated here, exactly, by one more fit.
+    Others are fitted as without labels. Residuals whose means at the positions are not small are
+    known in full, as those against a tracker, and have no constants.
 
     A target of one dimension or one column has no direction and passes through unrotated; so
     does one of more than three columns if no azimuth is known.
@@ -241,7 +242,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         known = self.by_position_ and knows
         if takes and not (known and codes.max() < n_features_of(self.regressor_, features, y)):
             fit_params = {f"{prefix}groups": groups} | fit_params
-        if self.by_position_ and not knows:
+        if self.by_position_ and not knows and is_linear(self.regressor_):
             constants = constants_of(self.regressor_, features, y, codes, weights, fit_params)
             y = y - constants[codes]
         return y, fit_params
@@ -333,7 +334,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         weights, arm = np.ones(len(y)), self._arm()
         angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
         offsets = codes is not None and are_deviations(y, codes, weights)
-        report_findings(check_targets(Targets(y, weights, arm, angles, codes, offsets)))
+        report_findings(check_targets(y, weights, arm, angles, codes, offsets))
 
     def _get_regressor(self):
         if isinstance(self.regressor, type):

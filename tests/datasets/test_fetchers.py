@@ -125,8 +125,8 @@ def test_bad_arguments_are_named(fetch, tmp_path):
         fetch(data_home=tmp_path, download_if_missing=False)
     with pytest.raises(ValueError, match="base_url must be an address"):
         fetch(data_home=tmp_path, base_url="/some/folder")
-    with pytest.raises(ValueError, match="'delay' parameter"):
-        fetch(delay=-1)
+    with pytest.raises(ValueError, match="'as_frame' parameter"):
+        fetch(as_frame=2)
 
 
 def test_an_unknown_arm_is_named():

@@ -52,7 +52,7 @@ def test_the_test_program_agrees_with_predict(models, data, tmp_path, compiler, 
 def test_the_test_program_notices_another_model(models, data, tmp_path):
     source, _ = export_c(models["chain"], tmp_path / "arm.c", poses=data.data)
     text = source.read_text()
-    weight = re.search(r"static const double rows_\d+\[1\]\[24\] = \{\n    \{([-0-9.e]+),", text)[1]
+    weight = re.search(r"static const double rows_\d+\[1\]\[20\] = \{\n    \{([-0-9.e]+),", text)[1]
     source.write_text(text.replace(weight, str(1.001 * float(weight))))
     command = [COMPILERS[0], "-std=c99", "-o", "t", "arm_test.c", "arm.c", "-lm"]
     assert run(command, tmp_path).returncode == 0
@@ -67,7 +67,7 @@ def test_a_source_that_does_not_keep_its_promise_is_refused(models, tmp_path, mo
 
     def wrong(*args):
         source, header = write(*args)
-        return re.sub(r"(rows_\d+\[\d\]\[24\] = \{\n    \{)", r"\g<1>1 + ", source), header
+        return re.sub(r"(rows_\d+\[\d\]\[20\] = \{\n    \{)", r"\g<1>1 + ", source), header
 
     monkeypatch.setattr(_load_c, "sources", wrong)
     with pytest.raises(ValueError, match=r"the C source is up to .* away from predict, .* of the"):

@@ -159,13 +159,7 @@ def test_the_card_of_an_updated_model(data, new):
     assert (entry["date"], entry["n_poses"]) == ("2026-01-02", 40)
     text = str(card)
     assert "## updates\n\n- date: 2026-01-02; n poses: 40; tau: " in text
-    # No copy fitted anew: the errors are those of this model.
-    left = np.linalg.norm(y - updated.predict(X), axis=1)
-    np.testing.assert_allclose(card["error"]["mean_after_mm"], left.mean(), rtol=1e-12)
-    assert card["error"]["after_is_measured_at"].endswith("the model was updated after its fit")
-    fresh = describe(linear().fit(X, y), X, y, groups, n_folds=2)
-    assert "updates" not in fresh
-    assert fresh["error"]["after_is_measured_at"].startswith("positions not seen")
+    assert "updates" not in describe(linear().fit(X, y), X, y, groups)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

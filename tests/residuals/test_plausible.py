@@ -1,6 +1,7 @@
 """What is no residual is refused, and what is one in another frame is warned of, by every fit."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.measurements import Targets
+from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.measurements._targets import are_points
 
 ARM = Arm.from_name("aacmm6")
@@ -112,7 +113,8 @@ def moved_points(share, n=40):
 
 def find_weights(y, points):
     """Weights of the findings on these targets."""
-    return [found.weight for found in are_points(Targets(y, np.ones(len(y)), ARM), points)]
+    targets = SimpleNamespace(y=y, points=points, reach=reach_mm(ARM))
+    return [found.weight for found in are_points(targets)]
 
 
 def test_points_are_known_by_a_twentieth_of_their_spread():

@@ -20,8 +20,9 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.metrics import within_position_r2_score, within_position_scatter
-from sklearn_raacmm.residuals import positions_of, within_positions_score
+from sklearn_raacmm.metrics import single_point_repeatability, within_position_r2_score
+from sklearn_raacmm.residuals import positions_of
+from sklearn_raacmm.residuals._point_correction import score_within
 from sklearn_raacmm.utils import centred
 
 
@@ -109,22 +110,12 @@ def test_kernel_ridge_is_where_turns_end():
     assert_allclose(predicted, inner.fit(X, y - means[groups]).predict(X), atol=1e-6)
 
 
-def test_trees_take_turns():
+def test_trees_are_fitted_as_without_labels():
     X, y, groups = deviations()
     trees = ExtraTreesRegressor(20, min_samples_leaf=5, random_state=0)
     known, unknown = plain(trees).fit(X, y, groups=groups), plain(trees).fit(X, y)
-    left = [np.abs(centred(m.predict(X) - y, groups)).mean() for m in (known, unknown)]
-    assert left[0] < left[1]
-    by_hand, means = clone(trees).fit(X, y), 0
-    size = np.sqrt(np.square(y).sum(axis=1).mean())
-    for _ in range(3):
-        left = pd.DataFrame(y - by_hand.predict(X)).groupby(groups).mean().to_numpy()
-        change, means = left - means, left
-        if np.sqrt(np.square(change).sum(axis=1).mean()) < 0.01 * size:
-            break
-        by_hand = clone(trees).fit(X, y - means[groups])
-    by_hand = clone(trees).fit(X, y - means[groups])
-    assert_allclose(known.predict(X), by_hand.predict(X), atol=1e-12)
+    assert known.by_position_
+    assert_array_equal(known.predict(X), unknown.predict(X))
 
 
 @pytest.mark.exhaustive
@@ -167,15 +158,6 @@ def test_residuals_known_in_full_have_no_constants(regressor):
     assert_array_equal(known.predict(X), unknown.predict(X))
 
 
-def test_a_ridge_for_each_target_takes_turns():
-    X, y, groups = deviations()
-    known = plain(Ridge(np.array([1e-6, 1e-6, 1e6]))).fit(X, y, groups=groups).predict(X)
-    expected = plain(Ridge(1e-6)).fit(X, y, groups=groups).predict(X)
-    assert_allclose(known[:, 2], y[:, 2].mean(), atol=1e-3)
-    left = [np.abs(centred(p - y, groups))[:, :2].mean() for p in (expected, known)]
-    assert left[0] <= left[1]
-
-
 def test_one_dimension_and_one_column():
     X, y, groups = deviations()
     whole = plain(Ridge()).fit(X, y, groups=groups).predict(X)
@@ -192,6 +174,8 @@ def test_a_search_within_splits_by_position():
         with config_context(enable_metadata_routing=routing):
             model = plain(search).fit(X, y, groups=groups)
             assert model.regressor_.n_splits_ == 3
+    best = plain(Ridge(**model.regressor_.best_params_)).fit(X, y, groups=groups)
+    assert_allclose(model.predict(X), best.predict(X), atol=1e-12)
 
 
 # -- score ----------------------------------------------------------------------------------------
@@ -210,14 +194,14 @@ def test_score_against_pandas(weighted):
         return w @ np.square(values - means.loc[groups].to_numpy()).sum(axis=1)
 
     expected = 1 - sum_of_squares(y - p) / sum_of_squares(y)
-    score = within_positions_score(y, p, groups, w if weighted else None)
+    score = score_within(y, p, groups, w if weighted else None)
     assert score == pytest.approx(expected)
     if not weighted:
         assert score == pytest.approx(within_position_r2_score(y, p, groups=groups))
     # Known in full: the constants count.
     full = y + 2 * rng.normal(size=(6, 3))[groups]
-    assert within_positions_score(full, 0 * full, groups) <= 0
-    assert within_positions_score(full, full, groups) == 1
+    assert score_within(full, 0 * full, groups) <= 0
+    assert score_within(full, full, groups) == 1
 
 
 def test_the_points_that_residuals_are_from_tell_positions(test):
@@ -295,8 +279,8 @@ def test_correct(test):
     assert_allclose(model.correct(X), corrected, atol=1e-9)
     spread = model.correct(X, test.points, return_std=True)[1]
     assert_allclose(spread, model.predict(X, return_std=True)[1])
-    before = within_position_scatter(test.points, 0 * test.points, groups=groups)
-    assert within_position_scatter(corrected, 0 * corrected, groups=groups) < 0.8 * before
+    before = single_point_repeatability(test.points, groups)
+    assert single_point_repeatability(corrected, groups) < 0.8 * before
     with pytest.raises(ValueError, match=r"points has shape \(1, 3\), but predictions \(180, 3\)"):
         model.correct(X, test.points[:1])
     with pytest.raises(ValueError, match=r"points has shape \(180, 2\)"):
