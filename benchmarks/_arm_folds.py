@@ -74,13 +74,8 @@ def tracked_folds(angles, points, groups, fold):
         result = calibrate(
             Arm.from_name("ur10", probe=(0, 0, 109)), angles[train], points=points[train]
         )
-        yield result.arm, angles, result.residuals(angles, points), groups, train
-
-
-def calibrated_panda(angles, sockets, placements):
-    """Calibration of a Panda that knows the distance between the sockets of each placement."""
-    lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
-    return calibrate(Arm.from_name("panda", probe=(0, 0, 138)), angles, sockets, lengths=lengths)
+        measured = (points - result.base_translation) @ result.base_rotation
+        yield result.arm, angles, result.arm.forward(angles) - measured, groups, train
 
 
 def panda_folds(name, data_home=DATA):
@@ -88,7 +83,9 @@ def panda_folds(name, data_home=DATA):
     angles, sockets, placements = read_panda(name, data_home)
     for placement in np.unique(placements):
         train = placements != placement
-        arm = calibrated_panda(angles[train], sockets[train], placements[train]).arm
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements[train])]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, angles[train], sockets[train], lengths=lengths).arm
         yield arm, angles, position_residuals(arm.forward(angles), sockets), sockets, train
 
 

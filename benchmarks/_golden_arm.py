@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from _arm_folds import (
-    calibrated_panda,
     panda_folds,
     read_panda,
     read_ur10,
@@ -18,6 +17,7 @@ from _arm_folds import (
 )
 from bench_after_the_lab import Robot, mean_deviation, one_draw
 from bench_check import knock, poses_of_simulated_arm
+from bench_speed import simulated as simulated_cones
 
 from sklearn_raacmm import (
     Arm,
@@ -210,34 +210,11 @@ def transfer(data_home):
     }
 
 
-def simulated_cones(arm, n=1000, n_groups=20):
-    """Angles and labels of sockets, of an arm that is not the nominal one."""
-    rng = np.random.default_rng(0)
-    true = arm.replace(
-        a=arm.a + rng.normal(0, 0.2, arm.n_joints), d=arm.d + rng.normal(0, 0.2, arm.n_joints)
-    )
-    angles = rng.uniform(-2, 2, (n, arm.n_joints))
-    # The poses are drawn to their socket by the first three joints.
-    sockets = true.forward(rng.uniform(-1, 1, (n_groups, arm.n_joints)))
-    groups = np.arange(n) % n_groups
-    angles = angles * 0.3 + rng.uniform(-1, 1, (n_groups, arm.n_joints))[groups]
-    for _ in range(30):
-        missing = sockets[groups] - true.forward(angles)
-        jacobian = true.jacobian(angles)
-        normal = jacobian @ jacobian.swapaxes(1, 2) + 100 * np.eye(3)
-        step = jacobian.swapaxes(1, 2) @ np.linalg.solve(normal, missing[..., None])
-        angles = angles + np.clip(step[..., 0], -0.3, 0.3)
-    met = np.linalg.norm(sockets[groups] - true.forward(angles), axis=1) < 0.01
-    angles, groups = angles[met], groups[met]
-    noise = rng.normal(0, 0.02, (len(angles), 3, 1))
-    return angles + (np.linalg.pinv(true.jacobian(angles)) @ noise)[..., 0], groups
-
-
 def calibration(data_home):
     """Calibration: known lengths, single-point tests, a tracker."""
     arm = Arm.from_name("aacmm6")
     found = {}
-    angles, groups = simulated_cones(arm)
+    angles, _, groups = simulated_cones(arm, 1000, 20)
     test = make_single_point(12, 30, random_state=0)
     places = test.simulation.positions
     pairs = [(i, i + 1) for i in range(0, 6, 2)]
@@ -260,7 +237,9 @@ def calibration(data_home):
     found["calibrate, twenty sockets: prior sd of lengths"] = result.prior_sd["length_mm"]
     for name in ("panda_2", "panda_3"):
         angles, sockets, placements = read_panda(name, data_home)
-        result = calibrated_panda(angles, sockets, placements)
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        result = calibrate(nominal, angles, sockets, lengths=lengths)
         found[f"calibrate, {name}: scatter"] = result.scatter_after_mm
         found[f"calibrate, {name}: prior sd of lengths"] = result.prior_sd["length_mm"]
         found[f"calibrate, {name}: outliers"] = len(result.outliers)

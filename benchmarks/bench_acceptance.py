@@ -5,6 +5,7 @@ Simulated arms and artefacts; learnt from ten cones of 25 poses and two bars.
     python benchmarks/bench_acceptance.py coverage --runs 300  # U of values, of true artefacts
     python benchmarks/bench_acceptance.py intervals            # of 2S and of 2 rms from one run
     python benchmarks/bench_acceptance.py predict --arms 15    # values against those predicted
+    python benchmarks/bench_acceptance.py after --arms 15      # what a correction changes
 """
 
 import argparse
@@ -128,13 +129,30 @@ def predict(options):
     print(f"{'all':<20} {np.mean(list(held.values())):.3f}")
 
 
+def after(options):
+    """Mean values as found, in the nominal table and calibrated, and as left."""
+    rows = {}
+    for seed in range(options.first, options.first + options.arms):
+        learned, data = _learnt(seed)
+        result = evaluate_acceptance(data.run, model=learned)
+        nominal = evaluate_acceptance(data.run, learned.arm, found=data.nominal_arm)
+        for value in result.values:
+            if value.before is not None and nominal[value.name].before is not None:
+                numbers = nominal[value.name].before, value.before, value.after
+                rows.setdefault(value.name, []).append(np.abs(numbers))
+        print(f"arm {seed}", flush=True)
+    print("means in um: nominal table, calibrated, corrected")
+    for name, values in rows.items():
+        print(f"{name:<20}" + "".join(f"{1000 * v:9.1f}" for v in np.mean(values, axis=0)))
+
+
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["coverage", "intervals", "predict"])
+    parser.add_argument("what", choices=["coverage", "intervals", "predict", "after"])
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--arms", type=int, default=15)
     parser.add_argument("--first", type=int, default=100, help="number of the first arm")

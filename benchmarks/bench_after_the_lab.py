@@ -17,19 +17,23 @@ arc seconds, the eccentricity of every joint by 4, the arm is 3 K warmer, and ba
 The model brought up to date with a fifth of the poses is compared with a new fit of all of them, at
 500 other poses.
 
-``probes``: a simulated arm is learnt with a probe of 100 mm at 14 cones, and longer probes are
-registered through the correction in two cones, 15 poses in all. Printed is the mean 2S at 8 other
-cones: without a correction; with that of the old probe; moved to the new probe
-(``model.with_arm``); moved, but learnt with probes of 100 and 250 mm; and with a new fit.
+``probes``: a simulated arm is calibrated and learnt with a probe of 100 mm at 14 cones. Then it
+gets longer probes, each registered through the correction in two cones, 15 poses in all. At 8
+other cones the mean 2S is printed: without a correction; with that of the old probe, registered;
+with the same causes through the Jacobian of the new probe (``model.with_arm``); moved in the same
+way, but learnt with probes of 100 and 250 mm together, 7 cones each; and with a new fit.
 
 ``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses each: by chance, at
 cones that are spread, and by :func:`plan_poses`, with a probe that leans at most 60 degrees or
 comes from anywhere. The other cones have poses by chance, or those of another plan with a lean of
 60.
 
-``transfer``: models of four simulated robots of one make, which share gears, compliances and a
-part of what no column describes, are the start for a new one; and those of a make that misleads.
-The same of measuring arms, and with ``--panda`` one real Panda is the start for the other one.
+``transfer``: simulated robots of one make share the orders and about the size of their gears'
+errors, the compliance of their joints and a part of what no column describes; eccentricities,
+phases and the table are the individual's own. Models of four of them are the start for a new one.
+The misleading make has other gears, hardly any eccentricity and compliances of the other sign.
+Measuring arms are simulated by `make_single_point`, and with ``--panda`` one real Panda is the
+start for the other one, some of its placements being known.
 
 ``mounts``: five measuring arms in a cone test and five robots before a tracker, each upright, on
 the ceiling, inclined by 45 degrees and on a wall: mean 2S at positions left out, um, where ``up``

@@ -3,7 +3,10 @@
     python benchmarks/bench_check.py changes --real       # two minutes
     python benchmarks/bench_check.py kinds --real         # ten minutes
     python benchmarks/bench_check.py deviations           # two minutes
+    python benchmarks/bench_check.py dwells               # one minute
+    python benchmarks/bench_check.py set-ups              # one minute
     python benchmarks/bench_check.py steps --real         # three minutes
+    python benchmarks/bench_check.py findings --real      # ten minutes
 
 ``changes``: a simulated measuring arm with eccentric encoders, whose model has learned 500 poses,
 is checked with 40 poses of another day against a tracker (noise 15 um): without a change, after a
@@ -19,10 +22,16 @@ leave of the arm's true errors changes the fitted diameter and the length: root 
 error over the stated standard deviation, which should be 1, by what such a test shows of all poses
 together, by all that the model knows (``with_unseen=True``), and as though points were independent.
 
+``dwells``: 90 poses of which a logger wrote 100 rows each, beside one row a pose; mean distances in
+um at positions that no fit has seen. ``set-ups``: a tracker or a target that moved half way.
 ``steps``: simulated arms with warming, backlash, payloads and slipped probes. Steps are looked for
 in what `ArmResidualRegressor` leaves; then the socket of one position is moved halfway through its
 poses, and the model fitted to that. Tests without a step are looked at in the order of the test,
 by clusters of poses and shuffled.
+
+``findings``: how often each finding is made where nothing is wrong: one half of the positions is
+calibrated and learnt, in a drawn order of positions and poses, and 60 poses of the other half
+update it; then the same with the wrong sign.
 
 With ``--real`` the same is asked of a real UR10 and two Pandas, which are looked for where
 `_arm_folds` says.
@@ -30,11 +39,12 @@ With ``--real`` the same is asked of a real UR10 and two Pandas, which are looke
 
 import argparse
 import warnings
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from _arm_folds import calibrated_panda, read_panda, read_ur10
+from _arm_folds import read_panda, read_ur10
 from sklearn.cluster import KMeans
 
 from sklearn_raacmm import (
@@ -43,9 +53,11 @@ from sklearn_raacmm import (
     calibrate,
     check_correction,
     position_residuals,
+    update_correction,
 )
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
 from sklearn_raacmm.measurements import find_steps
+from sklearn_raacmm.utils import FindingError, centred, collected_findings
 
 ARCSEC = np.pi / 180 / 3600
 RATE = 0.01
@@ -183,12 +195,35 @@ def kind_of_series(kind, arm, model, poses, runs):
     counts.show()
 
 
+def kind_of_panda(name, runs):
+    """Half of the places learnt, the others checked; without "high" of panda_2, which moved."""
+    counts, (angles, groups, _) = Counts(name), read_panda(name)
+    labels = np.unique(groups)
+    labels = labels[~((name == "panda_2") & np.char.startswith(labels.astype(str), "high"))]
+    for run in range(runs):
+        mixed = np.random.default_rng([5, run]).permutation(labels)
+        known, rest = (np.isin(groups, half) for half in np.array_split(mixed, 2))
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        found = calibrate(nominal, angles[known], groups[known])
+        model = ArmResidualRegressor(found.arm)
+        model.fit(angles[known], found.residuals_mm, groups=groups[known])
+        if not model.helps_:
+            continue
+        y = found.residuals(angles[rest], groups=groups[rest])
+        moved, cause = knock(found.arm, 40)(angles[rest], None, 1 + run % 3)
+        for what, by, why in (("none", 0.0, "nothing"), ("knock of 40 arc s", moved, cause)):
+            counts.check(what, why, model, angles[rest], y + by, groups=groups[rest])
+    counts.show()
+
+
 def kinds(options):
     kind_of_series("tracker", *simulated_tracker(), options.runs)
     for kind, errors in KINDS.items():
         kind_of_arm(kind, errors, options)
     if options.real:
         kind_of_series("UR10", *ur10(5956), options.runs)
+        for name in ("panda_2", "panda_3"):
+            kind_of_panda(name, max(options.runs // 10, 5))
 
 
 def sphere(machine, rng):
@@ -254,6 +289,53 @@ def deviations(options):
 # -- tables of measurements ----------------------------------------------------------------------
 
 
+def um(vectors):
+    """Mean length in micrometres."""
+    return f"{1e3 * np.linalg.norm(vectors, axis=1).mean():.1f}"
+
+
+def dwells(options):
+    for seed in range(2):
+        test = make_single_point(19, 10, random_state=seed)
+        train, new = test.groups < 9, test.groups >= 9
+        truth = test.points - test.simulation.true_points
+        rng = np.random.default_rng(seed)
+        for kind in ("cones", "tracker"):
+            found = [um(centred(truth[new], test.groups[new] - 9))]
+            for n in (1, 100):
+                rows = np.repeat(np.flatnonzero(train), n)
+                angles = test.data[rows] + (n > 1) * rng.normal(0, 5e-6, (len(rows), 6))
+                points, groups = test.arm.forward(angles), test.groups[rows]
+                y = points - test.simulation.true_points[rows]
+                y = position_residuals(points, groups) if kind == "cones" else y
+                model = ArmResidualRegressor(test.arm).fit(angles, y, groups=groups)
+                left = truth[new] - model.predict(test.data[new])
+                found.append(um(centred(left, test.groups[new] - 9)))
+            print(f"{kind}, seed {seed}: none {found[0]}, one row {found[1]}, stream {found[2]}")
+
+
+def set_ups(options):
+    named = Counter()
+    for machine in ("typical", "gravity"):
+        for seed in range(2):
+            test = make_single_point(12, 20, machine=machine, random_state=seed)
+            rng = np.random.default_rng(seed)
+            for order in ("by cone", "shuffled"):
+                rows = rng.permutation(240) if order == "shuffled" else np.arange(240)
+                angles, points = test.data[rows], test.simulation.true_points[rows] + [1e3, 500, 0]
+                points += rng.normal(0, 0.01, points.shape)
+                turns = test.arm.frames(angles)[:, -1, :3, :3]
+                for size in (0.0, 0.1, 0.5, 5.0, 50.0):
+                    step = size * np.array([0.6, -0.6, 0.5])
+                    for what, moved in (("station", step), ("tool", turns @ step)):
+                        half = np.where(np.arange(240)[:, None] < 120, points, points + moved)
+                        found = calibrate(test.nominal_arm, angles, points=half).findings
+                        rightly = {(f.code, f.rows) for f in found if f.weight == "repair"}
+                        named[what, order, size] += (f"moved-{what}", (120,)) in rightly
+    for case, n in named.items():
+        print(*case, f"mm: named, with its row, in {n} of 4")
+
+
 def simulated_test(seed):
     """Angles, residuals, positions and the arm of one simulated test."""
     rng = np.random.default_rng(seed)
@@ -302,18 +384,87 @@ def steps(options):
         print(f"step of {size} mm, {n} poses: found in {sum(hits)} of {len(hits)}")
     for name in ("panda_3", "panda_2") if options.real else ():
         angles, groups, placements = read_panda(name)
-        arm = calibrated_panda(angles, groups, placements).arm
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        arm = calibrate(nominal, angles, groups, lengths=lengths).arm
         y = position_residuals(arm.forward(angles), groups)
         left, codes, variance = look(arm, angles, y, groups)
         for step in find_steps(left, angles, codes, variance):
             print(f"{name}, {np.unique(groups)[step.code]}: {step}")
 
 
+def halves(name, run):
+    """Arm, angles, positions, points or None, and lengths with nothing wrong, in a drawn order."""
+    rng = np.random.default_rng([7, run])
+    if name.startswith("UR10"):
+        angles, points, goals = read_ur10(name[-1])
+        some = rng.choice(len(angles), 600, replace=False)
+        return Arm.from_name("ur10", probe=(0, 0, 93)), angles[some], goals[some], points[some], ()
+    if name.startswith("panda"):
+        angles, groups, placements = read_panda(name)
+        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
+        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+    else:
+        test = make_single_point(16, 25, machine=SimulatedArm(KINDS[name], random_state=run))
+        nominal, angles, groups, lengths = test.arm, test.data, test.groups, []
+    # The positions in another order, and the poses of each.
+    labels, codes = np.unique(groups, return_inverse=True)
+    order = np.lexsort((rng.random(len(codes)), rng.permutation(len(labels))[codes]))
+    return nominal, angles[order], groups[order], None, lengths
+
+
+def found_in(name, run):
+    """Findings of calibration, fit and update of one half and the other, and of the wrong sign."""
+    arm, angles, groups, points, lengths = halves(name, run)
+    labels = np.unique(groups)
+    first = np.isin(groups, np.random.default_rng([8, run]).permutation(labels)[::2])
+    known = [one for one in lengths if {one[0], one[1]} <= set(groups[first])]
+    given = {"groups": groups[first], "lengths": known}
+    if points is not None:
+        given = {"points": points[first]}
+    with collected_findings() as of_arm:
+        result = calibrate(arm, angles[first], **given)
+    labels = None if points is not None else groups
+    y = np.zeros((len(angles), 3))
+    for half in (first, ~first):
+        part = None if points is None else points[half]
+        y[half] = result.residuals(angles[half], part, None if labels is None else labels[half])
+    with collected_findings() as of_fit:
+        model = ArmResidualRegressor(result.arm)
+        model.fit(angles[first], y[first], groups=None if labels is None else labels[first])
+    new = np.flatnonzero(~first)[:60]
+    found = {"calibrate": of_arm, "fit": of_fit}
+    for what, sign in (("update", 1), ("wrong sign", -1)):
+        with collected_findings() as of_update:
+            try:
+                of_new = None if labels is None else labels[new]
+                update_correction(model, angles[new], sign * y[new], groups=of_new)
+            except FindingError as error:
+                of_update.append(error.finding)
+        found[what] = of_update
+    return {what: {f.code for f in every if f.weight != "note"} for what, every in found.items()}
+
+
+def findings(options):
+    names = list(KINDS)
+    if options.real:
+        names += ["panda_2", "panda_3", "panda_6", "panda_7", "UR10 A", "UR10 B"]
+    for name in names:
+        every = [found_in(name, run) for run in range(options.runs)]
+        for what in every[0]:
+            codes = Counter(code for found in every for code in found[what])
+            said = ", ".join(f"{code} {n}" for code, n in codes.most_common()) or "nothing"
+            print(f"{name:14}{what:12}{options.runs:4} runs: {said}", flush=True)
+
+
 PARTS = {
     "changes": changes,
     "kinds": kinds,
     "deviations": deviations,
+    "dwells": dwells,
+    "set-ups": set_ups,
     "steps": steps,
+    "findings": findings,
 }
 
 

@@ -1,6 +1,6 @@
 """What each idea of a correction is worth, at positions that no stage has seen.
 
-Run ``python benchmarks/bench_harmonics.py [--rows N] [sets ...]``. `sets`
+Run ``python benchmarks/bench_harmonics.py [--rows N] [--inputs] [--defaults] [sets ...]``. `sets`
 are some of
 
 - sim-gravity, sim-typical, sim-eccentricity: simulated arms, ten positions of 40 poses in five
@@ -12,42 +12,69 @@ are some of
 - grid: panda_3, every placement left out once: its distances to the others, and of its pair;
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
-The real data are looked for where `_arm_folds` says. Every real fold calibrates the arm on its own
-training rows. The settings of every method are its defaults, or found inside the training rows. The
-tables are printed as the documentation has them, in mm: mean deviation over test poses / maximum;
-+- is half the width of a 95 % interval of the mean's paired difference to no correction, by
-resampling positions (seed 0); 2S is a mean over positions, about zero (tracker) or about the
-position's mean; 500 mm the mean absolute error of gauges. Inside is the share of the components of
-measured residuals that lie within 1.96 standard deviations, noise included.
+The real data are looked for where `_arm_folds` says. `--defaults` runs `ArmResidualRegressor`
+alone, without the table of ideas; `--inputs` compares what a network alone is given instead.
+
+Every real fold calibrates the arm on its own training rows. The settings of every method are its
+defaults, or found inside the training rows. The tables are printed as the documentation has them,
+in mm: mean deviation over test poses / maximum; +- is half the width of a 95 % interval of the
+mean's paired difference to no correction, by resampling positions (seed 0); 2S is a mean over
+positions, about zero (tracker) or about the position's mean; 500 mm the mean absolute error of
+gauges. Inside is the share of the components of measured residuals that lie within 1.96 standard
+deviations, noise included.
 """
 
 import argparse
 import sys
 import warnings
 from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 from _arm_folds import panda_folds, read_panda, read_ur10, simulated_folds, ur10_folds, ur10b_folds
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
+    CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
     calibrate,
     position_residuals,
 )
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths
 
+
+def network(arm, first=0, **inputs):
+    """The network on the pose's features from a number on."""
+    kept = FunctionTransformer(itemgetter((slice(None), slice(first, None))))
+    steps = PoseFeatures(arm, **inputs), kept, StandardScaler(), RBFNetRegressor(random_state=0)
+    return CylindricalResidualTarget(make_pipeline(*steps), azimuth=arm.azimuth)
+
+
 NONE, MODEL = "no correction", "`ArmResidualRegressor`"
 
 
 def ideas(arm, tracked):
-    """Name and estimator of what the linear model is made of."""
-    yield "harmonics alone", ArmResidualRegressor(arm, causes=[])
-    yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"])
-    yield "and kinematics", ArmResidualRegressor(arm, causes=["gravity", "kinematics"])
+    """Name, estimator, and whether it takes groups, of what the linear model is made of."""
+    yield "harmonics alone", ArmResidualRegressor(arm, causes=[]), True
+    yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"]), True
+    yield "and kinematics", ArmResidualRegressor(arm, causes=["gravity", "kinematics"]), True
     if not tracked:
-        yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False)
+        yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False), True
+
+
+def inputs(arm, tracked):
+    """The same network with other inputs."""
+    words = {"angle": "angles", "periodic": "cosines and sines"}
+    for joints, name in (("pose", "pose"), ("all", "all joints")):
+        for encoding, what in words.items():
+            yield f"{name}, {what}", network(arm, joints=joints, encoding=encoding), False
+    model = network(arm, first=2, joints="all", encoding="periodic")
+    yield "all but the first, cosines and sines", model, False
 
 
 def statistics(left, groups, reference):
@@ -93,7 +120,7 @@ def folds_of(name, n_rows):
     return simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
 
 
-def run(name, n_rows):
+def run(name, n_rows, others, with_defaults):
     """What is left by each method in all folds, their groups, and shares inside 1.96 deviations."""
     tracked = name.startswith("ur10")
     lefts, labels, inside = {}, [], []
@@ -105,15 +132,20 @@ def run(name, n_rows):
             return left if tracked else position_residuals(left, groups[~train])
 
         found = {NONE: y[~train] if tracked else left_by(0.0)}
-        for title, model in (*ideas(arm, tracked), (MODEL, ArmResidualRegressor(arm))):
+        for title, model, takes_groups in others(arm, tracked):
+            extra = {"groups": groups[train]} if takes_groups else {}
+            model.fit(theta[train], y[train], **extra)
+            found[title] = left_by(model.predict(theta[~train]))
+        if with_defaults:
+            model = ArmResidualRegressor(arm)
             model.fit(theta[train], y[train], groups=groups[train])
             mean, std = model.predict(theta[~train], return_std=True, with_noise=True)
-            found[title] = left_by(mean)
-        inside.append(np.abs(found[MODEL]) < 1.96 * std)
+            found[MODEL] = left_by(mean)
+            inside.append(np.abs(found[MODEL]) < 1.96 * std)
         for title, left in found.items():
             lefts.setdefault(title, []).append(left)
     lefts = {title: np.concatenate(parts) for title, parts in lefts.items()}
-    return lefts, np.concatenate(labels), 100 * np.mean(np.concatenate(inside))
+    return lefts, np.concatenate(labels), 100 * np.mean(np.concatenate(inside)) if inside else None
 
 
 def rows_of(name, lefts, groups, inside):
@@ -121,6 +153,8 @@ def rows_of(name, lefts, groups, inside):
     reference = np.linalg.norm(lefts[NONE], axis=1)
     found = {title: statistics(left, groups, reference) for title, left in lefts.items()}
     ideas = {title: f"{found[title][0]:.4f} / {found[title][2]:.3f}" for title in found}
+    if MODEL not in found:
+        return ideas, {}
     mean, half, largest, _ = found[MODEL]
     defaults = {NONE: ideas[NONE], MODEL: f"{mean:.4f} ± {half:.4f} / {largest:.3f}"}
     defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[MODEL][3]:.4f}"
@@ -151,7 +185,8 @@ def octants():
     def calibrated(mask):
         nominal = Arm.from_name("ur10", probe=(0, 0, 109))
         result = calibrate(nominal, theta[mask], points=points[mask])
-        return result.arm, result.residuals(theta, points)
+        measured = (points - result.base_translation) @ result.base_rotation
+        return result.arm, result.arm.forward(theta) - measured
 
     everywhere = calibrated(np.ones(len(theta), dtype=bool))
     place = everywhere[0].forward(theta)
@@ -236,6 +271,8 @@ def _print_ratios(ratios):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=None, help="of the UR10 (default: all)")
+    parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
+    parser.add_argument("--defaults", action="store_true", help="only the default")
     mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
     others = {"grid": grid, "octants": octants}
     sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", "ur10b-space", *others]
@@ -243,16 +280,19 @@ def main():
     args = parser.parse_args()
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
     warnings.filterwarnings("ignore", message="Without the cause kinematics")
+    compared = inputs if args.inputs else (lambda *_: ()) if args.defaults else ideas
     tables = {}, {}
     for name in args.sets:
         if name in others:
             others[name]()
             continue
-        found = run(name, args.rows)
+        found = run(name, args.rows, compared, not args.inputs)
         for table, cells in zip(tables, rows_of(name, *found), strict=True):
             table[name] = cells
-    for table in filter(None, tables):
-        print_table(table)
+    if tables[0] and not args.defaults:
+        print_table(tables[0])
+    if tables[1] and not args.inputs:
+        print_table(tables[1])
 
 
 if __name__ == "__main__":

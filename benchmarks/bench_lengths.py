@@ -5,6 +5,7 @@ Simulated arms, ten cones of 25 poses, calibrated from descriptions that are mor
     python benchmarks/bench_lengths.py scale        # error of the scale, also over `scale_sd`
     python benchmarks/bench_lengths.py lengths      # what a known length buys
     python benchmarks/bench_lengths.py deviations   # errors over standard deviations
+    python benchmarks/bench_lengths.py intervals    # coverage of the intervals of a mean 2S
 """
 
 import argparse
@@ -16,8 +17,9 @@ os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM
 import numpy as np
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm.correction._scores import _summary
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_gauge, make_single_point
-from sklearn_raacmm.metrics import gauge_lengths
+from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 
 
 def simulated(seed, n_positions=10):
@@ -144,13 +146,30 @@ def deviations(n_arms):
         print(f"{name:<30}   {values}", flush=True)
 
 
+def intervals(n_arms):
+    """How often the interval of a mean 2S holds the mean of 300 other positions."""
+    rng = np.random.default_rng(0)
+    print("share of 2000 sets whose 95 % interval holds the mean: Student's t, bootstrap")
+    for seed in range(min(n_arms, 3)):
+        test = make_single_point(300, 25, random_state=seed)
+        every = single_point_repeatability(test.points, test.groups, aggregate=None)
+        for n in (5, 10, 20):
+            held = np.zeros(2)
+            for _ in range(2000):
+                x = rng.choice(every, n)
+                means = x[rng.integers(n, size=(500, n))].mean(axis=1)
+                ends = _summary(x, x, np.arange(n))["after"][1:], np.quantile(means, [0.025, 0.975])
+                held += [low <= every.mean() <= high for low, high in ends]
+            print(f"arm {seed}, {n:2} positions: {held[0] / 2000:.3f} {held[1] / 2000:.3f}")
+
+
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["scale", "lengths", "deviations"])
+    parser.add_argument("what", choices=["scale", "lengths", "deviations", "intervals"])
     parser.add_argument("--arms", type=int, default=10)
     options = parser.parse_args()
     warnings.simplefilter("ignore", UserWarning)

@@ -3,9 +3,11 @@
 Ten kinds of tables: noise alone in 5, 20 and 50 features, with heavy tails, of two levels and of
 two values; and weak signals: a line, a wave, an interaction and a step in features most of which
 have no effect. Printed is the error against the truth without noise, in standard deviations of the
-targets, and the share of new observations inside the 95 % interval, over some draws.
+targets, and the share of new observations inside the 95 % interval, over some draws. Then the
+intervals of a smooth function in 2, 8 and 20 features from few rows.
 
-    python benchmarks/bench_noise.py  # two minutes, one thread
+    python benchmarks/bench_noise.py               # two minutes, one thread
+    python benchmarks/bench_noise.py --margins     # by the lead that a rougher kernel has to have
 """
 
 import argparse
@@ -15,6 +17,7 @@ import warnings
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 import numpy as np
+from _problems import generated
 
 from sklearn_raacmm import RBFNetRegressor
 
@@ -57,14 +60,53 @@ def of_kind(name, seeds):
     return np.sqrt(np.mean(errors)), np.mean(inside)
 
 
+def intervals(d, n, seeds):
+    """Share of new observations inside the 95 % interval, of a smooth function and noise."""
+    inside = []
+    for seed in seeds:
+        rng = np.random.default_rng([seed, n, d, 1])
+        X = rng.uniform(-1.7, 1.7, (n + N_TEST, d))
+        y = np.sin(X[:, 0]) + 0.5 * X[:, -1] + 0.3 * rng.standard_normal(len(X))
+        mean, std = RBFNetRegressor(random_state=0).fit(X[:n], y[:n]).predict(X[n:], True)
+        inside.append(np.mean(np.abs(y[n:] - mean) < LEVEL * std))
+    return np.mean(inside)
+
+
+def margins():
+    """Errors by the nats by which a kernel other than the first has to lead."""
+    from sklearn_raacmm.network import _search
+
+    cases = [("borehole8", 100), ("borehole8", 300), ("noisy5", 300), ("friedman3", 300)]
+    cases += [("kinks2", 100), ("kinks2", 300), ("robot_arm8", 100)]
+    for name, n in cases:
+        found = []
+        for margin in (0.0, 3.0, 6.0, 10.0):
+            _search.KERNEL_MARGIN = margin
+            errors = []
+            for seed in range(10, 13):
+                X, y, X_test, truth, _ = generated(name, n, seed)
+                model = RBFNetRegressor(random_state=0).fit(X, y)
+                errors.append(np.mean(np.square((model.predict(X_test) - truth) / truth.std())))
+            found.append(np.sqrt(np.mean(errors)))
+        print(f"{name:12} {n:5d} rows, margins 0, 3, 6 over 10: {np.divide(found, found[-1])[:3]}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--margins", action="store_true")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)))
     args = parser.parse_args()
     warnings.simplefilter("ignore")
+    if args.margins:
+        margins()
+        return
     for name in KINDS:
         error, inside = of_kind(name, args.seeds)
         print(f"{name:20} error {error:.3f}, inside {100 * inside:.1f} %", flush=True)
+    for d in (2, 8, 20):
+        found = [intervals(d, n, args.seeds) for n in (10, 30, 100, 300)]
+        text = ", ".join(f"{100 * share:.1f}" for share in found)
+        print(f"{d:2d} features, 10, 30, 100, 300 rows: inside {text} %", flush=True)
 
 
 if __name__ == "__main__":

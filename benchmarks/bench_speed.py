@@ -1,11 +1,21 @@
-"""Time of one row of a fitted model in C, in ONNX and in Python, and the files' sizes.
+"""Times that doc/log.md shows: `calibrate`, and one row of a model.
 
-    python benchmarks/bench_speed.py              # prints the table
-    python benchmarks/bench_speed.py --write      # and puts it into doc/log.md
+    python benchmarks/bench_speed.py calibrate
+    python benchmarks/bench_speed.py python
+    python benchmarks/bench_speed.py row              # prints the table
+    python benchmarks/bench_speed.py row --write      # and puts it into doc/log.md
 
-C is timed in a loop in C; `load_c`, ONNX and `predict` one row per call from Python. All on one
-thread. Flash is text and data of gcc -O2. With ``--data FOLDER``, what the real data are in, a UR10
-with a tracker is there, too: 2000 poses, the default model.
+``calibrate``: beside what a laboratory writes in an afternoon, `scipy.optimize.least_squares` over
+the same parameters, with differences for derivatives and the same loss, but no search of priors, no
+standard deviations and no outliers.
+
+``python``: `predict` of one row beside that of scikit-learn's `Ridge`. Nearly all is validation:
+what counts is how often it is done.
+
+``row``: a fitted model in C, in ONNX and in Python, and the files' sizes. C is timed in a loop in
+C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread. Flash is text and
+data of gcc -O2. With ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there,
+too: 2000 poses, the default model.
 """
 
 import argparse
@@ -13,6 +23,7 @@ import ctypes
 import os
 import platform
 import shutil
+import statistics
 import subprocess
 import tempfile
 import time
@@ -26,6 +37,8 @@ from pathlib import Path
 
 import numpy as np
 from _arm_folds import read_ur10
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -41,6 +54,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import export_c, load_c, to_onnx
 
+NOISE_MM = 0.02
 PAGE = Path(__file__).parents[1] / "doc" / "log.md"
 START, END = "<!-- bench_speed row -->", "<!-- end of bench_speed row -->"
 LOOP = """
@@ -51,6 +65,82 @@ void std_rows(const double *q, double *out, long n)
 { double s[3]; for (long i = 0; i < n; ++i) arm_correct_std(q + 6 * i, out + 3 * i, s); }
 """
 FLAGS = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
+
+
+def simulated(arm, n, n_groups, seed=0):
+    """Angles, and points of a tracker or labels of sockets, of an arm that is not the nominal."""
+    rng = np.random.default_rng(seed)
+    true = arm.replace(
+        a=arm.a + rng.normal(0, 0.2, arm.n_joints), d=arm.d + rng.normal(0, 0.2, arm.n_joints)
+    )
+    angles = rng.uniform(-2, 2, (n, arm.n_joints))
+    if n_groups is None:
+        points = true.forward(angles)[:, [1, 2, 0]] + [1000, 0, 0]
+        return angles, points + rng.normal(0, NOISE_MM, points.shape), None
+    # A socket for every group: the poses are drawn to it by the first three joints.
+    sockets = true.forward(rng.uniform(-1, 1, (n_groups, arm.n_joints)))
+    groups = np.arange(n) % n_groups
+    angles = angles * 0.3 + rng.uniform(-1, 1, (n_groups, arm.n_joints))[groups]
+    for _ in range(30):
+        missing = sockets[groups] - true.forward(angles)
+        jacobian = true.jacobian(angles)
+        normal = jacobian @ jacobian.swapaxes(1, 2) + 100 * np.eye(3)
+        step = jacobian.swapaxes(1, 2) @ np.linalg.solve(normal, missing[..., None])
+        angles = angles + np.clip(step[..., 0], -0.3, 0.3)
+    met = np.linalg.norm(sockets[groups] - true.forward(angles), axis=1) < 0.01
+    angles, groups = angles[met], groups[met]
+    jacobian = true.jacobian(angles)
+    noise = rng.normal(0, NOISE_MM, (len(angles), 3, 1))
+    return angles + (np.linalg.pinv(jacobian) @ noise)[..., 0], None, groups
+
+
+def by_hand(arm, angles, points, groups):
+    """The same fit by SciPy with differences."""
+    n = arm.n_joints
+    start = np.concatenate([arm.a, arm.alpha, arm.d, arm.theta_offset, arm.probe])
+    size = np.r_[np.tile(np.repeat([0.3, 0.003], n), 2), np.full(3, 1000.0)]
+    rotation, shift = np.eye(3), np.zeros(3)
+    if points is not None:
+        a, b = arm.forward(angles), points
+        u, _, vt = np.linalg.svd((b - b.mean(0)).T @ (a - a.mean(0)))
+        rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        shift = b.mean(0) - a.mean(0) @ rotation.T
+
+    def residuals(z):
+        x = start + size * z[: len(start)]
+        fields = [x[i * n : (i + 1) * n] for i in range(4)]
+        own = arm.replace(**dict(zip(("a", "alpha", "d", "theta_offset"), fields, strict=True)))
+        p = own.replace(probe=x[4 * n : 4 * n + 3]).forward(angles)
+        if points is None:
+            mean = np.stack([np.bincount(groups, p[:, i]) for i in range(3)], axis=1)
+            left = p - (mean / np.bincount(groups)[:, None])[groups]
+        else:
+            turn = Rotation.from_rotvec(z[-6:-3]).as_matrix() @ rotation
+            left = p @ turn.T + shift + z[-3:] - points
+        return np.concatenate([left.ravel() / NOISE_MM, z[: len(start)]])
+
+    z = np.zeros(len(start) + (0 if points is None else 6))
+    return least_squares(residuals, z, loss="soft_l1", x_scale="jac").cost
+
+
+def calibrations(repeats=3):
+    """Time `calibrate` and the fit by hand by turns."""
+    arm = Arm.from_name("aacmm6")
+    for n, n_groups in ((3000, None), (10_000, 40)):
+        angles, points, groups = simulated(arm, n, n_groups)
+        seconds = {"calibrate": [], "SciPy by hand": []}
+        for _ in range(repeats):
+            start = time.process_time()
+            calibrate(arm, angles, groups, points=points)
+            seconds["calibrate"].append(time.process_time() - start)
+            start = time.process_time()
+            by_hand(arm, angles, points, groups)
+            seconds["SciPy by hand"].append(time.process_time() - start)
+        kind = "tracker" if points is not None else "single-point"
+        times = ", ".join(f"{name} {statistics.median(s):.2f} s" for name, s in seconds.items())
+        ours, by_scipy = seconds.values()
+        ratio = statistics.median(b / a for a, b in zip(ours, by_scipy, strict=True))
+        print(f"{len(angles)} {kind} poses: {times} of CPU time, 1 thread; ratio {ratio:.1f}")
 
 
 def best(function, repeats=5):
@@ -105,19 +195,20 @@ def in_c(model, folder, X, expected, fade):
     (folder / "loop.c").write_text(LOOP)
     out = np.empty((len(X), 3))
     place = ctypes.c_void_p
-    for name, flags in FLAGS.items() if shutil.which("gcc") else ():
-        library = folder / f"gcc{len(flags)}.so"
-        command = ["gcc", "-std=c99", *flags, "-shared", "-fPIC", "-o", library]
-        subprocess.run([*command, source, folder / "loop.c", "-lm"], check=True)
-        loaded = ctypes.CDLL(str(library))
-        for what in ("correct", "std"):
-            rows = X if what == "correct" else X[: len(X) // 10]
-            arguments = (place(rows.ctypes.data), place(out.ctypes.data))
-            function = getattr(loaded, f"{what}_rows")
-            seconds = best(partial(function, *arguments, ctypes.c_long(len(rows))))
-            gap = np.abs(out - expected).max()
-            label = f"C, gcc {name}" + (", with std" if what == "std" else "")
-            yield label, 1e6 * seconds / len(rows), gap
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        for name, flags in FLAGS.items():
+            library = folder / f"{compiler}{len(flags)}.so"
+            command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", library]
+            subprocess.run([*command, source, folder / "loop.c", "-lm"], check=True)
+            loaded = ctypes.CDLL(str(library))
+            for what in ("correct", "std"):
+                rows = X if what == "correct" else X[: len(X) // 10]
+                arguments = (place(rows.ctypes.data), place(out.ctypes.data))
+                function = getattr(loaded, f"{what}_rows")
+                seconds = best(partial(function, *arguments, ctypes.c_long(len(rows))))
+                gap = np.abs(out - expected).max()
+                label = f"C, {compiler} {name}" + (", with std" if what == "std" else "")
+                yield label, 1e6 * seconds / len(rows), gap
 
 
 def in_python(model, _, X, expected, fade):
@@ -202,19 +293,49 @@ def table(n_rows, data_home):
         f"| {label} | {' | '.join(cells.get(name, '-') for name in columns)} |"
         for label, cells in {**found, **sizes}.items()
     ]
-    bare = Ridge().fit(data.data, data.target)
-    ridge = _digits(1e6 * one_by_one(lambda row: bare.predict(row[None]), data.data))
-    note = f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}; `predict`"
-    note += f" of one row by a bare `Ridge`: {ridge} µs."
+    note = f"{platform.machine()}, one core, {n_rows} rows, {date.today().isoformat()}."
     return [*head, *body, "", note]
+
+
+def python(rounds=60, calls=20):
+    """Time `predict` of one row against that of a bare Ridge, by turns."""
+    data = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    X, y, arm = data.data, data.target, data.arm
+    network = RBFNetRegressor(60, random_state=0)
+    inner = make_pipeline(StandardScaler(), network)
+    models = {
+        "Ridge": Ridge(),
+        "RBFNetRegressor": network,
+        "chain, pipeline": make_pipeline(
+            PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
+        ),
+        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
+    }
+    times = {name: [] for name in models}
+    for model in models.values():
+        model.fit(X, y)
+    row = X[:1].copy()
+    for _ in range(rounds):
+        for name, model in models.items():
+            start = time.process_time()
+            for _ in range(calls):
+                model.predict(row)
+            times[name].append((time.process_time() - start) / calls)
+    medians = {name: np.median(values) for name, values in times.items()}
+    print(f"{'one row, 60 centres':<36}{'CPU us':>8}{'ratio':>8}")
+    for name, seconds in medians.items():
+        print(f"{name:<36}{1e6 * seconds:>8.0f}{seconds / medians['Ridge']:>8.2f}")
 
 
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=["calibrate", "python", "row"])
     parser.add_argument("--rows", type=int, default=20_000, help="of a model")
     parser.add_argument("--data", help="folder of the real data")
     parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
     args = parser.parse_args(argv)
+    if args.part != "row":
+        return (calibrations if args.part == "calibrate" else python)()
     lines = table(args.rows, args.data)
     print("\n".join(lines))
     if args.write:

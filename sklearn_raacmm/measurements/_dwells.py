@@ -10,8 +10,8 @@ import numpy as np
 from sklearn_raacmm.utils import Finding, group_means
 
 # A row joins the run while every joint is within this of the run's running mean, in rad, and runs
-# of so many rows are one pose. Of 14 352 rows of real series none are merged
-# (``tests/measurements/test_order.py``).
+# of so many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real
+# series none are merged (``tests/measurements/test_order.py``).
 _STILL_RAD, _LEAST = 1e-3, 3
 # No encoder has such digits: rows that are closer are copies.
 _COPY_RAD = 1e-12

@@ -11,7 +11,8 @@ import numpy as np
 from sklearn_raacmm.utils import Finding, row_numbers
 
 # Share of the squares that a set-up of its own behind a row has to take away, beside what chance
-# does (parts of the real UR10 show up to 0.41), and rows beside.
+# does (``benchmarks/bench_check.py set-ups``; parts of the real UR10 show up to 0.41), and rows
+# beside.
 _SHARE, _LEAST_ROWS = 0.5, 8
 # Rows on either side of a move that are compared with and without it, and the nats by which they
 # have to be likelier with it: log odds of one in a thousand, and 30 rows that it may be behind.
