@@ -146,6 +146,9 @@ def search(
         simple = _simpler(task, kernel, theta, scores[kernel], many, may_be_linear)
         if simple is not None:
             return simple
+    n_found = parameters_found(task, d)
+    if task.n_widths:
+        task, theta = _leave_out_flat(task, kernel, theta, many)
     if len(data.X) > len(many.X) and parameters(task, kernel, theta, many) > ROUGH * len(many.X):
         more = data.rows(data.draw(FINE_ROWS, random_state))
         theta = minimise(task, theta, more, kernel, FINE_STEPS)[0]
@@ -160,7 +163,7 @@ def search(
         ratio,
         log_likelihood=log_likelihood(many, value),
         n_observations=many.n_total,
-        n_found=parameters_found(task, d),
+        n_found=n_found,
         at_bound=np.flatnonzero(narrow),
     )
 
@@ -235,6 +238,21 @@ def parameters(task, kernel, theta, data):
     K, alpha = covariance(data, kernel, log_width)[0], np.exp(log_alpha.min())
     half = solve_and_invert(K + alpha * data.noise(ratio), data.targets[:, 0])[2]
     return len(K) - 2 * alpha * np.trace(half)
+
+
+def _leave_out_flat(task, kernel, theta, data):
+    """Leave out the features whose width ended at its upper bound, where that costs no evidence.
+
+    Of targets without noise the slopes that are left there are as steep as the noise is small.
+    """
+    flat = theta[: task.n_widths] == np.log(WIDTH_BOUNDS[1])
+    if task.isotropic or not flat.any() or flat.all():
+        return task, theta
+    used = task.used.copy()
+    used[used] = ~flat
+    fewer, kept = task._replace(used=used), np.delete(theta, np.flatnonzero(flat))
+    before, after = objective(task, theta, data, kernel)[0], objective(fewer, kept, data, kernel)[0]
+    return (fewer, kept) if after <= before else (task, theta)
 
 
 def _simpler(task, kernel, theta, value, data, may_be_linear):
