@@ -58,9 +58,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width, in the units of X: a number, one for each feature, or a row of these for each output;
-        infinity leaves a feature out. "auto" finds one for each feature, infinity for those that
-        targets without noise do not need, "isotropic" one for all, in units of their standard
-        deviations.
+        infinity leaves a feature out. "auto" finds one for each feature, "isotropic" one for all,
+        in units of their standard deviations.
 
     alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
         Ridge, in units of the sum of sample weights: noise variance over signal variance. "auto"
