@@ -104,11 +104,12 @@ def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
 def takes_all_rows(problem, structure):
     """Whether a network would need nearly every row as a centre to be as good as the process.
 
-    Of more than `MOST_ROWS` so many are looked at.
+    Of more than `MOST_ROWS` so many are looked at. Where no noise was found the effective number
+    of parameters is that of the rows, whatever the function is: then centres are chosen.
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
-    if not len(varying) or alpha.min() < 0.99 * LEAST_RIDGE * np.square(problem.root).max():
+    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * np.square(problem.root).max():
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))

@@ -167,7 +167,12 @@ def to_cylindrical(vectors, direction):
 def to_cartesian(vectors: np.ndarray, direction: Any) -> np.ndarray:
     cos, sin = direction
     radial, tangential, axial = vectors.T
-    return np.stack([radial * cos - tangential * sin, radial * sin + tangential * cos, axial], 1)
+    # Not `np.stack`, which takes as long as the rest of one row's turn.
+    turned = np.empty((len(vectors), 3), np.result_type(vectors, cos))
+    turned[:, 0] = radial * cos - tangential * sin
+    turned[:, 1] = radial * sin + tangential * cos
+    turned[:, 2] = axial
+    return turned
 
 
 def std_to_cartesian(std, direction):

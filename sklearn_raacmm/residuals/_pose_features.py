@@ -169,7 +169,10 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
             columns += _checked_direction(probe)
-        return np.stack(columns, axis=1).astype(X.dtype, copy=False)
+        features = np.empty((len(X), len(columns)), X.dtype)
+        for i, column in enumerate(columns):
+            features[:, i] = column
+        return features
 
     def get_feature_names_out(self, input_features: ArrayLike | None = None) -> np.ndarray:
         """Get the names of the features.

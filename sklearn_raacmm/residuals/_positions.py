@@ -4,15 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
+from sklearn import get_config
 from sklearn.base import clone
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.utils import group_means
+from sklearn_raacmm.utils import group_means, is_plain
 
 # Predictions that are linear in the targets, once settings are given.
 _LINEAR = (LinearRegression, Ridge, KernelRidge, GaussianProcessRegressor)
@@ -97,6 +99,25 @@ def before_last(pipeline, X):
     while type(pipeline) is Pipeline:
         for _, step in pipeline.steps[:-1]:
             if step is not None and not isinstance(step, str):  # "passthrough"
-                X = step.transform(X)
+                X = _scaled(step, X) if _is_plain_scaler(step, X) else step.transform(X)
         pipeline = pipeline.steps[-1][1]
     return X, pipeline
+
+
+def _is_plain_scaler(step, X):
+    """Whether a step is a fitted `StandardScaler` that would find nothing to say about X."""
+    return (
+        type(step) is StandardScaler
+        and "n_features_in_" in vars(step)
+        and "_sklearn_output_config" not in vars(step)
+        and get_config()["transform_output"] == "default"
+        and is_plain(step, X)
+        and bool(np.isfinite(X).all())
+    )
+
+
+def _scaled(scaler, X):
+    """What the scaler makes of X, without its checks: for one row they take ten times as long."""
+    if scaler.with_mean:
+        X = X - scaler.mean_
+    return X / scaler.scale_ if scaler.with_std else X

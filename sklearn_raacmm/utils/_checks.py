@@ -27,6 +27,8 @@ def refuse_disguised(name: str, value: Any) -> None:
     NumPy would use the values under a mask and convert dates to numbers of days; scikit-learn would
     take the keys of a mapping for data.
     """
+    if type(value) is np.ndarray and value.dtype.kind == "f":
+        return
     if np.ma.is_masked(value):
         raise ValueError(
             f"{name} has {np.ma.count_masked(value)} of {value.size} values masked: leave their "

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import RidgeCV
@@ -211,3 +212,14 @@ def test_where_no_noise_is_left_rows_left_out_say_whether_it_is_linear():
     left = y[160:] - model.predict(X[160:])
     peer = y[160:] - RidgeCV(np.logspace(-6, 3, 10)).fit(X[:160], y[:160]).predict(X[160:])
     assert np.mean(left**2) < 1.5 * np.mean(peer**2)
+
+
+def test_of_targets_without_noise_features_that_say_nothing_are_left_out():
+    rng = np.random.default_rng(0)
+    X, new = rng.normal(size=(80, 8)), rng.normal(size=(200, 8))
+    model = RBFNetRegressor(random_state=0).fit(X, X[:, 2] ** 2)
+    assert np.isfinite(model.length_scale_).tolist() == [i == 2 for i in range(8)]
+    # Slopes that are left along the others would be followed by a centre at every row.
+    assert len(model.centers_) < 30
+    inside = np.abs(new[:, 2]) < 2
+    assert_allclose(model.predict(new[inside]), new[inside, 2] ** 2, atol=2e-3)

@@ -331,7 +331,18 @@ def test_return_std_and_score_are_routed(isotropic, routing):
                 model.predict(X, return_std=True)
 
 
-@pytest.mark.parametrize("inner", [Ridge(), gaussian_process(), HuberRegressor()])
+@pytest.mark.parametrize(
+    "inner",
+    [
+        Ridge(),
+        gaussian_process(),
+        HuberRegressor(),
+        make_pipeline(StandardScaler(with_mean=False), Ridge()),
+        make_pipeline(StandardScaler(), HuberRegressor()),
+        make_pipeline("passthrough", Ridge()),
+        make_pipeline(StandardScaler(), make_pipeline(MaxAbsScaler(), HuberRegressor())),
+    ],
+)
 def test_tags_are_those_of_the_regressor_within(inner):
     tags, expected = get_tags(CylindricalResidualTarget(inner)), get_tags(inner)
     assert tags.input_tags.sparse == expected.input_tags.sparse
@@ -405,3 +416,36 @@ def test_no_estimator_here_asks_for_its_own_tags_in_predict(monkeypatch):
     expected = model.fit(pose.transform(X), y).predict(pose.transform(X))[:1]
     monkeypatch.delattr("sklearn.base.BaseEstimator.__sklearn_tags__")
     assert_allclose(model.predict(pose.transform(X[:1])), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("with_mean", "with_std"), [(True, True), (False, True), (True, False)])
+def test_a_scaler_inside_is_scikit_learn_s_own(with_mean, with_std):
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(3, 2, (40, 3)), rng.normal(size=(40, 3))
+    inner = make_pipeline(StandardScaler(with_mean=with_mean, with_std=with_std), Ridge(0.1))
+    model = CylindricalResidualTarget(inner, azimuth=None).fit(X, y)
+    given = X.copy()
+    assert_array_equal(model.predict(X), model.regressor_.predict(X))
+    assert_array_equal(X, given)
+    # Features with names reach a regressor that was fitted on names: else it would warn.
+    model.set_params(regressor=clone(inner).set_output(transform="pandas")).fit(X, y)
+    assert_array_equal(model.predict(X), model.regressor_.predict(X))
+    with config_context(transform_output="pandas"):
+        model.set_params(regressor=clone(inner)).fit(X, y)
+        assert_array_equal(model.predict(X), model.regressor_.predict(X))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_scaler_inside_still_refuses_what_it_refuses(bad):
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(40, 3)), rng.normal(size=(40, 3))
+    inner = make_pipeline(StandardScaler(), Ridge())
+    model = CylindricalResidualTarget(inner, azimuth=None).fit(X, y)
+    X[3, 1] = bad
+    with pytest.raises(ValueError) as expected:
+        model.regressor_.predict(X)
+    with pytest.raises(ValueError) as found:
+        model.predict(X)
+    assert str(found.value) == str(expected.value)
+    with pytest.raises(ValueError, match="2 features, but"):
+        model.predict(X[:, :2])
