@@ -111,7 +111,7 @@ def _read_facts(path):
         facts = json.loads(path.read_text(encoding="utf-8"))
         files, version = facts["files"], facts.get("format", 1)
         unmarked = version == 1 and "fingerprint" not in facts
-        known = unmarked or version == _FORMAT and facts["fingerprint"] == _fingerprint(facts)
+        known = unmarked or (version == _FORMAT and facts["fingerprint"] == _fingerprint(facts))
         files.get("arm.json")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ValueError(f"{path} holds no correction: learn again.") from None
