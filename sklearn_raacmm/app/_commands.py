@@ -9,16 +9,19 @@ import shlex
 import sys
 import webbrowser
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._files import (
+    WRITTEN,
     correction_files,
     find_cause_columns,
     find_rows,
     find_unnamed_probe,
+    in_rad,
     load_arm,
     load_correction,
     open_beside,
@@ -28,6 +31,7 @@ from sklearn_raacmm.app._files import (
     write_corrected,
 )
 from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
+from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import describe_result, judge_limit, list_outliers, report_text
 from sklearn_raacmm.arm import check_angles
@@ -38,11 +42,8 @@ from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
-# What `learn` writes, as its last line names it; the endings of files that no CSV may have.
-_WRITTEN = (
-    "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
-)  # fmt: skip
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
+# Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 
@@ -83,13 +84,16 @@ def learn(options):
     facts = {"file": Path(options.table).name} | {k: v for k, v in named.items() if v}
     report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
-    contents = {
-        "report.html": report,
-        "card.md": f"{describe_result(result)}\n## Verdict\n\n- {result.verdict}\n",
-        "corrected.csv": corrected.getvalue().encode(layout.source.encoding),
-    }
-    result.save(options.out, contents)
-    _print_result(result, table.rows, options)
+    contents = {"corrected.csv": corrected.getvalue().encode(layout.source.encoding)}
+    today = replace(table, angles=in_rad(table))
+    before, after = (result.scores.summary[when][0] for when in ("before", "after"))
+    step = step_of("learn", today, facts, result.scores.measure, before, after)
+    training = describe_result(result)["training"]
+    training.pop("hull_corners_mm", None)
+    taught = replace(result, facts=result.facts | {"training": training})
+    _print_result(result, table.rows, options)  # before what may fail
+    save_step(taught, options.out, step, report, contents)
+    print(f"Written to {options.out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
     code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
@@ -116,7 +120,7 @@ def _check_learning(options):
             f"pip install {' '.join(missing)}."
         )
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
-    check_places([out / name for name in _WRITTEN], filter(None, read))
+    check_places([out / name for name in WRITTEN], filter(None, read))
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
 
@@ -132,7 +136,6 @@ def _print_result(result, row_numbers, options):
     print(f"\n{verdict}")
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
-    print(f"Written to {options.out}: {', '.join(_WRITTEN)}")
 
 
 def correct(options):

@@ -29,6 +29,10 @@ _NEW_COLUMNS = (
     *(f"sd {axis} within position [mm]" for axis in "xyz"),
     "sd of 1 m [mm]",
 )
+# What `learn` and the later words write into a folder.
+WRITTEN = (
+    "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
+)  # fmt: skip
 # How many of them there are by `--std`.
 _N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 
@@ -123,15 +127,20 @@ def _columns_of(correction, X, std):
 
 @contextmanager
 def open_beside(path, encoding):
-    """A text stream whose file gets its name when it is complete."""
+    """A text stream whose file gets its name when it is complete; without it, it is kept."""
     path = Path(path)
     beside = path.with_name(f"{path.name}.{os.getpid():x}.tmp")
     try:
         with open(beside, "w", encoding=encoding, newline="") as file:
             yield file
-        beside.replace(path)
-    finally:
+    except BaseException:
         beside.unlink(missing_ok=True)
+        raise
+    try:
+        beside.replace(path)
+    except OSError as error:
+        said = f"{path} cannot be replaced ({error}); its content is in {beside}."
+        raise OSError(said) from None
 
 
 def in_rad(table):

@@ -5,6 +5,7 @@
 
 import datetime
 import platform
+import re
 from importlib.resources import files
 from os import PathLike
 from typing import Any
@@ -120,7 +121,8 @@ def render(name, **values):
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
     )  # fmt: skip
-    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
+    environment.filters |= {"um": micrometres, "in_um": _in_um, "words": _words, "short": _short}
+    environment.filters["number"] = lambda v, digits: f"{v:.{digits}f}".replace("nan", "not known")
     return environment.get_template(name).render(values)
 
 
@@ -130,6 +132,37 @@ def describe_result(result):
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     return card
+
+
+def with_history(page, history):
+    """A report, or a page without one, with what has happened since at its beginning."""
+    page = page or f'<!DOCTYPE html>\n<meta charset="utf-8">\n{render("_style.html")}<body>\n'
+    page = re.sub(r"(?s)<!-- history -->.*<!-- end of history -->\n?", "", page)
+    head, body, rest = page.partition("<body>\n")
+    steps = [step for step in history if step["what"] != "learn"]
+    return f"{head}{body}{render('_history.html', steps=steps)}{rest}"
+
+
+def _words(name):
+    """Name of a fact as words, with its unit behind a comma."""
+    return re.sub(r" (mm|deg)$", r", \1", name.replace("_", " "))
+
+
+def _short(value):
+    """A fact of a step as text."""
+    if isinstance(value, list):
+        return ", ".join(map(_short, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _in_um(sentence):
+    """A sentence with its numbers in mm in micrometres, as the tables of the report have them."""
+
+    def changed(match):
+        um = re.sub(r"\d+\.(\d+)", lambda n: f"{1000 * float(n[0]):.{len(n[1]) - 3}f}", match[0])
+        return um.replace(" mm", " µm")
+
+    return re.sub(r"(\d+\.\d{3,4} (->|to) )?\d+\.\d{3,4} mm", changed, sentence)
 
 
 def micrometres(mm):
@@ -170,8 +203,8 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
         word, what = "OPEN", "cannot be told from the limit"
     above = int(np.sum(scores.table["after"] > limit))
     return word, (
-        f"Mean 2S after correction, {micrometres(mean)} µm (95 %: {micrometres(low)} to "
-        f"{micrometres(high)} µm), {what} of {micrometres(limit)} µm; {above} of "
+        f"Mean 2S after correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), {what} of "
+        f"{limit:.4f} mm; {above} of "
         f"{len(scores.table['after'])} positions are above it."
     )
 

@@ -16,6 +16,7 @@ import pytest
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.app import main
+from sklearn_raacmm.app._files import open_beside
 from sklearn_raacmm.correction._files import read_folder, write_folder
 from sklearn_raacmm.utils import check_places
 
@@ -269,6 +270,31 @@ def test_places_are_checked_before_the_work(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="is no ordinary file"):
         check_places([tmp_path / "pipe"])
+
+
+def test_a_table_that_another_program_holds_open(tmp_path, monkeypatch):
+    """As on Windows: it is refused before the work, and after it the result is kept."""
+    table, new = tmp_path / "corrected.csv", tmp_path / "new.csv"
+    table.write_text("old")
+    replace = os.replace
+
+    def refuses(source, place, **options):
+        if Path(place).name == table.name:
+            raise PermissionError("in use")
+        return replace(source, place, **options)
+
+    monkeypatch.setattr(os, "replace", refuses)
+    with pytest.raises(
+        PermissionError, match=r"Close .*corrected\.csv: it cannot be rep.*\(in use\)"
+    ):
+        check_places([new, table])
+    with (
+        pytest.raises(OSError, match=r"cannot be replaced \(in use\); its content is in") as caught,
+        open_beside(table, "utf-8") as file,
+    ):
+        file.write("points")
+    beside = re.search(r"content is in (.*)\.$", str(caught.value))[1]
+    assert (table.read_text(), Path(beside).read_text()) == ("old", "points")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
