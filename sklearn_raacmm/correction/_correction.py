@@ -436,7 +436,8 @@ class Correction:
             If skops is not there.
         """
         facts, (arm, model) = read_folder(folder, ["arm.json", "model.skops"])
-        model, base = load_model(folder, model), facts.get("base")
+        model = load_model(folder, model, facts.get("written_by", "another version"))
+        base = facts.get("base")
         if base is not None:
             base = np.array(base["rotation"]), np.array(base["translation_mm"])
         return cls(Arm.from_json(arm), model, base, facts)

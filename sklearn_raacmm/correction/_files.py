@@ -10,6 +10,7 @@ from typing import Any
 
 import joblib
 
+from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
@@ -58,8 +59,8 @@ def dump_model(model: Any) -> tuple[str, bytes]:
     return "model.skops", skops.io.dumps(model)
 
 
-def load_model(folder: Any, content: bytes) -> Any:
-    """Fitted model of a skops file of this folder."""
+def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
+    """Fitted model of a skops file of this folder, which such a version has written."""
     try:
         import skops.io
     except ImportError:
@@ -67,7 +68,10 @@ def load_model(folder: Any, content: bytes) -> Any:
     try:
         return skops.io.loads(content, trusted=TRUSTED_TYPES)
     except Exception as error:  # of a file of another version, anything
-        raise ValueError(f"{folder} cannot be loaded: {error}") from None
+        raise ValueError(
+            f"{folder} was written by {written_by}, whose model this version, {__version__}, "
+            f"cannot read: learn again, or install the other version. ({error})"
+        ) from None
 
 
 def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -> Any:

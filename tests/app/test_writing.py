@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm
+from sklearn_raacmm import Arm, Correction
 from sklearn_raacmm.app import main
 from sklearn_raacmm.app._files import open_beside
 from sklearn_raacmm.correction._files import read_folder, write_folder
@@ -105,6 +105,11 @@ def test_a_folder_put_together_by_hand_is_refused(tmp_path):
     (tmp_path / "two" / "correction.json").write_text(json.dumps(facts | {"format": 3}))
     with pytest.raises(ValueError, match=r"has format 3, of a newer version.* reads up to 2"):
         read_folder(tmp_path / "two", ["arm.json"])
+    write_folder(tmp_path / "b", {"written_by": "w 0.0.1"}, {"arm.json": "", "model.skops": b"m"})
+    with pytest.raises(
+        ValueError, match=r"b was written by w 0\.0\.1, whose model this version, .*l"
+    ):
+        Correction.load(tmp_path / "b")
     # Folders of the version before have no fingerprint.
     old = {key: value for key, value in facts.items() if key not in ("format", "fingerprint")}
     (tmp_path / "two" / "correction.json").write_text(json.dumps(old))
