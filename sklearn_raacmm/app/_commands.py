@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_raacmm.app._arms import take
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._files import (
     WRITTEN,
@@ -51,6 +52,8 @@ def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
     _check_learning(options)
     arm = load_arm(options.arm, options.base, options.tip)
+    for code in options.take or ():
+        arm = take(arm, code)
     layout = find_rows(options, arm)
     table = layout.read()
     print_notes(table.notes)

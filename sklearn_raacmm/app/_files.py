@@ -5,7 +5,7 @@
 
 import csv
 import os
-import sys
+import warnings
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -149,9 +149,9 @@ def in_rad(table):
 
 
 def print_notes(notes):
-    """Print what the user should know, beside the results."""
+    """Say what the user should know, beside the results; --quiet leaves it out."""
     for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        warnings.warn(note, stacklevel=2)
 
 
 def find_rows(options, arm, labelled=True):

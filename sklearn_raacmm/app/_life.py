@@ -139,16 +139,18 @@ def check(options):
         print_notes([f"{unnamed}: check with this one."])
     _, today, lengths = _read_today(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts, slipped = False, {}, ()
+    changed, facts, slipped, advice = False, {}, (), ""
     if has_causes:
-        changed, facts, slipped = _check_model(saved, today, lengths, rate, options)
+        changed, facts, slipped, advice = _check_model(saved, today, lengths, rate, options)
     if by_spread:
         if slipped:  # they are left out where each position keeps two or more
             kept = np.delete(np.arange(len(today.angles)), slipped)
             if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
                 today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        changed = _check_spread(saved, today, rate, changed, facts)
-    elif not changed:
+        changed = _check_spread(saved, today, rate, changed, facts, advice)
+    elif changed:
+        print(advice)
+    else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         print(f"It holds: {_describe_poses(today)}, {usual}.")
     facts |= {"holds": not changed}
@@ -163,7 +165,7 @@ def check(options):
 
 
 def _check_model(saved, today, lengths, rate, options):
-    """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
+    """Whether the model sees a change, the facts of it, rows that slipped, and what to do."""
     found = saved.check(
         today.angles, today.positions, today.points, lengths,
         new_base=options.new_base, false_alarm_rate=rate,
@@ -172,10 +174,10 @@ def _check_model(saved, today, lengths, rate, options):
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
     if not found.holds:
-        advice = found.advice if changed else "That is too little to act on."
+        little = "" if changed else " That is too little to act on."
         print(
             f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {advice}"
+            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
         )
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
@@ -184,11 +186,15 @@ def _check_model(saved, today, lengths, rate, options):
         found.append_to(options.record)
         print(f"Appended to {options.record}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-    return changed, {name: getattr(found, name) for name in names}, found.slipped
+    facts = {name: getattr(found, name) for name in names}
+    return changed, facts, found.slipped, found.advice if changed else ""
 
 
-def _check_spread(saved, today, rate, changed, facts):
-    """Whether the mean 2S, or what was found before, shows that the correction does not hold."""
+def _check_spread(saved, today, rate, changed, facts, advice):
+    """Whether the mean 2S, or what was found before, shows that the correction does not hold.
+
+    `advice` is what to do about what was found before: one answer says what to do once.
+    """
     before, after = (
         single_point_repeatability(points, today.positions, aggregate=None)
         for points in (saved.arm.forward(today.angles), saved.correct(today.angles)[0])
@@ -203,16 +209,16 @@ def _check_spread(saved, today, rate, changed, facts):
     if now > max(MUCH_SCATTER_MM, expected):
         print(f"It does not hold: {change}. {_OTHER_ARM}")
     elif now >= was:
-        print(f"It does not hold: {change}. Calibrate and learn again.")
+        print(f"It does not hold: {change}. {advice or 'Calibrate and learn again.'}")
     elif now > expected:
         print(
             f"It helps less than it did: {change}; the mean of {len(after)} positions like those "
             f"that it was judged at would be below {expected:.3f} mm in {1 / rate - 1:.0f} of "
-            f"{1 / rate:.0f} tests. Look at probe and base, or learn again."
+            f"{1 / rate:.0f} tests. {advice or 'Look at probe and base, or learn again.'}"
         )
     else:
         verdict = "It still helps, but something has changed" if changed else "It holds"
-        print(f"{verdict}: {change}; expected below {expected:.3f} mm.")
+        print(f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip())
     return changed or now >= was or now > expected
 
 

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import argparse
+import json
 import re
 from difflib import get_close_matches
 from typing import Any
@@ -27,7 +28,7 @@ WORDS = {
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --length --lengths "
-        f"--places --length-sd {_CAUSES} --like --serial --operator",
+        f"--places --length-sd {_CAUSES} --like --take --serial --operator",
     ),
     "correct": (
         "_commands", "correct a table of any length",
@@ -151,6 +152,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "nargs": "+", "metavar": "FOLDER",
         "help": "folders of corrections of earlier arms of this make",
     },
+    "--take": {
+        "action": "append", "metavar": "CODE",
+        "help": "change the arm as a finding proposes: reversed-2-4, other-convention",
+    },
     "--serial": {"help": "serial number, for the report"},
     "--operator": {"help": "name, for the report"},
     # -- the life of a correction
@@ -233,9 +238,11 @@ class _Parser(argparse.ArgumentParser):
     """A parser that asks whether a similar word was meant."""
 
     known: Any = ()
+    as_json = False
 
     def refuse_unknown(self, words):
         """Refuse a mistyped option before the right one is reported as missing."""
+        _Parser.as_json = "--json" in words
         for name in (word.split("=")[0] for word in words):
             if name.startswith("--") and not any(one.startswith(name) for one in self.known):
                 self.error(f"unrecognized arguments: {name}")
@@ -250,6 +257,8 @@ class _Parser(argparse.ArgumentParser):
                 message = f"{given} is an option of {', '.join(words)} only"
             elif near:
                 message = f"{message}. Was {near[0]} meant?"
+        if self.as_json:
+            print(json.dumps({"exit_code": 2, "error": message}))
         super().error(message)
 
 

@@ -104,6 +104,7 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         parameters=_parameters(result.calibration),
         harmonics=_harmonics(result.model),
         outliers=list_outliers(result, row_numbers),
+        doubtful=_doubtful(result, row_numbers),
         row_numbers=row_numbers,
         figures=draw_figures(result, limit_2s),
         most_rows=_MOST_ROWS,
@@ -122,7 +123,7 @@ def render(name, **values):
         loader=jinja2.FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
     )  # fmt: skip
     environment.filters |= {"um": micrometres, "in_um": _in_um, "words": _words, "short": _short}
-    environment.filters["number"] = lambda v, digits: f"{v:.{digits}f}".replace("nan", "not known")
+    environment.filters["number"] = _number
     return environment.get_template(name).render(values)
 
 
@@ -141,6 +142,11 @@ def with_history(page, history):
     head, body, rest = page.partition("<body>\n")
     steps = [step for step in history if step["what"] != "learn"]
     return f"{head}{body}{render('_history.html', steps=steps)}{rest}"
+
+
+def _number(value, digits):
+    """A number with so many digits: no minus before zero, and words for what nobody has stated."""
+    return "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def _words(name):
@@ -264,6 +270,14 @@ def list_outliers(result, row_numbers=None):
     outliers = result.outliers
     rows = outliers["row"] if row_numbers is None else np.asarray(row_numbers)[outliers["row"]]
     return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
+
+
+def _doubtful(result, row_numbers):
+    """Numbers of the rows that calibration left out, and the error model explains."""
+    rows = np.setdiff1d(
+        np.flatnonzero(result.calibration.sample_weight == 0), result.outliers["row"]
+    )
+    return (rows if row_numbers is None else np.asarray(row_numbers)[rows]).tolist()
 
 
 def _parameters(calibration):

@@ -329,6 +329,7 @@ def test_radians_under_a_header_of_degrees(folder, in_radians, tmp_path, capsys,
     assert printed.count("(raacmm: --unit rad)") == 1
     if code:
         assert "Look at the unit, order and sense of the angles" in printed
+        assert "Update the correction" not in printed  # one answer says what to do once
         assert not out.exists()
     words = ["correct", in_radians, "--model", folder / "cones", "--unit", "rad", "--out", out]
     found, printed = run(capsys, *words)

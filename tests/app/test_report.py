@@ -152,6 +152,11 @@ def test_a_tracker_and_a_model_without_harmonics(tmp_path):
     text = " ".join(read(page).text)
     assert "$x^{$3" in page
     assert "mean deviation before" in text
+    # Nobody has stated where the base stands; and zero has no sign.
+    assert text.count("not stated") == 6
+    assert not re.search(r"\bnan\b|-0\.0+\b", text)
+    with_labels = max(map(len, str(result.scores).split("\n")[1:7]))
+    assert with_labels <= 80
     assert "Harmonics" not in text
     assert "Scale:" not in text
     with pytest.raises(ValueError, match="needs a single-point test"):

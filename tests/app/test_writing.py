@@ -394,6 +394,9 @@ def test_a_word_nearly_right_is_named(capsys):
             main(arguments.split())
         assert f"Was {near} meant?" in capsys.readouterr().err
     with pytest.raises(SystemExit):
+        main(["lern", "--json"])
+    assert "Was learn meant?" in json.loads(capsys.readouterr().out)["error"]
+    with pytest.raises(SystemExit):
         main(["correct", "t", "--model=a", "--out=b", "--points", "x"])
     assert "--points is an option of learn, check, register, update only" in capsys.readouterr().err
 
