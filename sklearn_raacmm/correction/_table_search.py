@@ -145,7 +145,8 @@ def search_table(
         *(entry for entry in ranked[:3] if entry not in best),
     ]:
         scatter = _scatter(other, raw[:, columns], positions, points, unit)
-        where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
+        with ignored_findings():
+            where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
         options = _options(arm, other, columns, None if unit == angle_unit else unit)
         parts = change, scatter, given, other, tuple(columns), unit, options, tuple(where)
         found.append(TableChange(*parts))
