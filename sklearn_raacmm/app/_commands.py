@@ -3,19 +3,20 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import importlib
 import io
 import shlex
 import sys
 import webbrowser
 from contextlib import nullcontext
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm.app._arms import take
 from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._figures import draw_plan
 from sklearn_raacmm.app._files import (
     WRITTEN,
     correction_files,
@@ -34,9 +35,15 @@ from sklearn_raacmm.app._files import (
 from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import describe_result, judge_limit, list_outliers, report_text
+from sklearn_raacmm.app._report import (
+    describe_result,
+    judge_limit,
+    list_outliers,
+    render,
+    report_text,
+)  # fmt: skip
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.correction import learn_correction
+from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows, write_whole
@@ -44,6 +51,7 @@ from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
+_REGIONS = ["No row names its position: regions of neighbouring points, 01 to 10, take their place."]
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
@@ -56,7 +64,7 @@ def learn(options):
         arm = take(arm, code)
     layout = find_rows(options, arm)
     table = layout.read()
-    print_notes(table.notes)
+    print_notes(table.notes + _REGIONS * (table.positions is None))
     lengths = [parse_length(text) for text in options.length or ()]
     lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
@@ -111,13 +119,7 @@ def _check_learning(options):
         raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
     if options.limit_2s is not None and options.points:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
-    missing = []
-    for name in ("jinja2", "matplotlib", "skops"):
-        try:
-            importlib.import_module(name)
-        except ImportError:
-            missing.append(name)
-    if missing:
+    if missing := [name for name in ("jinja2", "matplotlib", "skops") if not find_spec(name)]:
         raise TableError(
             f"{' and '.join(missing)} must be installed for the report and the model's file: "
             f"pip install {' '.join(missing)}."
@@ -200,6 +202,29 @@ def export(options):
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}
+
+
+def plan(options):
+    """Plan a first single-point test for an arm, and write the sheet of it."""
+    out = Path(options.out)
+    paths = {name: out / name for name in ("plan.html", "plan.csv")}
+    check_places(paths.values(), [options.arm])
+    arm = load_arm(options.arm)
+    found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean)
+    out.mkdir(parents=True, exist_ok=True)
+    names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
+    poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))
+    lines = [",".join(["cone", *names])]
+    lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
+    shown = {"plan": found, "names": names, "poses": poses}
+    page = render("_plan.html", arm=repr(arm), figure=draw_plan(arm, found), **shown)
+    write_whole({paths["plan.csv"]: "\n".join(lines) + "\n", paths["plan.html"]: page})
+    print(
+        f"{options.cones} cones, {options.poses} poses in each: about {found.minutes:.0f} minutes."
+    )
+    print("What matters is that the cones are spread over the places where you will measure.")
+    print(f"Written to {out}: plan.html, plan.csv")
+    return 0, {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
 
 
 def demo(options):

@@ -106,15 +106,12 @@ def write_corrected(layout, correction, options, in_order, file, std="all"):
 
 def _corrected(correction, X, block, options, std):
     """The new columns of a block, each row by its probe."""
-    tools = read_tools(block, options)
-    if tools is None:
-        with numbered_rows(block.rows):
-            return _columns_of(correction, X, std)
-    new = np.empty((len(X), _N_COLUMNS[std]))
-    for tool in np.unique(tools):
-        rows = tools == tool
+    tools, new = read_tools(block, options), np.empty((len(X), _N_COLUMNS[std]))
+    for tool in [None] if tools is None else np.unique(tools):
+        rows = slice(None) if tool is None else tools == tool
         with numbered_rows(block.rows[rows]):
-            new[rows] = _columns_of(correction.with_tool(tool), X[rows], std)
+            one = correction if tool is None else correction.with_tool(tool)
+            new[rows] = _columns_of(one, X[rows], std)
     return new
 
 

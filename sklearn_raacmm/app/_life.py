@@ -63,9 +63,9 @@ def register(options):
         print(f"The correction holds with it: {usual:.3f} mm is usual.")
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
-    step = step_of("register", today, facts, "mean deviation without and with it", before, left)
-    _save(new, options, step, layout)
-    return (OK if holds else CHANGED), facts | {"left_mm": left}
+    facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
+    _save(new, options, facts, layout)
+    return (OK if holds else CHANGED), facts
 
 
 def update(options):
@@ -97,9 +97,9 @@ def update(options):
     )
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": float(rms), "tau": tau}
-    step = step_of("update", today, facts, "mean deviation at these poses", before, after)
-    _save(new, options, step, layout)
-    return OK, facts | {"before_mm": before, "after_mm": after}
+    facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
+    _save(new, options, facts, layout)
+    return OK, facts
 
 
 def move(options):
@@ -116,9 +116,8 @@ def move(options):
         f"The corrections are now of {new_mm:.3f} mm (rms over all poses), before {old_mm:.3f} mm."
     )
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    _save(
-        new, options, step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
-    )
+    facts = step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
+    _save(new, options, facts)
     return OK, facts
 
 

@@ -67,7 +67,7 @@ WORDS = {
         "--modified --probe --up --sign --zero --into --out --picture",
     ),
     "plan": (
-        "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
+        "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
         "raacmm plan --arm my_arm.json --out plan",
         "--arm --out --cones --poses --lean",
     ),

@@ -122,8 +122,7 @@ def render(name, **values):
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
     )  # fmt: skip
-    environment.filters |= {"um": micrometres, "in_um": _in_um, "words": _words, "short": _short}
-    environment.filters["number"] = _number
+    environment.filters |= {"um": micrometres, "in_um": _in_um, "number": _number}
     return environment.get_template(name).render(values)
 
 
@@ -147,18 +146,6 @@ def with_history(page, history):
 def _number(value, digits):
     """A number with so many digits: no minus before zero, and words for what nobody has stated."""
     return "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def _words(name):
-    """Name of a fact as words, with its unit behind a comma."""
-    return re.sub(r" (mm|deg)$", r", \1", name.replace("_", " "))
-
-
-def _short(value):
-    """A fact of a step as text."""
-    if isinstance(value, list):
-        return ", ".join(map(_short, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _in_um(sentence):

@@ -22,14 +22,7 @@ from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import (
-    Finding,
-    encode_groups,
-    floats,
-    ignored_findings,
-    listed,
-    report_findings,
-)
+from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -235,12 +228,7 @@ def _regions(points):
     if len(np.unique(points, axis=0)) < n_regions:
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")
     codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
-    names = np.array([f"region {i + 1:02d}" for i in range(n_regions)])
-    said = (
-        f"No row names a position: {names[0]} to {n_regions}, of neighbouring points, replace them."
-    )
-    report_findings([Finding("regions", said, weight="note")])
-    return names[codes]
+    return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
 def model_for(model, arm, causes=()):
