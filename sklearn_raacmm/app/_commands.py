@@ -51,7 +51,9 @@ from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
-_REGIONS = ["No row names its position: regions of neighbouring points, 01 to 10, take their place."]
+_REGIONS = [
+    "No row names its position: regions of neighbouring points, 01 to 10, take their place."
+]
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 

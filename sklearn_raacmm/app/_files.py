@@ -57,11 +57,6 @@ def load_correction(source):
     folder = Path(source)
     if folder.is_file():
         folder = folder.parent
-    if (folder / "model.joblib").is_file() and not (folder / "model.skops").is_file():
-        raise TableError(
-            f"--model: {folder} has no model.skops. Only these are loaded, since other files can "
-            "run code: install skops (pip install skops) and learn again."
-        )
     try:
         return Correction.load(folder)
     except (ValueError, OSError) as error:

@@ -4,11 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
-from io import BytesIO
 from pathlib import Path
 from typing import Any
-
-import joblib
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
@@ -48,25 +45,24 @@ TRUSTED_TYPES = [
 ]
 
 
-def dump_model(model: Any) -> tuple[str, bytes]:
-    """Name and contents of the file of a fitted model; without skops a joblib file."""
+def _skops():
+    """The module that reads and writes models without running code of theirs."""
     try:
         import skops.io
     except ImportError:
-        file = BytesIO()
-        joblib.dump(model, file)
-        return "model.joblib", file.getvalue()
-    return "model.skops", skops.io.dumps(model)
+        raise ImportError("To save or load a model, install skops: pip install skops.") from None
+    return skops.io
+
+
+def dump_model(model: Any) -> bytes:
+    """Contents of the file of a fitted model."""
+    return _skops().dumps(model)
 
 
 def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
     """Fitted model of a skops file of this folder, which such a version has written."""
     try:
-        import skops.io
-    except ImportError:
-        raise ImportError("To load a model, install skops: pip install skops.") from None
-    try:
-        return skops.io.loads(content, trusted=TRUSTED_TYPES)
+        return _skops().loads(content, trusted=TRUSTED_TYPES)
     except Exception as error:  # of a file of another version, anything
         raise ValueError(
             f"{folder} was written by {written_by}, whose model this version, {__version__}, "

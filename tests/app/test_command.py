@@ -291,7 +291,7 @@ def test_a_model_that_can_run_code_is_not_loaded(learned, tmp_path, capsys):
     shutil.copy(folder / "model.skops", tmp_path / "model.joblib")
     log = str(folder.parent / "log.csv")
     assert main(["correct", log, "--model", str(tmp_path), "--out", "x.csv"]) == 2
-    assert "has no model.skops. Only these are loaded" in capsys.readouterr().err
+    assert "model.skops is missing, the one that" in capsys.readouterr().err
 
 
 def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
