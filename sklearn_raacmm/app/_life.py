@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import io
+import json
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -158,7 +159,7 @@ def check(options):
         worth = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
         step = step_of("check", today, facts, *worth)
         save_step(saved, files[0].parent, step, _page_of(options))
-    except OSError as error:
+    except (OSError, ValueError) as error:
         print_notes([f"This check is not in the history of {files[0].parent}: {error}"])
     return (CHANGED if changed else OK), facts
 
@@ -351,7 +352,8 @@ def _page_of(options):
 
 def _refuse_other_writers(saved, folder):
     """Refuse to replace what another process has written since the correction was read."""
-    if load_correction(folder).facts.get("fingerprint") != saved.facts.get("fingerprint"):
+    now = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    if now.get("fingerprint") != saved.facts.get("fingerprint"):
         raise TableError(f"{folder} was changed by another process meanwhile: run this again.")
 
 
