@@ -318,13 +318,24 @@ def save_step(correction, out, step, page="", contents=()):
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
     card = describe(correction.model)
-    card["findings"] = [f"{finding.weight}: {finding}" for finding in correction.findings]
-    card |= {name: correction.facts[name] for name in ("training",) if name in correction.facts}
-    steps = "".join(f"- {one['date']}: {one['what']}\n" for one in history)
+    findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
+    known = {"findings": findings, "training": correction.facts.get("training")}
+    card |= {name: fact for name, fact in known.items() if fact}
+    steps = "".join(f"- {_short(one)}\n" for one in history)
     card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
     card += f"\n## History\n\n{steps}"
     contents = {"report.html": with_history(page, history), "card.md": card, **dict(contents)}
     return correction.save(out, contents)
+
+
+def _short(step):
+    """A step on one line."""
+    said = f"{step['date']}: {step['what']}"
+    if "poses" in step:
+        said += f", {step['n_poses']} poses ({step['poses'][:16]})"
+    if "measure" in step:
+        said += f", {step['measure']} {step['before_mm']:.4f} -> {step['after_mm']:.4f} mm"
+    return said
 
 
 def _save(correction, options, step, layout=None):

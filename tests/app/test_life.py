@@ -175,7 +175,9 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     heads = re.findall(r"<h\d>(.*?)(?:, \d.*)?</h\d>", page)
     assert heads == ["3. check", "2. move", "1. update", "Learnt"]
     card = (out / "card.md").read_text(encoding="utf-8")
-    assert re.search(r"\n\n- [-0-9]+: update\n- [-0-9]+: move\n- [-0-9]+: check\n$", card)
+    steps = [line.split(": ", 1)[1] for line in card.split("## History\n\n")[1].splitlines()]
+    assert steps[0].startswith(f"update, 40 poses ({step['poses'][:16]}), mean deviation at these")
+    assert [one.split(",")[0] for one in steps] == ["update", "move", "check"]
 
 
 def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
