@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import contextlib
 import io
 import json
 from dataclasses import replace
@@ -348,7 +349,7 @@ def _save(correction, options, step, layout=None):
         contents["corrected.csv"] = file.getvalue().encode(layout.source.encoding)
     if not options.out:
         _refuse_other_writers(correction, out)
-    if (out / "corrected.csv").is_file():
+    with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
         (out / "corrected.csv").replace(aside)
         print(f"The corrected points of before are now in {aside.name}.")
     written = save_step(correction, out, step, _page_of(options), contents)
