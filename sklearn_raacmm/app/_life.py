@@ -160,7 +160,7 @@ def check(options):
         worth = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
         step = step_of("check", today, facts, *worth)
         save_step(saved, files[0].parent, step, _page_of(options))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ImportError) as error:
         print_notes([f"This check is not in the history of {files[0].parent}: {error}"])
     return (CHANGED if changed else OK), facts
 
@@ -240,6 +240,7 @@ def _open_correction(options):
     out = Path(options.out) if options.out else files[0].parent
     read = [getattr(options, "table", None), *(files * bool(options.out))]
     check_places([out / name for name in WRITTEN], filter(None, read))
+    with_history("", [])  # what the report needs is missed before the work, if it is missing
     return load_correction(options.model)
 
 

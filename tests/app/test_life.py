@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import sys
 from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
@@ -180,6 +181,21 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     assert [one.split(",")[0] for one in steps] == ["update", "move", "check"]
 
 
+def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):
+    """Nothing is begun that cannot be written; a check has its answer all the same."""
+    out = tmp_path / "out"
+    Correction.load(folder / "cones").save(out)
+    before = (out / "correction.json").read_bytes()
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    monkeypatch.setattr(Correction, "update", None)
+    code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
+    assert (code, "Pages need jinja2: pip install jinja2." in printed) == (2, True)
+    code, printed = run(capsys, "check", folder / "new.csv", "--model", out)
+    assert code in (0, 3)
+    assert "This check is not in the history of" in printed
+    assert (out / "correction.json").read_bytes() == before
+
+
 def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
     """In another order, and with other digits, they are the same."""
     words = ["--model", folder / "cones", "--out", tmp_path / "out"]
@@ -354,7 +370,7 @@ def test_fewer_columns_are_the_first_of_all(folder, tmp_path, capsys):
     for std in ("no", "point", "all"):
         out = tmp_path / f"{std}.csv"
         words = ["correct", folder / "new.csv", "--model", folder / "cones", "--std", std]
-        assert run(capsys, *words, "--out", out)[0] == 0
+        assert run(capsys, *words, "--out", out, "--quiet") == (0, "")
         found[std] = pd.read_csv(out, sep=";")
     assert [len(found[std].columns) for std in found] == [10, 13, 17]
     for std in ("no", "point"):
