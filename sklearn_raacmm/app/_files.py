@@ -106,15 +106,12 @@ def _corrected(correction, X, block, options, std):
         rows = slice(None) if tool is None else tools == tool
         with numbered_rows(block.rows[rows]):
             one = correction if tool is None else correction.with_tool(tool)
-            new[rows] = _columns_of(one, X[rows], std)
+            if std == "no":  # without standard deviations it takes less time
+                joints = X[rows, : one.arm.n_joints]
+                new[rows] = one.arm.forward(joints) - one.model.predict(X[rows])
+            else:
+                new[rows] = one.columns(X[rows])[:, : new.shape[1]]
     return new
-
-
-def _columns_of(correction, X, std):
-    """The new columns that are asked for: without standard deviations they take less time."""
-    if std == "no":
-        return correction.arm.forward(X[:, : correction.arm.n_joints]) - correction.model.predict(X)
-    return correction.columns(X)[:, : _N_COLUMNS[std]]
 
 
 @contextmanager

@@ -109,9 +109,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--model": {"required": True, "help": "folder written by raacmm learn"},
     "--out": {"required": True, "help": "folder to write into"},
     "correct --out": {"required": True, "help": "CSV to write; - is the standard output"},
-    "register --out": _FOLDER,
-    "update --out": _FOLDER,
-    "move --out": _FOLDER,
+    **dict.fromkeys(("register --out", "update --out", "move --out"), _FOLDER),
     "demo --out": {"default": "raacmm-demo", "help": "folder to write into (raacmm-demo)"},
     "arm --out": {"help": "file to write, JSON or what --into names; - is the standard output"},
     # -- the table

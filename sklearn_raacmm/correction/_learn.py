@@ -256,7 +256,7 @@ def _say_what_moved(data, calibration, model, noise, rows):
 
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    calibration = data.calibrate_all()
+    calibration = data.calibrate()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
     if scatter <= MUCH_SCATTER_MM:
         return calibration
