@@ -25,6 +25,7 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
 )
+from sklearn_raacmm.correction._files import dump_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
 from sklearn_raacmm.utils import _versioned
@@ -188,7 +189,20 @@ def test_skops_needs_no_other_trust(skops, fitted, data):
             skops.loads(text)
         loaded = skops.loads(text, trusted=TRUSTED_TYPES)
         np.testing.assert_array_equal(loaded.predict(data.data), model.predict(data.data))
-    assert needed == set(TRUSTED_TYPES)
+    public = {name for name in TRUSTED_TYPES if "._" not in name}
+    assert needed == set(TRUSTED_TYPES) - public
+    assert {re.sub(r"\._\w+", "", name) for name in needed} == public
+
+
+def test_the_file_of_a_folder_has_public_names(skops, fitted, data):
+    """Whichever module of a subpackage a class stands in, the file is read."""
+    for model in fitted.values():
+        text = dump_model(model)
+        names = skops.get_untrusted_types(data=text)
+        assert names
+        assert not [name for name in names if "._" in name]
+        loaded = skops.loads(text, trusted=TRUSTED_TYPES)
+        np.testing.assert_array_equal(loaded.predict(data.data), model.predict(data.data))
 
 
 def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):

@@ -4,8 +4,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import re
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
@@ -27,7 +30,7 @@ _FORMAT = 2
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
 TRUSTED_TYPES = [
-    f"{kind.__module__}.{kind.__qualname__}"
+    f"{module}.{kind.__qualname__}"
     for kind in (
         Arm,
         Arm.azimuth,
@@ -42,7 +45,10 @@ TRUSTED_TYPES = [
         RBFNetRegressor,
         Terms,
     )
+    for module in (kind.__module__, kind.__module__.rpartition(".")[0])
 ]
+# The module in the name of a class of ours in a skops file, behind that of its subpackage.
+_PRIVATE = re.compile(rb'(?<="__module__": )("sklearn_raacmm\.\w+)\._\w+(?=")')
 
 
 def _skops():
@@ -55,8 +61,15 @@ def _skops():
 
 
 def dump_model(model: Any) -> bytes:
-    """Contents of the file of a fitted model."""
-    return _skops().dumps(model)
+    """Contents of the file of a fitted model, with the public names of our classes.
+
+    Those of modules would change with every file that is moved.
+    """
+    file = BytesIO()
+    with ZipFile(BytesIO(_skops().dumps(model))) as made, ZipFile(file, "w") as named:
+        for entry in made.infolist():
+            named.writestr(entry, _PRIVATE.sub(rb"\1", made.read(entry)))
+    return file.getvalue()
 
 
 def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
