@@ -3,22 +3,27 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import importlib
 import io
 import shlex
 import sys
 import webbrowser
 from contextlib import nullcontext
+from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
+from sklearn_raacmm.app._arms import take
 from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._figures import draw_plan
 from sklearn_raacmm.app._files import (
+    WRITTEN,
     correction_files,
     find_cause_columns,
     find_rows,
     find_unnamed_probe,
+    in_rad,
     load_arm,
     load_correction,
     open_beside,
@@ -28,21 +33,28 @@ from sklearn_raacmm.app._files import (
     write_corrected,
 )
 from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
+from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import describe_result, judge_limit, list_outliers, report_text
+from sklearn_raacmm.app._report import (
+    describe_result,
+    judge_limit,
+    list_outliers,
+    render,
+    report_text,
+)  # fmt: skip
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.correction import learn_correction
+from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
-# What `learn` writes, as its last line names it; the endings of files that no CSV may have.
-_WRITTEN = (
-    "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
-)  # fmt: skip
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
+_REGIONS = [
+    "No row names its position: regions of neighbouring points, 01 to 10, take their place."
+]
+# Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 
@@ -50,9 +62,11 @@ def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
     _check_learning(options)
     arm = load_arm(options.arm, options.base, options.tip)
+    for code in options.take or ():
+        arm = take(arm, code)
     layout = find_rows(options, arm)
     table = layout.read()
-    print_notes(table.notes)
+    print_notes(table.notes + _REGIONS * (table.positions is None))
     lengths = [parse_length(text) for text in options.length or ()]
     lengths += read_places(options.places, options.length_sd) if options.places else []
     lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
@@ -83,13 +97,16 @@ def learn(options):
     facts = {"file": Path(options.table).name} | {k: v for k, v in named.items() if v}
     report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
-    contents = {
-        "report.html": report,
-        "card.md": f"{describe_result(result)}\n## Verdict\n\n- {result.verdict}\n",
-        "corrected.csv": corrected.getvalue().encode(layout.source.encoding),
-    }
-    result.save(options.out, contents)
-    _print_result(result, table.rows, options)
+    contents = {"corrected.csv": corrected.getvalue().encode(layout.source.encoding)}
+    today = replace(table, angles=in_rad(table))
+    before, after = (result.scores.summary[when][0] for when in ("before", "after"))
+    step = step_of("learn", today, facts, result.scores.measure, before, after)
+    training = describe_result(result)["training"]
+    training.pop("hull_corners_mm", None)
+    taught = replace(result, facts=result.facts | {"training": training})
+    _print_result(result, table.rows, options)  # before what may fail
+    save_step(taught, options.out, step, report, contents)
+    print(f"Written to {options.out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
     code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
@@ -104,19 +121,13 @@ def _check_learning(options):
         raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
     if options.limit_2s is not None and options.points:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
-    missing = []
-    for name in ("jinja2", "matplotlib", "skops"):
-        try:
-            importlib.import_module(name)
-        except ImportError:
-            missing.append(name)
-    if missing:
+    if missing := [name for name in ("jinja2", "matplotlib", "skops") if not find_spec(name)]:
         raise TableError(
             f"{' and '.join(missing)} must be installed for the report and the model's file: "
             f"pip install {' '.join(missing)}."
         )
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
-    check_places([out / name for name in _WRITTEN], filter(None, read))
+    check_places([out / name for name in WRITTEN], filter(None, read))
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
 
@@ -132,7 +143,6 @@ def _print_result(result, row_numbers, options):
     print(f"\n{verdict}")
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
-    print(f"Written to {options.out}: {', '.join(_WRITTEN)}")
 
 
 def correct(options):
@@ -194,6 +204,29 @@ def export(options):
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}
+
+
+def plan(options):
+    """Plan a first single-point test for an arm, and write the sheet of it."""
+    out = Path(options.out)
+    paths = {name: out / name for name in ("plan.html", "plan.csv")}
+    check_places(paths.values(), [options.arm])
+    arm = load_arm(options.arm)
+    found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean)
+    out.mkdir(parents=True, exist_ok=True)
+    names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
+    poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))
+    lines = [",".join(["cone", *names])]
+    lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
+    shown = {"plan": found, "names": names, "poses": poses}
+    page = render("_plan.html", arm=repr(arm), figure=draw_plan(arm, found), **shown)
+    write_whole({paths["plan.csv"]: "\n".join(lines) + "\n", paths["plan.html"]: page})
+    print(
+        f"{options.cones} cones, {options.poses} poses in each: about {found.minutes:.0f} minutes."
+    )
+    print("What matters is that the cones are spread over the places where you will measure.")
+    print(f"Written to {out}: plan.html, plan.csv")
+    return 0, {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
 
 
 def demo(options):

@@ -5,7 +5,7 @@
 
 import csv
 import os
-import sys
+import warnings
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -29,6 +29,10 @@ _NEW_COLUMNS = (
     *(f"sd {axis} within position [mm]" for axis in "xyz"),
     "sd of 1 m [mm]",
 )
+# What `learn` and the later words write into a folder.
+WRITTEN = (
+    "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
+)  # fmt: skip
 # How many of them there are by `--std`.
 _N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 
@@ -53,11 +57,6 @@ def load_correction(source):
     folder = Path(source)
     if folder.is_file():
         folder = folder.parent
-    if (folder / "model.joblib").is_file() and not (folder / "model.skops").is_file():
-        raise TableError(
-            f"--model: {folder} has no model.skops. Only these are loaded, since other files can "
-            "run code: install skops (pip install skops) and learn again."
-        )
     try:
         return Correction.load(folder)
     except (ValueError, OSError) as error:
@@ -102,36 +101,35 @@ def write_corrected(layout, correction, options, in_order, file, std="all"):
 
 def _corrected(correction, X, block, options, std):
     """The new columns of a block, each row by its probe."""
-    tools = read_tools(block, options)
-    if tools is None:
-        with numbered_rows(block.rows):
-            return _columns_of(correction, X, std)
-    new = np.empty((len(X), _N_COLUMNS[std]))
-    for tool in np.unique(tools):
-        rows = tools == tool
+    tools, new = read_tools(block, options), np.empty((len(X), _N_COLUMNS[std]))
+    for tool in [None] if tools is None else np.unique(tools):
+        rows = slice(None) if tool is None else tools == tool
         with numbered_rows(block.rows[rows]):
-            new[rows] = _columns_of(correction.with_tool(tool), X[rows], std)
+            one = correction if tool is None else correction.with_tool(tool)
+            if std == "no":  # without standard deviations it takes less time
+                joints = X[rows, : one.arm.n_joints]
+                new[rows] = one.arm.forward(joints) - one.model.predict(X[rows])
+            else:
+                new[rows] = one.columns(X[rows])[:, : new.shape[1]]
     return new
-
-
-def _columns_of(correction, X, std):
-    """The new columns that are asked for: without standard deviations they take less time."""
-    if std == "no":
-        return correction.arm.forward(X[:, : correction.arm.n_joints]) - correction.model.predict(X)
-    return correction.columns(X)[:, : _N_COLUMNS[std]]
 
 
 @contextmanager
 def open_beside(path, encoding):
-    """A text stream whose file gets its name when it is complete."""
+    """A text stream whose file gets its name when it is complete; without it, it is kept."""
     path = Path(path)
     beside = path.with_name(f"{path.name}.{os.getpid():x}.tmp")
     try:
         with open(beside, "w", encoding=encoding, newline="") as file:
             yield file
-        beside.replace(path)
-    finally:
+    except BaseException:
         beside.unlink(missing_ok=True)
+        raise
+    try:
+        beside.replace(path)
+    except OSError as error:
+        said = f"{path} cannot be replaced ({error}); its content is in {beside}."
+        raise OSError(said) from None
 
 
 def in_rad(table):
@@ -140,9 +138,9 @@ def in_rad(table):
 
 
 def print_notes(notes):
-    """Print what the user should know, beside the results."""
+    """Say what the user should know, beside the results; --quiet leaves it out."""
     for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        warnings.warn(note, stacklevel=2)
 
 
 def find_rows(options, arm, labelled=True):

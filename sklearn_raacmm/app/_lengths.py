@@ -48,10 +48,9 @@ def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any
 
 def read_places(path, sd=None):
     """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm."""
+    rows = list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm"))
     try:
-        return lengths_of_places(list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm")))
-    except TableError:
-        raise
+        return lengths_of_places(rows)
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
 

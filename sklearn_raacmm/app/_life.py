@@ -3,6 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import contextlib
+import io
+import json
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -12,6 +15,7 @@ from scipy import stats
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._files import (
+    WRITTEN,
     correction_files,
     find_rows,
     find_unnamed_probe,
@@ -19,8 +23,10 @@ from sklearn_raacmm.app._files import (
     load_correction,
     parse_vector,
     print_notes,
+    write_corrected,
 )
 from sklearn_raacmm.app._lengths import read_lengths
+from sklearn_raacmm.app._report import with_history
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.export import describe
@@ -35,8 +41,8 @@ _FALSE_ALARM = 0.01
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
-# Files of a folder that show what one correction has done.
-_OF_ONE_CORRECTION = ("report.html", "corrected.csv")
+# Steps whose poses the model knows already.
+_LEARNT = {"learn": "taught", "update": "updated"}
 # Parts of the model that have changed by less than this share of what is usual are not named.
 _NAMED_TAU = 0.1
 
@@ -44,13 +50,14 @@ _NAMED_TAU = 0.1
 def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved = _open_correction(options)
-    today, lengths = _read_today(options, saved.arm)
+    layout, today, lengths = _read_today(options, saved.arm)
     new = saved.register(today.angles, today.positions, today.points, lengths)
     y = new.calibration.residuals(today.angles, today.points, today.positions)
     left = _mean_deviation(y - new.model.predict(new.inputs(today.angles)), today.positions)
     usual = _check_left(left, saved, today)
     facts = _print_moves(f"Registered with {_describe_poses(today)}.", saved, new)
-    print(f"Mean deviation {_mean_deviation(y, today.positions):.3f} -> {left:.3f} mm.")
+    before = _mean_deviation(y, today.positions)
+    print(f"Mean deviation {before:.3f} -> {left:.3f} mm.")
     holds = usual is None or left <= _MUCH_MORE * usual
     if usual is None:
         print("The correction was learnt by another kind of measurement: run raacmm check.")
@@ -58,14 +65,15 @@ def register(options):
         print(f"The correction holds with it: {usual:.3f} mm is usual.")
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
-    _save(new, options, "register", facts, today)
-    return (OK if holds else CHANGED), facts | {"left_mm": left}
+    facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
+    _save(new, options, facts, layout)
+    return (OK if holds else CHANGED), facts
 
 
 def update(options):
     """Register, and bring the correction up to date with the same poses."""
     saved = _open_correction(options)
-    today, lengths = _read_today(options, saved.arm)
+    layout, today, lengths = _read_today(options, saved.arm)
     _refuse_used_poses(saved, today)
     measured = today.angles, today.positions, today.points, lengths
     today_is = options.date or date.today().isoformat()
@@ -82,15 +90,17 @@ def update(options):
         return CHANGED, facts
     tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
-    print(f"Changed most, in per cent of its usual size: {', '.join(parts[:4]) or 'nothing'}.")
+    most = ", ".join(parts[:4]) or "nothing"
+    print(f"Changed most, in per cent of its usual size: {most}.")
     rms = np.sqrt(np.mean(np.sum((now - was) ** 2, axis=1)))
     print(
         f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
         f"{before:.3f} -> {after:.3f} mm."
     )
     print("Check it with poses that it was not updated with: raacmm check.")
-    facts |= {"tau": tau, "before_mm": before, "after_mm": after}
-    _save(new, options, "update", facts, today)
+    facts |= {"changed_most": most, "correction_changed_by_mm": float(rms), "tau": tau}
+    facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
+    _save(new, options, facts, layout)
     return OK, facts
 
 
@@ -108,13 +118,15 @@ def move(options):
         f"The corrections are now of {new_mm:.3f} mm (rms over all poses), before {old_mm:.3f} mm."
     )
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    _save(new, options, "move", facts)
+    facts = step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
+    _save(new, options, facts)
     return OK, facts
 
 
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
-    check_places(filter(None, [options.record]), [options.table, *correction_files(options.model)])
+    files = correction_files(options.model)
+    check_places(filter(None, [options.record]), [options.table, *files])
     saved = load_correction(options.model)
     has_causes = hasattr(saved.model, "linear_model_")
     by_spread = saved.facts["measure"] == "2S" and not options.points
@@ -126,25 +138,35 @@ def check(options):
         )
     if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: check with this one."])
-    today, lengths = _read_today(options, saved.arm)
+    _, today, lengths = _read_today(options, saved.arm)
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts, slipped = False, {}, ()
+    changed, facts, slipped, advice = False, {}, (), ""
     if has_causes:
-        changed, facts, slipped = _check_model(saved, today, lengths, rate, options)
+        changed, facts, slipped, advice = _check_model(saved, today, lengths, rate, options)
     if by_spread:
         if slipped:  # they are left out where each position keeps two or more
             kept = np.delete(np.arange(len(today.angles)), slipped)
             if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
                 today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        changed = _check_spread(saved, today, rate, changed, facts)
-    elif not changed:
+        changed = _check_spread(saved, today, rate, changed, facts, advice)
+    elif changed:
+        print(advice)
+    else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         print(f"It holds: {_describe_poses(today)}, {usual}.")
-    return (CHANGED if changed else OK), facts | {"holds": not changed}
+    facts |= {"holds": not changed}
+    try:
+        _refuse_other_writers(saved, files[0].parent)
+        worth = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
+        step = step_of("check", today, facts, *worth)
+        save_step(saved, files[0].parent, step, _page_of(options))
+    except (OSError, ValueError, ImportError) as error:
+        print_notes([f"This check is not in the history of {files[0].parent}: {error}"])
+    return (CHANGED if changed else OK), facts
 
 
 def _check_model(saved, today, lengths, rate, options):
-    """Whether the model sees a change in today's poses, the facts of it, and rows that slipped."""
+    """Whether the model sees a change, the facts of it, rows that slipped, and what to do."""
     found = saved.check(
         today.angles, today.positions, today.points, lengths,
         new_base=options.new_base, false_alarm_rate=rate,
@@ -153,10 +175,10 @@ def _check_model(saved, today, lengths, rate, options):
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
     if not found.holds:
-        advice = found.advice if changed else "That is too little to act on."
+        little = "" if changed else " That is too little to act on."
         print(
             f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual. {advice}"
+            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
         )
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
@@ -165,11 +187,15 @@ def _check_model(saved, today, lengths, rate, options):
         found.append_to(options.record)
         print(f"Appended to {options.record}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-    return changed, {name: getattr(found, name) for name in names}, found.slipped
+    facts = {name: getattr(found, name) for name in names}
+    return changed, facts, found.slipped, found.advice if changed else ""
 
 
-def _check_spread(saved, today, rate, changed, facts):
-    """Whether the mean 2S, or what was found before, shows that the correction does not hold."""
+def _check_spread(saved, today, rate, changed, facts, advice):
+    """Whether the mean 2S, or what was found before, shows that the correction does not hold.
+
+    `advice` is what to do about what was found before: one answer says what to do once.
+    """
     before, after = (
         single_point_repeatability(points, today.positions, aggregate=None)
         for points in (saved.arm.forward(today.angles), saved.correct(today.angles)[0])
@@ -184,16 +210,16 @@ def _check_spread(saved, today, rate, changed, facts):
     if now > max(MUCH_SCATTER_MM, expected):
         print(f"It does not hold: {change}. {_OTHER_ARM}")
     elif now >= was:
-        print(f"It does not hold: {change}. Calibrate and learn again.")
+        print(f"It does not hold: {change}. {advice or 'Calibrate and learn again.'}")
     elif now > expected:
         print(
             f"It helps less than it did: {change}; the mean of {len(after)} positions like those "
             f"that it was judged at would be below {expected:.3f} mm in {1 / rate - 1:.0f} of "
-            f"{1 / rate:.0f} tests. Look at probe and base, or learn again."
+            f"{1 / rate:.0f} tests. {advice or 'Look at probe and base, or learn again.'}"
         )
     else:
         verdict = "It still helps, but something has changed" if changed else "It holds"
-        print(f"{verdict}: {change}; expected below {expected:.3f} mm.")
+        print(f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip())
     return changed or now >= was or now > expected
 
 
@@ -210,22 +236,25 @@ def highest_mean(learnt, n, rate):
 
 def _open_correction(options):
     """The saved correction, where its folder can be written."""
-    out = Path(options.out or options.model)
-    read = [getattr(options, "table", None), *(correction_files(options.model) * bool(options.out))]
-    check_places([out / "correction.json"], filter(None, read))
+    files = correction_files(options.model)
+    out = Path(options.out) if options.out else files[0].parent
+    read = [getattr(options, "table", None), *(files * bool(options.out))]
+    check_places([out / name for name in WRITTEN], filter(None, read))
+    with_history("", [])  # what the report needs is missed before the work, if it is missing
     return load_correction(options.model)
 
 
 def _read_today(options, arm):
-    """What was measured today: its table, the angles in rad, and known lengths."""
+    """What was measured today: where it stands, a table with angles in rad, and known lengths."""
     by_tracker = bool(options.points)
-    table = find_rows(options, arm, labelled=not by_tracker).read()
+    layout = find_rows(options, arm, labelled=not by_tracker)
+    table = layout.read()
     print_notes(table.notes)
     lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit
-    return replace(table, angles=in_rad(table), angle_unit="rad"), lengths
+    return layout, replace(table, angles=in_rad(table), angle_unit="rad"), lengths
 
 
 def _describe_poses(today):
@@ -282,42 +311,85 @@ def _print_moves(title, old, new):
     return facts
 
 
-def _save(correction, options, word, facts, today=None):
-    """Write the folder with what was done added to its history, and put aside what is no longer so.
+def save_step(correction, out, step, page="", contents=()):
+    """Write the folder with a step added to its history, of which report and card tell.
 
-    A report and corrected points of the correction before get another name.
+    `page` is the report so far; `contents` are further files by their names.
     """
-    out = Path(options.out or options.model)
-    done = {"date": date.today().isoformat(), "what": word, **facts}
-    if today is not None:
-        done |= {"n_poses": len(today.angles), "poses": _fingerprint(today)}
-    history = [*correction.facts.get("history", []), done]
+    step = {"date": date.today().isoformat(), **step}
+    history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
-    steps = "".join(f"- {step['date']}: {step['what']}\n" for step in history)
-    card = f"{describe(correction.model)}\n## History\n\n- learnt: {correction.verdict}\n{steps}"
-    written = correction.save(out, {"card.md": card})
+    card = describe(correction.model)
+    findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
+    known = {"findings": findings, "training": correction.facts.get("training")}
+    card |= {name: fact for name, fact in known.items() if fact}
+    steps = "".join(f"- {_short(one)}\n" for one in history)
+    card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
+    card += f"\n## History\n\n{steps}"
+    contents = {"report.html": with_history(page, history), "card.md": card, **dict(contents)}
+    return correction.save(out, contents)
+
+
+def _short(step):
+    """A step on one line."""
+    said = f"{step['date']}: {step['what']}"
+    if "poses" in step:
+        said += f", {step['n_poses']} poses ({step['poses'][:16]})"
+    if "measure" in step:
+        said += f", {step['measure']} {step['before_mm']:.4f} -> {step['after_mm']:.4f} mm"
+    return said
+
+
+def _save(correction, options, step, layout=None):
+    """Write the folder with what was done, and with the points of today where there are any."""
+    out = Path(options.out) if options.out else correction_files(options.model)[0].parent
+    contents, aside = {}, out / f"corrected_before_{step['what']}.csv"
+    if layout is not None:
+        file = io.StringIO(newline="")
+        write_corrected(layout, correction, options, False, file)
+        contents["corrected.csv"] = file.getvalue().encode(layout.source.encoding)
+    if not options.out:
+        _refuse_other_writers(correction, out)
+    with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
+        (out / "corrected.csv").replace(aside)
+        print(f"The corrected points of before are now in {aside.name}.")
+    written = save_step(correction, out, step, _page_of(options), contents)
     print(f"Written to {out}: {', '.join(path.name for path in written)}")
-    aside = []
-    for name in _OF_ONE_CORRECTION:
-        if (path := out / name).is_file():
-            aside.append(path.replace(path.with_stem(f"{path.stem}_before_{word}")))
-    if aside:
-        print(
-            f"{' and '.join(path.name for path in aside)} in it are of the correction before. "
-            "raacmm correct makes new points."
-        )
 
 
-def _fingerprint(today):
-    """Of the angles that were measured: the same poses have the same."""
-    return digest_of(np.ascontiguousarray(today.angles).tobytes())
+def _page_of(options):
+    """The report in the folder of the model, empty where there is none."""
+    path = correction_files(options.model)[0].with_name("report.html")
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+
+def _refuse_other_writers(saved, folder):
+    """Refuse to replace what another process has written since the correction was read."""
+    now = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    if now.get("fingerprint") != saved.facts.get("fingerprint"):
+        raise TableError(f"{folder} was changed by another process meanwhile: run this again.")
+
+
+def step_of(what, today, facts, measure=None, before_mm=None, after_mm=None):
+    """What was done, with which poses, and what it was worth, as plain values."""
+    step = {"what": what}
+    if today is not None:
+        step |= {"n_poses": len(today.angles), "poses": fingerprint_of(today.angles)}
+    if measure is not None:
+        step |= {"measure": measure, "before_mm": float(before_mm), "after_mm": float(after_mm)}
+    return step | facts
+
+
+def fingerprint_of(angles):
+    """Of poses in rad: the same in any order, and written with any further digits."""
+    return digest_of(np.unique(angles.round(6) + 0.0, axis=0).tobytes())
 
 
 def _refuse_used_poses(saved, today):
-    """Refuse poses that have updated this correction before: they would count twice."""
+    """Refuse poses that this correction has been learnt from or updated with: they count once."""
     for step in saved.facts.get("history", []):
-        if step["what"] == "update" and step.get("poses") == _fingerprint(today):
+        if step["what"] in _LEARNT and step.get("poses") == fingerprint_of(today.angles):
             raise TableError(
-                f"these {len(today.angles)} poses have updated this correction on {step['date']}: "
-                "measure new ones."
+                f"these {len(today.angles)} poses have {_LEARNT[step['what']]} this correction on "
+                f"{step['date']}: measure new ones."
             )

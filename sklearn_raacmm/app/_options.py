@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import argparse
+import json
 import re
 from difflib import get_close_matches
 from typing import Any
@@ -27,7 +28,7 @@ WORDS = {
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --length --lengths "
-        f"--places --length-sd {_CAUSES} --like --serial --operator",
+        f"--places --length-sd {_CAUSES} --like --take --serial --operator",
     ),
     "correct": (
         "_commands", "correct a table of any length",
@@ -66,7 +67,7 @@ WORDS = {
         "--modified --probe --up --sign --zero --into --out --picture",
     ),
     "plan": (
-        "_plan", "plan a first test of twenty minutes: a sheet with places and poses",
+        "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
         "raacmm plan --arm my_arm.json --out plan",
         "--arm --out --cones --poses --lean",
     ),
@@ -108,9 +109,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--model": {"required": True, "help": "folder written by raacmm learn"},
     "--out": {"required": True, "help": "folder to write into"},
     "correct --out": {"required": True, "help": "CSV to write; - is the standard output"},
-    "register --out": _FOLDER,
-    "update --out": _FOLDER,
-    "move --out": _FOLDER,
+    **dict.fromkeys(("register --out", "update --out", "move --out"), _FOLDER),
     "demo --out": {"default": "raacmm-demo", "help": "folder to write into (raacmm-demo)"},
     "arm --out": {"help": "file to write, JSON or what --into names; - is the standard output"},
     # -- the table
@@ -150,6 +149,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--like": {
         "nargs": "+", "metavar": "FOLDER",
         "help": "folders of corrections of earlier arms of this make",
+    },
+    "--take": {
+        "action": "append", "metavar": "CODE",
+        "help": "change the arm as a finding proposes: reversed-2-4, other-convention",
     },
     "--serial": {"help": "serial number, for the report"},
     "--operator": {"help": "name, for the report"},
@@ -233,9 +236,11 @@ class _Parser(argparse.ArgumentParser):
     """A parser that asks whether a similar word was meant."""
 
     known: Any = ()
+    as_json = False
 
     def refuse_unknown(self, words):
         """Refuse a mistyped option before the right one is reported as missing."""
+        _Parser.as_json = "--json" in words
         for name in (word.split("=")[0] for word in words):
             if name.startswith("--") and not any(one.startswith(name) for one in self.known):
                 self.error(f"unrecognized arguments: {name}")
@@ -250,6 +255,8 @@ class _Parser(argparse.ArgumentParser):
                 message = f"{given} is an option of {', '.join(words)} only"
             elif near:
                 message = f"{message}. Was {near[0]} meant?"
+        if self.as_json:
+            print(json.dumps({"exit_code": 2, "error": message}))
         super().error(message)
 
 

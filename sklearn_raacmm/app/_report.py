@@ -5,6 +5,7 @@
 
 import datetime
 import platform
+import re
 from importlib.resources import files
 from os import PathLike
 from typing import Any
@@ -103,6 +104,7 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         parameters=_parameters(result.calibration),
         harmonics=_harmonics(result.model),
         outliers=list_outliers(result, row_numbers),
+        doubtful=_doubtful(result, row_numbers),
         row_numbers=row_numbers,
         figures=draw_figures(result, limit_2s),
         most_rows=_MOST_ROWS,
@@ -120,7 +122,7 @@ def render(name, **values):
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
     )  # fmt: skip
-    environment.filters |= {"um": micrometres, "number": lambda v, digits: f"{v:.{digits}f}"}
+    environment.filters |= {"um": micrometres, "in_um": _in_um, "number": _number}
     return environment.get_template(name).render(values)
 
 
@@ -130,6 +132,30 @@ def describe_result(result):
     if result.findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
     return card
+
+
+def with_history(page, history):
+    """A report, or a page without one, with what has happened since at its beginning."""
+    page = page or f'<!DOCTYPE html>\n<meta charset="utf-8">\n{render("_style.html")}<body>\n'
+    page = re.sub(r"(?s)<!-- history -->.*<!-- end of history -->\n?", "", page)
+    head, body, rest = page.partition("<body>\n")
+    steps = [step for step in history if step["what"] != "learn"]
+    return f"{head}{body}{render('_history.html', steps=steps)}{rest}"
+
+
+def _number(value, digits):
+    """A number with so many digits: no minus before zero, and words for what nobody has stated."""
+    return "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _in_um(sentence):
+    """A sentence with its numbers in mm in micrometres, as the tables of the report have them."""
+
+    def changed(match):
+        um = re.sub(r"\d+\.(\d+)", lambda n: f"{1000 * float(n[0]):.{len(n[1]) - 3}f}", match[0])
+        return um.replace(" mm", " µm")
+
+    return re.sub(r"(\d+\.\d{3,4} (->|to) )?\d+\.\d{3,4} mm", changed, sentence)
 
 
 def micrometres(mm):
@@ -170,8 +196,8 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
         word, what = "OPEN", "cannot be told from the limit"
     above = int(np.sum(scores.table["after"] > limit))
     return word, (
-        f"Mean 2S after correction, {micrometres(mean)} µm (95 %: {micrometres(low)} to "
-        f"{micrometres(high)} µm), {what} of {micrometres(limit)} µm; {above} of "
+        f"Mean 2S after correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), {what} of "
+        f"{limit:.4f} mm; {above} of "
         f"{len(scores.table['after'])} positions are above it."
     )
 
@@ -231,6 +257,14 @@ def list_outliers(result, row_numbers=None):
     outliers = result.outliers
     rows = outliers["row"] if row_numbers is None else np.asarray(row_numbers)[outliers["row"]]
     return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
+
+
+def _doubtful(result, row_numbers):
+    """Numbers of the rows that calibration left out, and the error model explains."""
+    rows = np.setdiff1d(
+        np.flatnonzero(result.calibration.sample_weight == 0), result.outliers["row"]
+    )
+    return (rows if row_numbers is None else np.asarray(row_numbers)[rows]).tolist()
 
 
 def _parameters(calibration):

@@ -99,19 +99,10 @@ def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
             rest = poses.at(~out)
             model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
             correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
-    found = [
-        judge(
-            poses.residuals,
-            correction,
-            doubt,
-            one,
-            poses.weights,
-            poses.codes,
-            positions,
-            fading.most,
-        )
-        for one in fadings_for(fading, doubt[poses.weights > 0])
-    ]
+    judged = poses.residuals, correction, doubt
+    known = poses.weights, poses.codes, positions, fading.most
+    fadings = fadings_for(fading, doubt[poses.weights > 0])
+    found = [judge(*judged, one, *known) for one in fadings]
     return min(found, key=lambda one: one[1].mean_after_mm)
 
 

@@ -390,8 +390,7 @@ class Correction:
     ) -> list[Path]:
         """Write the arm, the model and the scores into a folder.
 
-        ``model.skops`` needs skops; without it ``model.joblib`` is written, which only its writer
-        should load. Whatever interrupts the writing, the folder holds the old correction or this.
+        Whatever interrupts the writing, the folder holds the old correction or this.
 
         Parameters
         ----------
@@ -403,16 +402,20 @@ class Correction:
         Returns
         -------
         list of pathlib.Path
-            ``correction.json`` with scores, verdict and versions, ``arm.json``, the model, and the
-            others.
+            ``correction.json`` with scores, verdict and versions, ``arm.json``, ``model.skops``,
+            and the others.
+
+        Raises
+        ------
+        ImportError
+            If skops is not there.
         """
-        name, model = dump_model(self.model)
         base = None
         if self.base is not None:
             rotation, translation = self.base
             base = {"rotation": rotation.tolist(), "translation_mm": translation.tolist()}
-        contents = {"arm.json": self.arm.to_json(), name: model, **(others or {})}
-        return write_folder(folder, self.facts | {"base": base}, contents)
+        contents = {"arm.json": self.arm.to_json(), "model.skops": dump_model(self.model)}
+        return write_folder(folder, self.facts | {"base": base}, contents | dict(others or {}))
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> Self:
@@ -436,7 +439,8 @@ class Correction:
             If skops is not there.
         """
         facts, (arm, model) = read_folder(folder, ["arm.json", "model.skops"])
-        model, base = load_model(folder, model), facts.get("base")
+        model = load_model(folder, model, facts.get("written_by", "another version"))
+        base = facts.get("base")
         if base is not None:
             base = np.array(base["rotation"]), np.array(base["translation_mm"])
         return cls(Arm.from_json(arm), model, base, facts)

@@ -4,12 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import re
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
-import joblib
-
+from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
@@ -29,7 +30,7 @@ _FORMAT = 2
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
 TRUSTED_TYPES = [
-    f"{kind.__module__}.{kind.__qualname__}"
+    f"{module}.{kind.__qualname__}"
     for kind in (
         Arm,
         Arm.azimuth,
@@ -44,30 +45,42 @@ TRUSTED_TYPES = [
         RBFNetRegressor,
         Terms,
     )
+    for module in (kind.__module__, kind.__module__.rpartition(".")[0])
 ]
+# The module in the name of a class of ours in a skops file, behind that of its subpackage.
+_PRIVATE = re.compile(rb'(?<="__module__": )("sklearn_raacmm\.\w+)\._\w+(?=")')
 
 
-def dump_model(model: Any) -> tuple[str, bytes]:
-    """Name and contents of the file of a fitted model; without skops a joblib file."""
+def _skops():
+    """The module that reads and writes models without running code of theirs."""
     try:
         import skops.io
     except ImportError:
-        file = BytesIO()
-        joblib.dump(model, file)
-        return "model.joblib", file.getvalue()
-    return "model.skops", skops.io.dumps(model)
+        raise ImportError("To save or load a model, install skops: pip install skops.") from None
+    return skops.io
 
 
-def load_model(folder: Any, content: bytes) -> Any:
-    """Fitted model of a skops file of this folder."""
+def dump_model(model: Any) -> bytes:
+    """Contents of the file of a fitted model, with the public names of our classes.
+
+    Those of modules would change with every file that is moved.
+    """
+    file = BytesIO()
+    with ZipFile(BytesIO(_skops().dumps(model))) as made, ZipFile(file, "w") as named:
+        for entry in made.infolist():
+            named.writestr(entry, _PRIVATE.sub(rb"\1", made.read(entry)))
+    return file.getvalue()
+
+
+def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
+    """Fitted model of a skops file of this folder, which such a version has written."""
     try:
-        import skops.io
-    except ImportError:
-        raise ImportError("To load a model, install skops: pip install skops.") from None
-    try:
-        return skops.io.loads(content, trusted=TRUSTED_TYPES)
+        return _skops().loads(content, trusted=TRUSTED_TYPES)
     except Exception as error:  # of a file of another version, anything
-        raise ValueError(f"{folder} cannot be loaded: {error}") from None
+        raise ValueError(
+            f"{folder} was written by {written_by}, whose model this version, {__version__}, "
+            f"cannot read: learn again, or install the other version. ({error})"
+        ) from None
 
 
 def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -> Any:
@@ -110,9 +123,10 @@ def _read_facts(path):
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
         files, version = facts["files"], facts.get("format", 1)
-        known = version == 1 or (version == _FORMAT and facts["fingerprint"] == _fingerprint(facts))
+        unmarked = version == 1 and "fingerprint" not in facts
+        known = unmarked or (version == _FORMAT and facts["fingerprint"] == _fingerprint(facts))
         files.get("arm.json")
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ValueError(f"{path} holds no correction: learn again.") from None
     if known:
         return facts

@@ -28,6 +28,14 @@ from sklearn_raacmm.utils import (
     report_findings,
 )
 
+_CONSTRAINTS = {
+    "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
+    "model": [param_checks.HasMethods(["fit", "predict", "get_params"]), None],
+    "cv": ["cv_object"],
+    "n_jobs": [Integral, None],
+    "progress": [callable, None],
+}
+
 
 def learn_correction(
     arm: Arm,
@@ -140,22 +148,9 @@ def learn_correction(
     ((5, 3), (5, 3))
     """
     # `validate_params` would name this function where a parameter of the model is wrong.
+    given = {"angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs}
     param_checks.validate_parameter_constraints(
-        {
-            "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
-            "model": [param_checks.HasMethods(["fit", "predict", "get_params"]), None],
-            "cv": ["cv_object"],
-            "n_jobs": [Integral, None],
-            "progress": [callable, None],
-        },
-        {
-            "angle_unit": angle_unit,
-            "model": model,
-            "cv": cv,
-            "n_jobs": n_jobs,
-            "progress": progress,
-        },
-        caller_name="learn_correction",
+        _CONSTRAINTS, given | {"progress": progress}, caller_name="learn_correction"
     )
 
     def inside():
@@ -261,7 +256,7 @@ def _say_what_moved(data, calibration, model, noise, rows):
 
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    calibration = data.calibrate_all()
+    calibration = data.calibrate()
     reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
     if scatter <= MUCH_SCATTER_MM:
         return calibration

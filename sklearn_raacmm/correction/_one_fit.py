@@ -115,19 +115,15 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
-    def calibrate(self, rows):
-        points, tools = _at(rows, self.points), _at(rows, self.tools)
-        data = self.angles[rows], self.positions[rows], points, tools
-        return self._calibrated(*data, self.lengths_among(rows))
-
-    def calibrate_all(self):
-        """Calibrate on all rows, as they were given."""
+    def calibrate(self, rows=None):
+        """Calibrate on some rows; on None on all, as they were given."""
         angles, positions, points, tools = self.given
-        return self._calibrated(angles, positions, points, tools, self.lengths)
-
-    def _calibrated(self, angles, positions, points, tools, lengths):
+        if rows is not None:
+            angles, positions = self.angles[rows], self.positions[rows]
+            points, tools = _at(rows, self.points), _at(rows, self.tools)
         if points is not None:
             return calibrate(self.arm, angles, points=points, tools=tools)
+        lengths = self.lengths if rows is None else self.lengths_among(rows)
         return calibrate(self.arm, angles, positions, lengths=lengths, tools=tools)
 
     def residuals(self, calibration, rows):

@@ -119,7 +119,7 @@ class CorrectionScores:
 
     def _cells(self):
         """Header and rows of the table as texts, cone 2 before cone 10."""
-        of_points = (f"{name} {when}, mm" for name in (self.measure, "maximum") for when in _WHEN)
+        of_points = (f"{self.measure} before, mm", "after", "maximum before", "after")
         rows = list(zip(*self.table.values(), strict=True))
         rows = [rows[i] for i in natural_order(self.table["position"])]
         texts = [[*map(str, row[:2]), *(f"{value:.4f}" for value in row[2:])] for row in rows]

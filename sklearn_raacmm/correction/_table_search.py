@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import Any
 
@@ -43,6 +43,13 @@ class TableChange:
         Columns of the angles, from 0, in the order that the arm has its joints.
     angle_unit : {"rad", "deg"}
         Unit that the angles then are in.
+    options : str
+        What to add to ``raacmm learn`` for it.
+    first_point : tuple of float
+        Where the first row then is in the base frame, mm.
+    equals : tuple of TableChange
+        Other changes with which the points coincide as well, such as that to the mirror image of
+        the arm. Where a point is tells them apart.
     """
 
     change: str
@@ -51,12 +58,23 @@ class TableChange:
     arm: Arm
     columns: tuple[Any, ...]
     angle_unit: str
+    options: str = ""
+    first_point: tuple[float, ...] = ()
+    equals: tuple[Any, ...] = ()
 
     def __str__(self) -> str:
-        return (
+        said = (
             f"With {self.change} the points scatter by {self.scatter_mm:.2g} mm instead of "
-            f"{self.scatter_given_mm:.3g}."
+            f"{self.scatter_given_mm:.3g} (raacmm learn {self.options})."
         )
+        places = [
+            f"{one.change}, {', '.join(f'{mm:.0f}' for mm in one.first_point)} ({one.options})"
+            for one in (self, *self.equals)
+        ]
+        if self.equals:
+            said += " Others do it as well; x, y and z of the first row in mm tell which is right: "
+            said += f"{'; '.join(places)}."
+        return said
 
 
 def search_table(
@@ -121,13 +139,32 @@ def search_table(
     best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
     best = sorted(best, key=lambda entry: entry[1:3])[:_CALIBRATED]
     found = []
-    for _, _, change, other, columns, unit in [*best, *ranked[:1]]:
+    # A mirror image of the arm coincides as well, but for what calibration has to find.
+    for _, _, change, other, columns, unit in [
+        *best,
+        *(entry for entry in ranked[:3] if entry not in best),
+    ]:
         scatter = _scatter(other, raw[:, columns], positions, points, unit)
-        found.append(TableChange(change, scatter, given, other, tuple(columns), unit))
+        with ignored_findings():
+            where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
+        options = _options(arm, other, columns, None if unit == angle_unit else unit)
+        parts = change, scatter, given, other, tuple(columns), unit, options, tuple(where)
+        found.append(TableChange(*parts))
     least = min(entry.scatter_mm for entry in found)
     if least > _WORTH_SAYING * given:
         return None
-    return next(entry for entry in found if entry.scatter_mm <= _ABOUT_THE_SAME * least)
+    first, *equals = (one for one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
+    return replace(first, equals=tuple(equals))
+
+
+def _options(arm, other, columns, unit):
+    """Options of `raacmm learn` that change an arm, the order of its angles and their unit."""
+    reversed_ = np.flatnonzero(arm.joint_signs != other.joint_signs) + 1
+    words = ["--take " + "-".join(["reversed", *map(str, reversed_)])] if len(reversed_) else []
+    words += ["--take other-convention"] if arm.convention != other.convention else []
+    if columns != sorted(columns):
+        words.append(f"--angles with the columns {','.join(str(i + 1) for i in columns)}")
+    return " ".join([*words, *([f"--unit {unit}"] if unit else [])])
 
 
 def _scatter(arm, angles, positions, points, unit):

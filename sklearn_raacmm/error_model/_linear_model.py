@@ -12,6 +12,7 @@ import numpy as np
 from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
+    LOAD,
     Terms,
     factored_columns,
     other_columns,
@@ -106,6 +107,7 @@ class LinearModel:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
+        others = other_columns(self.arm, self.terms)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
         shapes["gauge_free_half"] = ("columns", "rank")
         shapes["fading_half"] = ("columns", "fading")
@@ -115,7 +117,16 @@ class LinearModel:
                 f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
                 f"{self.arm.n_joints}."
             )
-        n = 2 * len(pairs) + len(other_columns(self.arm, self.terms))
+        n = 2 * len(pairs) + len(others)
+        # Files of before tubes sloped at their ends have no columns for it: these explain nothing.
+        ends = [c.kind == LOAD and c.load < c.frame for c in others]
+        slopes = 2 * len(pairs) + np.flatnonzero(ends)
+        if np.shape(self.coef) == (n - len(slopes),):
+            kept = np.delete(np.arange(n), slopes)
+            for name in ("coef", "half", "gauge_free_half", "fading_half"):
+                values = np.zeros((n, *np.shape(state[name])[1:]))
+                values[kept] = state[name]
+                vars(self)[name] = values
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
     @property

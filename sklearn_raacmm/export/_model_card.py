@@ -50,7 +50,7 @@ class ModelCard(dict[str, Any]):
                 lines.append(f"- {_words(key)}: {_short(value)}")
                 continue
             lines += ["", f"## {_words(key)}", ""]
-            # The arm in full digits: its table is what the corrections belong to.
+            # The arm to 1e-9 mm and rad: its table is what the corrections belong to.
             digits = 17 if key == "arm" else 6
             for name, fact in value.items():
                 if name != "hull_corners_mm":
@@ -67,7 +67,7 @@ def _words(key):
 
 def _short(value, digits=6):
     if isinstance(value, float):
-        return repr(value) if digits >= 17 else f"{value:.{digits}g}"
+        return repr(round(value, 9) + 0.0) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
         return ", ".join(_short(entry, digits) for entry in value)
     if isinstance(value, dict):

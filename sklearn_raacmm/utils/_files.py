@@ -41,21 +41,16 @@ def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
             raise IsADirectoryError(f"A file is to be written, but this is a folder: {path}.")
         if place.exists() and not place.is_file():
             raise OSError(f"{path} is no ordinary file, and only such files are written.")
-        if os.name == "nt" and place.exists():
-            _try_to_replace(place)
+        if place.exists():
+            try:  # Windows replaces no file that another program holds open
+                place.replace(place)
+            except OSError as error:
+                raise PermissionError(f"Close {place}: it cannot be replaced ({error}).") from None
         folder = next(above for above in place.resolve().parents if above.exists())
         if not folder.is_dir():
             raise NotADirectoryError(f"{folder} is a file, and no folder for {place.name}.")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(f"Nothing can be written into the folder {folder}.")
-
-
-def _try_to_replace(place):
-    """Refuse a file that another program holds open: on Windows it cannot be replaced."""
-    try:
-        place.replace(place)
-    except OSError as error:
-        raise PermissionError(f"Close {place}: it cannot be replaced ({error}).") from None
 
 
 def digest_of(content: str | bytes) -> str:

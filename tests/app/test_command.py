@@ -291,7 +291,7 @@ def test_a_model_that_can_run_code_is_not_loaded(learned, tmp_path, capsys):
     shutil.copy(folder / "model.skops", tmp_path / "model.joblib")
     log = str(folder.parent / "log.csv")
     assert main(["correct", log, "--model", str(tmp_path), "--out", "x.csv"]) == 2
-    assert "has no model.skops. Only these are loaded" in capsys.readouterr().err
+    assert "model.skops is missing, the one that" in capsys.readouterr().err
 
 
 def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
@@ -301,6 +301,16 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     monkeypatch.setattr(_arms, "arm", full)
     assert main(["arm", "aacmm6"]) == 2
     assert capsys.readouterr().err == "raacmm arm: /out/arm.svg: no space left on device.\n"
+
+
+def test_an_arm_changed_as_a_finding_proposes():
+    arm = Arm.from_name("aacmm6")
+    take = _arms.take
+    assert take(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
+    assert take(take(arm, "other-convention"), "other-convention") == arm
+    for code in ("reversed", "reversed-7", "reversed-x", "sign-1"):
+        with pytest.raises(TableError, match=rf"joints of 1 to 6, .*, got '{code}'"):
+            take(arm, code)
 
 
 def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import sys
 from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correcti
 from sklearn_raacmm.app import main, read_table
 from sklearn_raacmm.app._files import read_tools
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.export import describe
 
 MACHINE = SimulatedArm("typical", random_state=1)
 TURN, SHIFT = Rotation.from_rotvec([0.1, 0.2, 1]).as_matrix(), np.array([1500.0, 300.0, -100.0])
@@ -139,26 +141,93 @@ def test_a_base_that_has_moved_is_named_and_registered(folder, tmp_path, capsys)
 
 
 @pytest.mark.parametrize("learnt", ["cones", "warm"])
-def test_update_keeps_a_history_and_move_takes_a_known_vector(folder, tmp_path, capsys, learnt):
-    words = ["--model", folder / learnt, "--out", tmp_path]
-    code, printed = run(capsys, "update", folder / "more.csv", *words)
+def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learnt):
+    out = tmp_path / "out"
+    Correction.load(folder / learnt).save(out, {"report.html": "<body>\n<h1>Learnt</h1></body>"})
+    (out / "corrected.csv").write_text("points of before")
+    code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
     assert (code, "mean deviation" in printed) == (0, True)
-    saved = Correction.load(tmp_path)
+    saved = Correction.load(out)
     assert len(saved.model.updates_) == 1
-    assert saved.facts["history"][-1]["n_poses"] == 40
-    code, printed = run(capsys, "update", folder / "more.csv", "--model", tmp_path)
-    assert (code, "these 40 poses have updated this correction on 20" in printed) == (2, True)
-    # What shows the correction before gets another name.
-    for name in ("report.html", "corrected.csv"):
-        (tmp_path / name).write_text(name)
-    code, printed = run(capsys, "move", "--model", tmp_path, "--probe", "0,0,250")
+    step = saved.facts["history"][-1]
+    assert (step["what"], step["n_poses"]) == ("update", 40)
+    assert step["after_mm"] < step["before_mm"]
+    # Report, card and points are those of the new model; the points of before are kept.
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.index(f"1. update, {step['date']}") < page.index("<h1>Learnt")
+    for when in ("before", "after"):
+        assert f">{1000 * step[f'{when}_mm']:.1f}</td>" in page
+    fingerprint = describe(saved.model)["fingerprint"]
+    assert fingerprint in (out / "card.md").read_text(encoding="utf-8")
+    points = read_table(out / "corrected.csv", 6, position="cone", points=["x", "y", "z"]).points
+    angles = np.deg2rad(read_table(folder / "more.csv", 6).angles)
+    assert_allclose(points, saved.correct(angles)[0], atol=1e-6)
+    assert (out / "corrected_before_update.csv").read_text() == "points of before"
+    code, printed = run(capsys, "move", "--model", out, "--probe", "0,0,250")
     assert (code, "register the probe" in printed) == (0, True)
-    assert Correction.load(tmp_path).arm.probe.tolist() == [0, 0, 250]
-    assert "report_before_move.html and corrected_before_move.csv in it are of the" in printed
-    assert (tmp_path / "report_before_move.html").read_text() == "report.html"
-    assert not (tmp_path / "report.html").exists()
-    card = (tmp_path / "card.md").read_text(encoding="utf-8")
-    assert re.search(r"- learnt: .*\n- 20[-0-9]+: update\n- 20[-0-9]+: move\n$", card)
+    assert Correction.load(out).arm.probe.tolist() == [0, 0, 250]
+    assert (out / "corrected_before_move.csv").exists()
+    assert not (out / "corrected.csv").exists()
+    code, printed = run(capsys, "check", folder / "new.csv", "--model", out, "--json")
+    assert [step["what"] for step in Correction.load(out).facts["history"]] == [
+        "update", "move", "check",
+    ]  # fmt: skip
+    page = (out / "report.html").read_text(encoding="utf-8")
+    heads = re.findall(r"<h\d>(.*?)(?:, \d.*)?</h\d>", page)
+    assert heads == ["3. check", "2. move", "1. update", "Learnt"]
+    card = (out / "card.md").read_text(encoding="utf-8")
+    steps = [line.split(": ", 1)[1] for line in card.split("## History\n\n")[1].splitlines()]
+    assert steps[0].startswith(f"update, 40 poses ({step['poses'][:16]}), mean deviation at these")
+    assert [one.split(",")[0] for one in steps] == ["update", "move", "check"]
+
+
+def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):
+    """Nothing is begun that cannot be written; a check has its answer all the same."""
+    out = tmp_path / "out"
+    Correction.load(folder / "cones").save(out)
+    before = (out / "correction.json").read_bytes()
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    monkeypatch.setattr(Correction, "update", None)
+    code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
+    assert (code, "Pages need jinja2: pip install jinja2." in printed) == (2, True)
+    code, printed = run(capsys, "check", folder / "new.csv", "--model", out)
+    assert code in (0, 3)
+    assert "This check is not in the history of" in printed
+    assert (out / "correction.json").read_bytes() == before
+
+
+def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
+    """In another order, and with other digits, they are the same."""
+    words = ["--model", folder / "cones", "--out", tmp_path / "out"]
+    assert run(capsys, "update", folder / "more.csv", *words)[0] == 0
+    head, *rows = (folder / "more.csv").read_text().splitlines()
+    again = tmp_path / "again.csv"
+    again.write_text("\n".join([head, *(f"{row}01" for row in rows[::-1])]) + "\n")
+    before = (tmp_path / "out" / "correction.json").read_text()
+    code, printed = run(capsys, "update", again, "--model", tmp_path / "out")
+    assert (code, "these 40 poses have updated this correction on 20" in printed) == (2, True)
+    assert (tmp_path / "out" / "correction.json").read_text() == before
+
+
+def test_two_that_update_at_once_lose_nothing(folder, tmp_path, capsys, monkeypatch):
+    """Whoever read what another has replaced meanwhile writes nothing."""
+    out = tmp_path / "out"
+    Correction.load(folder / "cones").save(out)
+    update = Correction.update
+
+    def meanwhile(self, *args, **options):
+        found = update(self, *args, **options)
+        monkeypatch.setattr(Correction, "update", update)
+        assert main(["move", "--model", str(out), "--probe", "0,0,250"]) == 0
+        return found
+
+    monkeypatch.setattr(Correction, "update", meanwhile)
+    code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
+    assert (code, "was changed by another process meanwhile: run this again" in printed) == (
+        2,
+        True,
+    )
+    assert [step["what"] for step in Correction.load(out).facts["history"]] == ["move"]
 
 
 @pytest.fixture
@@ -278,6 +347,7 @@ def test_radians_under_a_header_of_degrees(folder, in_radians, tmp_path, capsys,
     assert printed.count("(raacmm: --unit rad)") == 1
     if code:
         assert "Look at the unit, order and sense of the angles" in printed
+        assert "Update the correction" not in printed  # one answer says what to do once
         assert not out.exists()
     words = ["correct", in_radians, "--model", folder / "cones", "--unit", "rad", "--out", out]
     found, printed = run(capsys, *words)
@@ -300,7 +370,7 @@ def test_fewer_columns_are_the_first_of_all(folder, tmp_path, capsys):
     for std in ("no", "point", "all"):
         out = tmp_path / f"{std}.csv"
         words = ["correct", folder / "new.csv", "--model", folder / "cones", "--std", std]
-        assert run(capsys, *words, "--out", out)[0] == 0
+        assert run(capsys, *words, "--out", out, "--quiet") == (0, "")
         found[std] = pd.read_csv(out, sep=";")
     assert [len(found[std].columns) for std in found] == [10, 13, 17]
     for std in ("no", "point"):

@@ -120,12 +120,16 @@ def test_every_number_is_one_of_the_result(result, page):
 
 def test_the_page_says_what_it_is_about(result, page):
     text = " ".join(" ".join(read(page).text).split())
+    before, after = (1000 * result.scores.table[when].mean() for when in ("before", "after"))
     for shown in (
-        result.verdict, "<17>", "serial number", "no statement of conformance", "517 1",
-        "of a distance of 1 m", "error of known lengths, largest", "Harmonics of the encoders",
+        f"new positions: 2S {before:.0f} -> {after:.0f} µm, ", "<17>", "serial number",
+        "no statement of conformance", "517 1", "of a distance of 1 m",
+        "error of known lengths, largest", "Harmonics of the encoders",
     ):  # fmt: skip
         assert shown in text, shown
-    assert judge_limit(result.scores, 0.04)[1] in text
+    mean, low, high = (1000 * value for value in result.scores.summary["after"])
+    assert f"correction, {mean:.1f} µm (95 %: {low:.1f} to {high:.1f} µm), is within the" in text
+    assert f"{mean / 1000:.4f} mm (95 %" in judge_limit(result.scores, 0.04)[1]
     assert "Scale: points of one position" not in text  # lengths are known
 
 
@@ -148,6 +152,11 @@ def test_a_tracker_and_a_model_without_harmonics(tmp_path):
     text = " ".join(read(page).text)
     assert "$x^{$3" in page
     assert "mean deviation before" in text
+    # Nobody has stated where the base stands; and zero has no sign.
+    assert text.count("not stated") == 6
+    assert not re.search(r"\bnan\b|-0\.0+\b", text)
+    with_labels = max(map(len, str(result.scores).split("\n")[1:7]))
+    assert with_labels <= 80
     assert "Harmonics" not in text
     assert "Scale:" not in text
     with pytest.raises(ValueError, match="needs a single-point test"):

@@ -1,8 +1,10 @@
 """What is written: the old or the new whole, never an input, and refused before the work."""
 
 import io
+import itertools
 import json
 import os
+import random
 import re
 import shutil
 import subprocess
@@ -12,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm
+from sklearn_raacmm import Arm, Correction
 from sklearn_raacmm.app import main
+from sklearn_raacmm.app._files import open_beside
 from sklearn_raacmm.correction._files import read_folder, write_folder
 from sklearn_raacmm.utils import check_places
 
@@ -102,6 +105,11 @@ def test_a_folder_put_together_by_hand_is_refused(tmp_path):
     (tmp_path / "two" / "correction.json").write_text(json.dumps(facts | {"format": 3}))
     with pytest.raises(ValueError, match=r"has format 3, of a newer version.* reads up to 2"):
         read_folder(tmp_path / "two", ["arm.json"])
+    write_folder(tmp_path / "b", {"written_by": "w 0.0.1"}, {"arm.json": "", "model.skops": b"m"})
+    with pytest.raises(
+        ValueError, match=r"b was written by w 0\.0\.1, whose model this version, .*l"
+    ):
+        Correction.load(tmp_path / "b")
     # Folders of the version before have no fingerprint.
     old = {key: value for key, value in facts.items() if key not in ("format", "fingerprint")}
     (tmp_path / "two" / "correction.json").write_text(json.dumps(old))
@@ -113,32 +121,112 @@ def test_a_folder_put_together_by_hand_is_refused(tmp_path):
             read_folder(tmp_path / "two", ["arm.json"])
 
 
-# Writes folders of one letter, 100 times; or reads, 500 times, what must be of one letter alone.
+# Two processes write folders of one letter each, while this one reads what must be of one alone.
 AT_ONCE = """
-import sys
+import os, sys
 from sklearn_raacmm.correction._files import read_folder, write_folder
-folder, letter = sys.argv[1:]
-contents = dict.fromkeys(("arm.json", "model.skops"), letter * 5000)
-for _ in range(100 if letter != "read" else 0):
-    write_folder(folder, {"x": letter}, contents)
-for _ in range(500 if letter == "read" else 0):
-    facts, contents = read_folder(folder, ["arm.json", "model.skops"])
-    assert set(contents) == {(facts["x"] * 5000).encode()}
+folder, times = sys.argv[1], int(sys.argv[2])
+children = []
+for letter in "ab":
+    children.append(os.fork())
+    if not children[-1]:
+        contents = dict.fromkeys(("arm.json", "model.skops"), letter * 5000)
+        for _ in range(times):
+            write_folder(folder, {"x": letter}, contents)
+        os._exit(0)
+for _ in range(5 * times):
+    facts, found = read_folder(folder, ["arm.json", "model.skops"])
+    assert set(found) == {(facts["x"] * 5000).encode()}
+assert [os.waitpid(child, 0)[1] for child in children] == [0, 0]
 """
 
 
-@pytest.mark.skipif(os.name == "nt", reason="folders have no locks on Windows")
-def test_two_writers_and_a_reader_at_once(tmp_path):
+@pytest.mark.parametrize("times", [20, pytest.param(200, marks=pytest.mark.exhaustive)])
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork, and locks of folders")
+def test_two_writers_and_a_reader_at_once(tmp_path, times):
     write_folder(tmp_path, {"x": "a"}, dict.fromkeys(("arm.json", "model.skops"), "a" * 5000))
     left = tmp_path / f"model.skops.{'0' * 16}.{'1' * 8}.tmp"  # of a process that was killed
     left.write_text("old")
     other = tmp_path / "notes.tmp"
     other.write_text("mine")
-    command = [sys.executable, "-c", AT_ONCE, str(tmp_path)]
-    started = [subprocess.Popen([*command, letter]) for letter in ("a", "b", "read")]
-    assert [process.wait() for process in started] == [0, 0, 0]
+    command = [sys.executable, "-c", AT_ONCE, str(tmp_path), str(times)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
     names = {"correction.json", "arm.json", "model.skops", "notes.tmp"}
     assert {path.name for path in tmp_path.iterdir()} == names
+
+
+# Processes that write folders of one letter by turns, without end, each killed at some moment;
+# prints how often a file was left over, and the letters that were read.
+AT_ANY_MOMENT = """
+import os, random, signal, sys, time
+from pathlib import Path
+from sklearn_raacmm.correction._files import read_folder, write_folder
+folder, n_kills = Path(sys.argv[1]), int(sys.argv[2])
+random.seed(0)
+
+def write(letter):
+    write_folder(folder, {"x": letter}, dict.fromkeys(("arm.json", "model.skops"), letter * 50000))
+
+write("a")
+left, seen = 0, set()
+for _ in range(n_kills):
+    child = os.fork()
+    while not child:
+        write("b"), write("a")
+    time.sleep(random.uniform(0.001, 0.03))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    facts, found = read_folder(folder, ["arm.json", "model.skops"])
+    assert set(found) == {(facts["x"] * 50000).encode()}
+    seen.add(facts["x"])
+    left += any(folder.glob("*.tmp"))
+    write("a")
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"correction.json", "arm.json", "model.skops"}, names
+print(left, *sorted(seen))
+"""
+
+
+@pytest.mark.parametrize("n_kills", [10, pytest.param(50, marks=pytest.mark.exhaustive)])
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
+def test_killed_at_any_moment_the_next_writer_tidies_up(tmp_path, n_kills):
+    command = [sys.executable, "-c", AT_ANY_MOMENT, str(tmp_path / "out"), str(n_kills)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    left, *seen = done.stdout.split()
+    assert int(left) > 0
+    assert seen == ["a", "b"]
+
+
+def edits(facts, rng):
+    """Endless copies of facts and of their text in which one thing is another."""
+    text = json.dumps(facts, indent=1)
+    places = [i for i, letter in enumerate(text) if not letter.isspace()]
+    values = [None, -1, 5, 1e300, "x", [], {}, True, 1]
+    while True:
+        name = rng.choice(sorted(facts))
+        value = rng.choice(values)
+        if json.dumps(value) != json.dumps(facts[name]):
+            yield json.dumps(facts | {name: value})
+        yield json.dumps({key: value for key, value in facts.items() if key != name})
+        yield json.dumps(facts | {f"{name}x": value})
+        at = rng.choice(places)
+        yield text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :]
+        yield text[:at] + text[at + 1 :]
+
+
+def test_whatever_is_edited_is_refused_in_one_sentence(tmp_path):
+    facts = {"std_factor": 1.5, "causes": {"payload": 2.5}, "helps": True, "verdict": "It helps"}
+    write_folder(tmp_path, facts, {"arm.json": "a"})
+    path = tmp_path / "correction.json"
+    written = json.loads(path.read_text())
+    for text in itertools.islice(edits(written, random.Random(0)), 200):
+        path.write_text(text)
+        with pytest.raises((ValueError, OSError)) as caught:
+            read_folder(tmp_path, ["arm.json"])
+        assert str(path) in str(caught.value), text
+        assert "\n" not in str(caught.value)
 
 
 def test_what_cannot_get_its_name_stays_beside_it(tmp_path, monkeypatch):
@@ -187,6 +275,31 @@ def test_places_are_checked_before_the_work(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="is no ordinary file"):
         check_places([tmp_path / "pipe"])
+
+
+def test_a_table_that_another_program_holds_open(tmp_path, monkeypatch):
+    """As on Windows: it is refused before the work, and after it the result is kept."""
+    table, new = tmp_path / "corrected.csv", tmp_path / "new.csv"
+    table.write_text("old")
+    replace = os.replace
+
+    def refuses(source, place, **options):
+        if Path(place).name == table.name:
+            raise PermissionError("in use")
+        return replace(source, place, **options)
+
+    monkeypatch.setattr(os, "replace", refuses)
+    with pytest.raises(
+        PermissionError, match=r"Close .*corrected\.csv: it cannot be rep.*\(in use\)"
+    ):
+        check_places([new, table])
+    with (
+        pytest.raises(OSError, match=r"cannot be replaced \(in use\); its content is in") as caught,
+        open_beside(table, "utf-8") as file,
+    ):
+        file.write("points")
+    beside = re.search(r"content is in (.*)\.$", str(caught.value))[1]
+    assert (table.read_text(), Path(beside).read_text()) == ("old", "points")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
@@ -280,6 +393,9 @@ def test_a_word_nearly_right_is_named(capsys):
         with pytest.raises(SystemExit):
             main(arguments.split())
         assert f"Was {near} meant?" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["lern", "--json"])
+    assert "Was learn meant?" in json.loads(capsys.readouterr().out)["error"]
     with pytest.raises(SystemExit):
         main(["correct", "t", "--model=a", "--out=b", "--points", "x"])
     assert "--points is an option of learn, check, register, update only" in capsys.readouterr().err

@@ -38,6 +38,27 @@ def test_what_was_done_is_named(data, signs, columns, factor, change):
     assert found.scatter_mm == pytest.approx(result.scatter_after_mm, rel=1e-6)
     assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
     assert str(found).startswith(f"With {change} the points scatter by 0.0")
+    reversed_ = [str(i + 1) for i in range(6) if np.resize(signs, 6)[i] < 0]
+    assert ("-".join(["--take reversed", *reversed_]) in found.options) == bool(reversed_)
+    assert ("--unit deg" in found.options) == (factor != 1)
+    assert (f"columns {','.join(str(i + 1) for i in columns or ())}" in found.options) == (
+        columns is not None
+    )
+
+
+def test_the_mirror_image_is_named_beside_it(data):
+    """Roll joints turned round and y the other way: no scatter tells, a place does."""
+    wrong = data.nominal_arm.replace(joint_signs=[1, -1, 1, 1, 1, 1])
+    found = search_table(wrong, data.data, data.groups)
+    (mirror,) = found.equals
+    assert mirror.options == "--take reversed-1-2-3-5"
+    assert mirror.scatter_mm == pytest.approx(found.scatter_mm, rel=0.01)
+    x, y, z = data.arm.forward(data.data[:1])[0]
+    np.testing.assert_allclose(found.first_point, [x, y, z], atol=10)
+    apart = np.linalg.norm(np.subtract(found.first_point, mirror.first_point))
+    assert apart > 20
+    assert f"joint 2 reversed, {found.first_point[0]:.0f}, " in str(found)
+    assert "Others do it as well; x, y and z of the first row in mm tell which is" in str(found)
 
 
 def test_the_other_convention_against_a_tracker():
