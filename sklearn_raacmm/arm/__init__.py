@@ -18,12 +18,14 @@ from sklearn_raacmm.arm._kinematics import (
     probe_points,
     reach_mm,
 )
+from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
 
 __all__ = [
     "FIELDS",
     "MAX_LENGTH_MM",
     "MIN_LENGTH_MM",
     "Arm",
+    "angles_for",
     "arm_for",
     "arm_or_built_in",
     "axis_vectors",
@@ -32,9 +34,11 @@ __all__ = [
     "check_arm",
     "dh_theta",
     "frame_columns",
+    "limits_of",
     "parameter_jacobian",
     "points_of",
     "probe_points",
     "reach_mm",
+    "solve",
     "usual_pose",
 ]

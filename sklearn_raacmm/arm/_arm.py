@@ -17,8 +17,9 @@ from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of
+from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
-from sklearn_raacmm.utils import check_places, html_table, write_whole
+from sklearn_raacmm.utils import check_option, check_places, html_table, write_whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -585,6 +586,58 @@ class Arm:
             vector from the axis to the probe.
         """
         return joint_jacobian(self, check_angles(angles, self.n_joints, angle_unit))
+
+    def angles_for(
+        self,
+        points: ArrayLike,
+        start: ArrayLike | None = None,
+        orientations: ArrayLike | None = None,
+        *,
+        angle_unit: str = "rad",
+    ) -> np.ndarray:
+        """Joint angles that bring the probe to wanted points, by Newton's method.
+
+        Parameters
+        ----------
+        points : array-like of shape (n, 3)
+            In the base frame, mm.
+        start : array-like of shape (n, n_joints) or (1, n_joints), default=None
+            Poses to begin at: of all the angles that reach a point those near the start are taken,
+            within `limits` where the arm has some. None: zero, then 19 random poses.
+        orientations : array-like of shape (n, 3, 3), default=None
+            Rotation matrix that the last frame is to have in the base frame. None: any.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `start` and of what is returned.
+
+        Returns
+        -------
+        angles : ndarray of shape (n, n_joints)
+            ``forward`` of them are the points to 1e-6 mm; NaN where there are none.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit, something is not a finite number, or an orientation no rotation.
+
+        Warns
+        -----
+        UserWarning
+            If points are not reached: how many, the first of them, and how near the probe came.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("ur10")
+        >>> pose = [[0.1, -1.0, 1.2, -0.5, -1.4, 0.3]]
+        >>> to_the_pose = arm.frames(pose)[:, -1, :, :3]
+        >>> arm.angles_for(arm.forward(pose), [[0, -1, 1, 0, -1, 0]], to_the_pose).round(6)
+        array([[ 0.1, -1. ,  1.2, -0.5, -1.4,  0.3]])
+        """
+        check_option("angle_unit", angle_unit, ("rad", "deg"))
+        if start is not None:
+            start = check_angles(start, self.n_joints, angle_unit)
+        angles = angles_for(self, points, start, orientations)
+        return np.rad2deg(angles) if angle_unit == "deg" else angles
 
 
 def _rebuild(params):

@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.arm import Arm, angles_for, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._fading import Fading, Judgement, warn_where_unknown
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._moved import moved_fading, moved_model
-from sklearn_raacmm.error_model._solve import angles_for
+from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
 from sklearn_raacmm.residuals import PointCorrectionMixin
-from sklearn_raacmm.utils import check_flags, floats, warn_user
+from sklearn_raacmm.utils import check_flags
 
 
 class FittedArmModel(PointCorrectionMixin):
@@ -251,7 +250,9 @@ class FittedArmModel(PointCorrectionMixin):
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
-    def angles_for(self, points: ArrayLike, start: ArrayLike) -> np.ndarray:
+    def angles_for(
+        self, points: ArrayLike, start: ArrayLike, orientations: ArrayLike | None = None
+    ) -> np.ndarray:
         """Joint angles that bring the corrected probe to wanted points, by Newton's method.
 
         Parameters
@@ -260,8 +261,13 @@ class FittedArmModel(PointCorrectionMixin):
             In the arm's base frame, mm.
         start : array-like of shape (n, n_joints + n_extra) or (1, n_joints + n_extra)
             Poses to begin at, in the unit that the model takes, such as those of a program that
-            knows nothing of the correction; then the extra columns. Of all the angles that reach a
-            point those near the start are taken, within ``arm_.limits`` where the arm has some.
+            knows nothing of the correction (:meth:`Arm.angles_for`); then the extra columns. Of all
+            the angles that reach a point those near the start are taken, within ``arm_.limits``
+            where the arm has some.
+        orientations : array-like of shape (n, 3, 3), default=None
+            Rotation matrix that the arm's last frame is to have in its base. It is corrected, too,
+            as far as the model knows: what it predicts at probes of other lengths says how much the
+            last link is turned. None: any.
 
         Returns
         -------
@@ -272,7 +278,7 @@ class FittedArmModel(PointCorrectionMixin):
         Raises
         ------
         ValueError
-            If shapes do not fit or something is not a finite number.
+            If shapes do not fit, something is not a finite number, or an orientation no rotation.
 
         Warns
         -----
@@ -292,31 +298,22 @@ class FittedArmModel(PointCorrectionMixin):
         >>> bool(np.abs(model.correct(found) - wanted).max() < 1e-6)
         True
         """
-        points = floats("points", points, 3)
-        start = np.asarray(start, dtype=float)
-        if start.ndim == 2 and len(start) == 1:
-            start = np.repeat(start, len(points), axis=0)
-        X = check_poses(self, start)
-        if len(X) != len(points):
-            raise ValueError(
-                f"start has {len(X)} poses for {len(points)} points: give one, or one each."
-            )
+        X = check_poses(self, np.asarray(start, dtype=float))
         in_rad = copy(self)
         in_rad.angle_unit = "rad"
-        n, extra = self.arm_.n_joints, X[:, self.arm_.n_joints :]
+        n, linear = self.arm_.n_joints, self.linear_model_
 
         def correction(angles, rows):
+            extra = X[rows if len(X) > 1 else np.zeros_like(rows), n:]
+            rows = np.hstack([angles, extra])
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)
-                return in_rad.predict(np.hstack([angles, extra[rows]]))
+                shift = in_rad.predict(rows)
+                if orientations is None:
+                    return shift, None
+                return shift, in_rad.fading(rows)[:, None] * turns_of(linear, rows)
 
-        angles, missed = angles_for(self.arm_, correction, points, X[:, :n])
-        if missed.size:
-            row, off = int(missed["row"][0]), missed["off_mm"][0]
-            warn_user(
-                f"{len(missed)} of {len(points)} points are not reached: first that of row {row}, "
-                f"to which the probe came as near as {off:.3g} mm. Their angles are NaN."
-            )
+        angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
 
     def fading(self, X: ArrayLike) -> np.ndarray:
