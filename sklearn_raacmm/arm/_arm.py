@@ -427,8 +427,9 @@ class Arm:
         Warns
         -----
         UserWarning
-            If the base frame is another, or if axes are so nearly parallel that they are taken as
-            parallel.
+            If the base frame is another, if axes are so nearly parallel that they are taken as
+            parallel, or if rounded angles that are taken as pi/2 move the probe by 0.1 mm or more:
+            by how much; below that it is a note, which the command `raacmm arm` prints.
 
         Examples
         --------
@@ -487,12 +488,14 @@ class Arm:
         str
             The text. It has the kinematics of `forward`. A tool is no part of UR's kinematics, so
             UR's file leaves out the probe's distance from the last axis. An `up` unlike the file's
-            turns the fixed joint between its first link and `base`, if there is one.
+            turns the fixed joint between its first link and `base`, if there is one. Where the last
+            joint moves and the probe is beside its axis, a link of the probe is added, and a
+            warning names it.
 
         Raises
         ------
         ValueError
-            If this arm was not read from the file, or the file has no place for its probe.
+            If this arm was not read from the file.
 
         Examples
         --------
