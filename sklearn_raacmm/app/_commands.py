@@ -10,6 +10,7 @@ import sys
 import webbrowser
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def learn(options):
     _progress(-1, 1, "calibration")
     # Findings stand in the result, and are printed with it.
     with numbered_rows(table.rows), collected_findings():
-        result = learn_correction(
+        result: Any = learn_correction(
             arm,
             table.angles,
             table.positions,

@@ -19,7 +19,7 @@ from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
-from sklearn_raacmm.utils import check_option, check_places, html_table, write_whole
+from sklearn_raacmm.utils import Floats, check_option, check_places, html_table, write_whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,20 +90,20 @@ class Arm:
     array([[-812. ,   15. ,  914.5]])
     """
 
-    a: np.ndarray
-    alpha: np.ndarray
-    d: np.ndarray
-    theta_offset: Any = 0.0
+    a: Floats
+    alpha: Floats
+    d: Floats
+    theta_offset: Floats = 0.0  # type: ignore[assignment]
     _: KW_ONLY
-    probe: Any = (0.0, 0.0, 0.0)
+    probe: Floats = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     convention: str = "standard"
-    joint_signs: Any = 1
-    pose_joints: tuple[Any, ...] = (3, 4)
-    pose_frames: tuple[Any, ...] = (2, 5)
+    joint_signs: Floats = 1  # type: ignore[assignment]
+    pose_joints: tuple[int, int] = (3, 4)
+    pose_frames: tuple[int, int] = (2, 5)
     name: str = ""
-    names: tuple[Any, ...] = ()
-    limits: np.ndarray | None = None
-    up: Any = (0.0, 0.0, 1.0)
+    names: tuple[str, ...] = ()
+    limits: Floats | None = None
+    up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -514,7 +514,7 @@ class Arm:
 
     # -- kinematics -------------------------------------------------------------------------
 
-    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Position of the probe, equation (1).
 
         Parameters
@@ -543,7 +543,7 @@ class Arm:
         """
         return points_of(self, check_angles(angles, self.n_joints, angle_unit))
 
-    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Azimuth of the probe about the base's z axis.
 
         Parameters
@@ -559,7 +559,7 @@ class Arm:
         points = self.forward(angles, angle_unit=angle_unit)
         return np.arctan2(points[:, 1], points[:, 0])
 
-    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Pose of every frame in the base frame.
 
         Parameters
@@ -574,7 +574,7 @@ class Arm:
         """
         return frame_poses(self, check_angles(angles, self.n_joints, angle_unit))
 
-    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Compute the derivative of the probe's position by each joint angle.
 
         Parameters
@@ -597,7 +597,7 @@ class Arm:
         orientations: ArrayLike | None = None,
         *,
         angle_unit: str = "rad",
-    ) -> np.ndarray:
+    ) -> Floats:
         """Joint angles that bring the probe to wanted points, by Newton's method.
 
         Parameters

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_arm, limits_of, reach_mm, solve
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.utils import Floats, floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
 _PLACES, _STARTS = 4, 8
@@ -36,8 +36,8 @@ class PosePlan(NamedTuple):
         About how long it takes, at 6 s for a pose and a minute for a cone.
     """
 
-    positions: np.ndarray
-    angles: np.ndarray
+    positions: Floats
+    angles: Floats
     groups: np.ndarray
     minutes: float
 

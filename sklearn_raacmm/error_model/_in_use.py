@@ -6,7 +6,7 @@
 import warnings
 from copy import copy
 from numbers import Integral
-from typing import Any
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from sklearn_raacmm.error_model._fading import Fading, Judgement, warn_where_unk
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
 from sklearn_raacmm.residuals import PointCorrectionMixin
-from sklearn_raacmm.utils import check_flags
+from sklearn_raacmm.utils import Floats, check_flags
 
 
 class FittedArmModel(PointCorrectionMixin):
@@ -73,6 +73,32 @@ class FittedArmModel(PointCorrectionMixin):
     def arm_(self) -> Arm:
         return self.linear_model_.arm
 
+    @overload
+    def predict(
+        self,
+        X: ArrayLike,
+        return_std: Literal[False] = False,
+        with_noise: bool = False,
+        *,
+        with_unseen: bool = False,
+    ) -> Floats: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: Literal[True], with_noise: bool = False
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def predict(
+        self,
+        X: ArrayLike,
+        *,
+        return_cov: Literal[True],
+        with_noise: bool = False,
+        with_unseen: bool = False,
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: bool, with_noise: bool = False, *, return_cov: bool = False
+    ) -> Any: ...
     def predict(
         self,
         X: ArrayLike,
@@ -152,7 +178,7 @@ class FittedArmModel(PointCorrectionMixin):
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def with_arm(self, arm: Arm) -> Any:
+    def with_arm(self, arm: Arm) -> Self:
         """Move the fitted model to another probe.
 
         A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
@@ -167,7 +193,7 @@ class FittedArmModel(PointCorrectionMixin):
 
         Returns
         -------
-        model : Any
+        model : object of the same class
             This one is left as it is.
 
         Raises
@@ -209,7 +235,7 @@ class FittedArmModel(PointCorrectionMixin):
         *,
         with_noise: bool = False,
         with_unseen: bool = False,
-    ) -> np.ndarray:
+    ) -> Floats:
         """Draw corrections of all poses together, as the posterior has them.
 
         Compute a result, such as a diameter or a flatness, from the corrected points of each of 200
@@ -252,7 +278,7 @@ class FittedArmModel(PointCorrectionMixin):
 
     def angles_for(
         self, points: ArrayLike, start: ArrayLike, orientations: ArrayLike | None = None
-    ) -> np.ndarray:
+    ) -> Floats:
         """Joint angles that bring the corrected probe to wanted points, by Newton's method.
 
         Parameters
@@ -316,7 +342,7 @@ class FittedArmModel(PointCorrectionMixin):
         angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
 
-    def fading(self, X: ArrayLike) -> np.ndarray:
+    def fading(self, X: ArrayLike) -> Floats:
         """Share of the correction that `predict` returns at each pose.
 
         Parameters
@@ -332,7 +358,7 @@ class FittedArmModel(PointCorrectionMixin):
         X = check_poses(self, X)
         return self.fading_.share(self.linear_model_.predict_with_doubt(X)[2])
 
-    def distance_std(self, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
+    def distance_std(self, X1: ArrayLike, X2: ArrayLike) -> Floats:
         """Standard deviation of corrected lengths between two poses each, without noise.
 
         Parameters

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from sklearn.metrics import make_scorer
 from sklearn.utils import Bunch
 
 from sklearn_raacmm.utils import (
+    Floats,
     check_groups,
     check_option,
     deviations_by_group,
@@ -25,6 +26,22 @@ _DISTANCES = tuple(_REPORTED.values())
 _AXES = ("half_range", "2s")
 
 
+@overload
+def single_point_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: str = "mean",
+) -> float: ...
+@overload
+def single_point_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: None,
+) -> Floats: ...
 def single_point_repeatability(
     points: ArrayLike,
     groups: ArrayLike | None = None,
@@ -84,7 +101,7 @@ def axis_repeatability(
     *,
     statistic: str = "half_range",
     aggregate: str | None = "mean",
-) -> np.ndarray:
+) -> Floats:
     r"""Repeatability of each coordinate by itself.
 
     Parameters
@@ -161,6 +178,24 @@ def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> 
     return Bunch(**columns)
 
 
+@overload
+def within_position_scatter(
+    y_true: ArrayLike,
+    y_pred: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    statistic: str = "2s",
+    aggregate: str = "mean",
+) -> float: ...
+@overload
+def within_position_scatter(
+    y_true: ArrayLike,
+    y_pred: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    statistic: str = "2s",
+    aggregate: None,
+) -> Floats: ...
 def within_position_scatter(
     y_true: ArrayLike,
     y_pred: ArrayLike,

@@ -1,7 +1,7 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
 from numbers import Integral, Real
-from typing import Any, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from sklearn_raacmm.network._read import (
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
+    Floats,
     MultiOutputMixin,
     RegressorMixin,
     VersionedEstimator,
@@ -321,6 +322,26 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
         return rows.codes is not None
 
+    @overload
+    def predict(
+        self,
+        X: ArrayLike,
+        return_std: Literal[False] = False,
+        return_cov: Literal[False] = False,
+        with_noise: bool = True,
+    ) -> Floats: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: Literal[True], *, with_noise: bool = True
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = True
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: bool, return_cov: bool, with_noise: bool = True
+    ) -> Any: ...
     def predict(
         self,
         X: ArrayLike,
@@ -381,7 +402,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         n_samples: int = 1,
         random_state: int | np.random.RandomState | None = 0,
         with_noise: bool = True,
-    ) -> np.ndarray:
+    ) -> Floats:
         """Draw targets from the posterior of the Gaussian process that the network approximates.
 
         Parameters
@@ -425,6 +446,12 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
 
+    @overload
+    def predict_gradient(
+        self, X: ArrayLike, return_variance: Literal[True]
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def predict_gradient(self, X: ArrayLike, return_variance: Literal[False] = False) -> Floats: ...
     def predict_gradient(self, X: ArrayLike, return_variance: bool = False) -> Any:
         """Derivatives of the prediction by the features, in closed form.
 

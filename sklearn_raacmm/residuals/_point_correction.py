@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,7 @@ from sklearn.metrics import r2_score
 
 from sklearn_raacmm.utils import (
     Finding,
+    Floats,
     are_deviations,
     centred,
     check_weights,
@@ -34,6 +35,34 @@ class PointCorrectionMixin:
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__score = {"groups": True}
 
+    @overload
+    def correct(
+        self,
+        X: ArrayLike,
+        points: ArrayLike | None = None,
+        *,
+        return_std: Literal[True],
+        **predict_params: Any,
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def correct(
+        self,
+        X: ArrayLike,
+        points: ArrayLike | None = None,
+        *,
+        return_cov: Literal[True],
+        **predict_params: Any,
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def correct(
+        self,
+        X: ArrayLike,
+        points: ArrayLike | None = None,
+        *,
+        return_std: Literal[False] = False,
+        return_cov: Literal[False] = False,
+        **predict_params: Any,
+    ) -> Floats: ...
     def correct(
         self: Any, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
     ) -> Any:

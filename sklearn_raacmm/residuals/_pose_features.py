@@ -19,6 +19,7 @@ from sklearn_raacmm.arm import (
     probe_points,
 )
 from sklearn_raacmm.utils import (
+    Floats,
     TransformerMixin,
     VersionedEstimator,
     check_features,
@@ -137,7 +138,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         )
         return self
 
-    def transform(self, X: ArrayLike) -> np.ndarray:
+    def transform(self, X: ArrayLike) -> Floats:
         """Compute the pose.
 
         Parameters

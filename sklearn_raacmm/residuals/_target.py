@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +36,7 @@ from sklearn_raacmm.residuals._positions import (
     takes_groups,
 )
 from sklearn_raacmm.utils import (
+    Floats,
     RegressorMixin,
     VersionedEstimator,
     are_deviations,
@@ -125,7 +126,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     }
 
     def __init__(
-        self, regressor: Any = None, *, azimuth: str | Callable | None = "appended"
+        self, regressor: Any = None, *, azimuth: str | Callable[..., Any] | None = "appended"
     ) -> None:
         self.regressor = regressor
         self.azimuth = azimuth
@@ -246,6 +247,14 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             y = y - constants[codes]
         return y, fit_params
 
+    @overload
+    def predict(
+        self, X: ArrayLike, *, return_std: Literal[True], **predict_params: Any
+    ) -> tuple[Floats, Floats]: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, *, return_std: Literal[False] = False, **predict_params: Any
+    ) -> Floats: ...
     @one_warning
     def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.
