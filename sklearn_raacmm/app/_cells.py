@@ -6,7 +6,10 @@
 import codecs
 import contextlib
 import csv
+import gzip
+import io
 import re
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice, product
@@ -43,6 +46,24 @@ def parse_number(text):
     return float(text.strip().replace(",", "."))
 
 
+def open_bytes(path):
+    """A file of bytes, unpacked where its name ends in .gz or .zip."""
+    if path.suffix.lower() == ".gz":
+        return gzip.open(path)
+    if path.suffix.lower() != ".zip":
+        return open(path, "rb")
+    with zipfile.ZipFile(path) as archive:
+        names = [name for name in archive.namelist() if not name.endswith("/")]
+        if len(names) != 1:
+            raise TableError(f"{path} holds {len(names)} files, {', '.join(names)}: unpack it.")
+        return archive.open(names[0])
+
+
+def open_text(path, encoding):
+    """The same as text, its ends of lines as they are."""
+    return io.TextIOWrapper(open_bytes(path), encoding=encoding, newline="")
+
+
 @dataclass(frozen=True)
 class Dialect:
     """How a file is written; `separator` and `decimal` of what is no text are those to write with.
@@ -62,7 +83,7 @@ class Dialect:
         if self.read is not None:
             yield from self.read()
             return
-        with open(self.path, encoding=self.encoding, newline="") as file:
+        with open_text(self.path, self.encoding) as file:
             for number, cells in self.split(file):
                 if any(cells):
                     yield number, cells
@@ -136,7 +157,7 @@ def strip_mark(cells):
 def find_dialect(path, n_numbers):
     """How a file of text is written, by its first rows with at least so many numbers."""
     encoding = find_encoding(path)
-    with open(path, encoding=encoding, newline="") as file:
+    with open_text(path, encoding) as file:
         lines = [line for line in islice(file, _SNIFFED_LINES) if line.strip()]
     # Decimal commas between commas stand in quotation marks.
     quoted = any('"' in line for line in lines)
@@ -161,13 +182,13 @@ def find_dialect(path, n_numbers):
 
 def find_encoding(path):
     """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
-    with open(path, "rb") as file:
+    with open_bytes(path) as file:
         head = file.read(3)
     for mark, name in _MARKS:
         if head.startswith(mark):
             return name
     for encoding in ("utf-8", "cp1252"):
-        with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
+        with contextlib.suppress(UnicodeDecodeError), open_text(path, encoding) as file:
             while file.read(_CHUNK):
                 pass
             return encoding

@@ -70,7 +70,9 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), or a robot's program.
+        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), arrays (.npy, .npz,
+        .mat), or a robot's program; text may be packed (.gz, .zip). Rows that a column "valid"
+        says no of are left out.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
@@ -84,6 +86,7 @@ def read_table(
         their names, or else by their order. None: there are none.
     angle_unit : {"rad", "deg"}, default=None
         None: from the header, such as "q1 [deg]", or degrees if an angle is beyond two turns.
+        Angles in gon, mrad, arc seconds or turns are converted.
     labelled : bool, default=True
         Whether positions are needed.
     joint_names : sequence of str, default=()
@@ -192,6 +195,9 @@ class Layout:
         if self.point_columns:
             points = self.columns.numbers(rows, self.point_columns) * self.point_factor
         angles = self.columns.numbers(rows, self.angle_columns)
+        if self.turns is None:
+            self.columns.refuse_marks(angles, rows, self.angle_columns)
+            angles = self.columns.factor * angles
         others = {}
         for name, column in self.others.items():
             cells = [cells[column] for _, cells in rows]
