@@ -28,6 +28,7 @@ from sklearn_raacmm.acceptance import (
 from sklearn_raacmm.app._cells import TableError, find_encoding, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import (
+    check_installed,
     correction_files,
     in_rad,
     load_arm,
@@ -68,6 +69,7 @@ def accept(options):
     run_path = Path(options.run)
     if options.template:
         return _write_template(run_path, arm or getattr(saved, "arm", None), options.language)
+    check_installed("jinja2")
     out = Path(options.out)
     read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
     models = correction_files(options.model) if options.model else []

@@ -12,7 +12,7 @@ import numpy as np
 from sklearn_raacmm.app._cells import TableError, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
-from sklearn_raacmm.app._files import load_arm, parse_vector
+from sklearn_raacmm.app._files import check_installed, load_arm, parse_vector
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, collected_findings, write_whole
 
@@ -58,6 +58,8 @@ def arm(options):
     _check_arm_options(options, given)
     outputs = [path for path in (options.out, options.picture) if path and path != "-"]
     check_places(outputs, filter(None, [options.source, options.dh]))
+    if options.picture:
+        check_installed("matplotlib")
     with collected_findings() as notes:
         shown = _meant_arm(options)
     if options.up:

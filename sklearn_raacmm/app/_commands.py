@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import importlib
 import io
 import shlex
 import sys
@@ -16,6 +15,7 @@ import numpy as np
 
 from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._files import (
+    check_installed,
     correction_files,
     find_cause_columns,
     find_rows,
@@ -105,17 +105,7 @@ def _check_learning(options):
         raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
     if options.limit_2s is not None and options.points:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
-    missing = []
-    for name in ("jinja2", "matplotlib", "skops"):
-        try:
-            importlib.import_module(name)
-        except ImportError:
-            missing.append(name)
-    if missing:
-        raise TableError(
-            f"{' and '.join(missing)} must be installed for the report and the model's file: "
-            f"pip install {' '.join(missing)}."
-        )
+    check_installed("jinja2", "matplotlib", "skops")
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
     check_places([out / name for name in _WRITTEN], filter(None, read))
     if (out / "correction.json").exists() and not options.force:

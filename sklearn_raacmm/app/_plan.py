@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._figures import draw_plan
-from sklearn_raacmm.app._files import load_arm
+from sklearn_raacmm.app._files import check_installed, load_arm
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.correction import plan_poses
 from sklearn_raacmm.utils import check_places, write_whole
@@ -18,6 +18,7 @@ def plan(options):
     """Plan a first single-point test for an arm, and write the sheet of it."""
     out = Path(options.out)
     paths = {name: out / name for name in ("plan.html", "plan.csv")}
+    check_installed("jinja2", "matplotlib")
     check_places(paths.values(), [options.arm])
     arm = load_arm(options.arm)
     found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean)
