@@ -150,6 +150,35 @@ class FittedArmModel(PointCorrectionMixin):
         UserWarning
             If the angles are most likely in the other unit, or most of the corrections are reduced
             to less than a tenth.
+
+        Examples
+        --------
+        For what knows one target only, a coordinate of a fitted model is a regressor. MAPIE's
+        ``SplitConformalRegressor(Coordinate(model, 0), prefit=True)`` takes it, too.
+
+        >>> from sklearn.base import BaseEstimator, RegressorMixin
+        >>> from sklearn.dummy import DummyRegressor
+        >>> from sklearn.ensemble import StackingRegressor
+        >>> from sklearn_raacmm import ArmResidualRegressor
+        >>> from sklearn_raacmm.datasets import make_single_point
+        >>> class Coordinate(RegressorMixin, BaseEstimator):
+        ...     fitted_ = True
+        ...     def __init__(self, model, axis):
+        ...         self.model, self.axis = model, axis
+        ...     def fit(self, X, y):
+        ...         return self
+        ...     def predict(self, X):
+        ...         return self.model.predict(X)[:, self.axis]
+        ...     def __sklearn_is_fitted__(self):
+        ...         return True
+        >>> test = make_single_point(6, 40)  # simulated
+        >>> X, y, first = test.data, test.target, test.groups < 4
+        >>> model = ArmResidualRegressor(test.arm, orders=2)
+        >>> model = model.fit(X[first], y[first], groups=test.groups[first])
+        >>> parts = [("arm", Coordinate(model, 0)), ("mean", DummyRegressor().fit(X, y[:, 0]))]
+        >>> stack = StackingRegressor(parts, cv="prefit").fit(X[~first], y[~first, 0])
+        >>> stack.predict(X).shape
+        (240,)
         """
         check_flags(
             return_std=return_std,
