@@ -19,15 +19,9 @@ _DEGREES = ("deg", "degree", "degrees", "°", "º", "grad")
 _RADIANS = ("rad", "radian", "radians")
 # Other units of angles: the known one that they are parts of, and how many of it they are.
 _PARTS = {
-    "gon": ("deg", 0.9),
-    "gons": ("deg", 0.9),
-    "mrad": ("rad", 1e-3),
-    "mdeg": ("deg", 1e-3),
-    "arcsec": ("deg", 1 / 3600),
-    "turn": ("deg", 360.0),
+    "gon": ("deg", 0.9), "mrad": ("rad", 1e-3), "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600),
     "turns": ("deg", 360.0),
-    "rev": ("deg", 360.0),
-}
+}  # fmt: skip
 _UNITS = (*_DEGREES, *_RADIANS, *_PARTS, "mm", "m", "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
@@ -36,7 +30,8 @@ _UNIT = re.compile(
 )
 # Columns that say whether a row is to be used, and what they hold.
 _VALID = re.compile(r"(is[\s_]?)?valid(ity)?|ok|g(ü|ue)ltig")
-_YES, _NO = ("1", "true", "yes", "ja", "wahr", "ok"), ("0", "false", "no", "nein", "falsch")
+_YES = ("1", "1.0", "true", "yes", "ja", "wahr", "ok")
+_NO = ("0", "0.0", "false", "no", "nein", "falsch")
 # What loggers write where a reading is missing.
 _LEAST_MARK = 999
 _MISSING = re.compile(r"[+-]?9{3,}([.,](0+|9+))?")
@@ -152,7 +147,7 @@ class Columns:
         self.names, self.units = zip(*map(split_unit, self.header), strict=True)
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
-        self.valid = next(
+        self.valid: Any = next(
             (i for i, name in enumerate(self.names) if self._says_valid(i, name)), None
         )
         self.first = [row for row in self.first if not self._is_invalid(row[1])]
@@ -183,7 +178,8 @@ class Columns:
         return bool(_VALID.fullmatch(name)) and said <= {*_YES, *_NO}
 
     def _is_invalid(self, cells):
-        return self.valid is not None and str(cells[self.valid]).lower() in _NO
+        said = cells[self.valid : self.valid + 1] if self.valid is not None else []
+        return any(str(cell).lower() in _NO for cell in said)
 
     def rows(self, columns):
         """Yield (row number, cells) of the data, each with as many cells as the header.
@@ -196,7 +192,7 @@ class Columns:
             has_number = self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue
-            if len(cells) == len(self.header) and self._is_invalid(cells):
+            if self._is_invalid(cells):
                 invalid.append(number)
                 continue
             held.append((number, cells))
@@ -204,10 +200,9 @@ class Columns:
                 yield from map(self._check_width, held)
                 held, found = [], True
         if invalid:
-            said = f"{self.header[self.valid]} is {_NO[0]!r} or the like"
-            self.notes.append(
-                f"{len(invalid)} rows left out, where {said}: first row {invalid[0]}."
-            )
+            says_no = f"where the column {self.header[self.valid]} says no"
+            note = f"{len(invalid)} rows left out, {says_no}: first row {invalid[0]}."
+            self.notes += [note] * (note not in self.notes)
         if not found:
             yield from map(self._check_width, held)
         elif held:

@@ -48,7 +48,6 @@ if TYPE_CHECKING:  # scikit-learn's Bunch has no types
         directions: Floats
         temperature: Floats
         payload: Floats
-        pairs: NDArray[np.int_]
         simulation: Any
 
 
@@ -172,26 +171,6 @@ def make_single_point(
     return pack(data, return_X_y, as_frame)
 
 
-@overload
-def make_gauge(
-    lengths: ArrayLike = (300.0, 500.0),
-    n_placements: int = 10,
-    n_poses: int = 10,
-    *,
-    machine: SimulatedArm | ArmErrors | str = "typical",
-    random_state: int | np.random.RandomState | None = 0,
-) -> "SimulatedTest": ...
-@overload
-def make_gauge(
-    lengths: ArrayLike = (300.0, 500.0),
-    n_placements: int = 10,
-    n_poses: int = 10,
-    *,
-    machine: SimulatedArm | ArmErrors | str = "typical",
-    random_state: int | np.random.RandomState | None = 0,
-    return_X_y: bool = False,
-    as_frame: bool = False,
-) -> Any: ...
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_gauge(
     lengths: ArrayLike = (300.0, 500.0),

@@ -19,7 +19,7 @@ from sklearn_raacmm.error_model._fading import Fading, Judgement, warn_where_unk
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
 from sklearn_raacmm.residuals import PointCorrectionMixin
-from sklearn_raacmm.utils import Floats, check_flags
+from sklearn_raacmm.utils import Floats, Pair, check_flags
 
 
 class FittedArmModel(PointCorrectionMixin):
@@ -75,30 +75,17 @@ class FittedArmModel(PointCorrectionMixin):
 
     @overload
     def predict(
-        self,
-        X: ArrayLike,
-        return_std: Literal[False] = False,
-        with_noise: bool = False,
-        *,
-        with_unseen: bool = False,
+        self, X: ArrayLike, return_std: Literal[False] = False, with_noise: bool = False
     ) -> Floats: ...
     @overload
     def predict(
         self, X: ArrayLike, return_std: Literal[True], with_noise: bool = False
-    ) -> tuple[Floats, Floats]: ...
+    ) -> Pair: ...
     @overload
     def predict(
-        self,
-        X: ArrayLike,
-        *,
-        return_cov: Literal[True],
-        with_noise: bool = False,
+        self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = False,
         with_unseen: bool = False,
-    ) -> tuple[Floats, Floats]: ...
-    @overload
-    def predict(
-        self, X: ArrayLike, return_std: bool, with_noise: bool = False, *, return_cov: bool = False
-    ) -> Any: ...
+    ) -> Pair: ...  # fmt: skip
     def predict(
         self,
         X: ArrayLike,

@@ -178,24 +178,6 @@ def repeatability_report(points: ArrayLike, groups: ArrayLike | None = None) -> 
     return Bunch(**columns)
 
 
-@overload
-def within_position_scatter(
-    y_true: ArrayLike,
-    y_pred: ArrayLike,
-    *,
-    groups: ArrayLike | None = None,
-    statistic: str = "2s",
-    aggregate: str = "mean",
-) -> float: ...
-@overload
-def within_position_scatter(
-    y_true: ArrayLike,
-    y_pred: ArrayLike,
-    *,
-    groups: ArrayLike | None = None,
-    statistic: str = "2s",
-    aggregate: None,
-) -> Floats: ...
 def within_position_scatter(
     y_true: ArrayLike,
     y_pred: ArrayLike,

@@ -20,6 +20,7 @@ from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
     Floats,
     MultiOutputMixin,
+    Pair,
     RegressorMixin,
     VersionedEstimator,
     check_features,
@@ -323,25 +324,15 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return rows.codes is not None
 
     @overload
-    def predict(
-        self,
-        X: ArrayLike,
-        return_std: Literal[False] = False,
-        return_cov: Literal[False] = False,
-        with_noise: bool = True,
-    ) -> Floats: ...
+    def predict(self, X: ArrayLike, return_std: Literal[False] = False) -> Floats: ...
     @overload
     def predict(
         self, X: ArrayLike, return_std: Literal[True], *, with_noise: bool = True
-    ) -> tuple[Floats, Floats]: ...
+    ) -> Pair: ...
     @overload
     def predict(
         self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = True
-    ) -> tuple[Floats, Floats]: ...
-    @overload
-    def predict(
-        self, X: ArrayLike, return_std: bool, return_cov: bool, with_noise: bool = True
-    ) -> Any: ...
+    ) -> Pair: ...
     def predict(
         self,
         X: ArrayLike,
@@ -447,11 +438,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return self._shaped(parts, axis=1)
 
     @overload
-    def predict_gradient(
-        self, X: ArrayLike, return_variance: Literal[True]
-    ) -> tuple[Floats, Floats]: ...
+    def predict_gradient(self, X: ArrayLike, return_variance: Literal[True]) -> Pair: ...
     @overload
-    def predict_gradient(self, X: ArrayLike, return_variance: Literal[False] = False) -> Floats: ...
+    def predict_gradient(self, X: ArrayLike) -> Floats: ...
     def predict_gradient(self, X: ArrayLike, return_variance: bool = False) -> Any:
         """Derivatives of the prediction by the features, in closed form.
 

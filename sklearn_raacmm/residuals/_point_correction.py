@@ -12,6 +12,7 @@ from sklearn.metrics import r2_score
 from sklearn_raacmm.utils import (
     Finding,
     Floats,
+    Pair,
     are_deviations,
     centred,
     check_weights,
@@ -37,31 +38,15 @@ class PointCorrectionMixin:
 
     @overload
     def correct(
-        self,
-        X: ArrayLike,
-        points: ArrayLike | None = None,
-        *,
-        return_std: Literal[True],
-        **predict_params: Any,
-    ) -> tuple[Floats, Floats]: ...
+        self, X: ArrayLike, points: Any = None, *, return_std: Literal[True], **predict_params: Any
+    ) -> Pair: ...
     @overload
     def correct(
-        self,
-        X: ArrayLike,
-        points: ArrayLike | None = None,
-        *,
-        return_cov: Literal[True],
-        **predict_params: Any,
-    ) -> tuple[Floats, Floats]: ...
+        self, X: ArrayLike, points: Any = None, *, return_cov: Literal[True], **predict_params: Any
+    ) -> Pair: ...
     @overload
     def correct(
-        self,
-        X: ArrayLike,
-        points: ArrayLike | None = None,
-        *,
-        return_std: Literal[False] = False,
-        return_cov: Literal[False] = False,
-        **predict_params: Any,
+        self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Literal[False]
     ) -> Floats: ...
     def correct(
         self: Any, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any

@@ -37,6 +37,7 @@ from sklearn_raacmm.residuals._positions import (
 )
 from sklearn_raacmm.utils import (
     Floats,
+    Pair,
     RegressorMixin,
     VersionedEstimator,
     are_deviations,
@@ -248,13 +249,9 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         return y, fit_params
 
     @overload
-    def predict(
-        self, X: ArrayLike, *, return_std: Literal[True], **predict_params: Any
-    ) -> tuple[Floats, Floats]: ...
+    def predict(self, X: ArrayLike, *, return_std: Literal[True], **options: Any) -> Pair: ...
     @overload
-    def predict(
-        self, X: ArrayLike, *, return_std: Literal[False] = False, **predict_params: Any
-    ) -> Floats: ...
+    def predict(self, X: ArrayLike, **options: Literal[False]) -> Floats: ...
     @one_warning
     def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.

@@ -63,6 +63,7 @@ from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     Floats,
     MultiOutputMixin,
+    Pair,
     RegressorMixin,
     TransformerMixin,
     one_blas_thread,

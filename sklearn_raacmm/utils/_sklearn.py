@@ -14,6 +14,7 @@ from sklearn.utils.parallel import _threadpool_controller_decorator
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Floats = NDArray[np.float64]
+Pair = tuple[Floats, Floats]
 
 if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
 
