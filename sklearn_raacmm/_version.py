@@ -1,5 +1,8 @@
 """The version of the package and its public place: all that need them read them here."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 import re
 
 __version__ = "0.1.0.dev0"

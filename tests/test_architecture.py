@@ -52,3 +52,8 @@ def test_private_names_of_scikit_learn_are_known_and_there():
         module, _, last = name.rpartition(".")
         assert hasattr(importlib.import_module(module), last)
         assert last in said
+
+
+def test_every_file_that_is_installed_names_its_licence():
+    line = "# SPDX-License-Identifier: BSD-3-Clause\n"
+    assert [p for p in PACKAGE.rglob("*.py") if line not in p.read_text(encoding="utf-8")] == []

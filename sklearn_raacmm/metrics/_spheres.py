@@ -1,5 +1,8 @@
 """Two spheres of metrology: the least-squares one and the smallest one that holds all points."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from itertools import combinations
 from typing import Any
 

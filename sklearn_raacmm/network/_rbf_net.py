@@ -1,5 +1,8 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from numbers import Integral, Real
 from typing import Any, Literal, Self, overload
 
