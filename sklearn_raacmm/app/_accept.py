@@ -25,10 +25,9 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._cells import TableError, find_encoding, parse_number
+from sklearn_raacmm.app._cells import TableError, check_installed, find_encoding, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import (
-    check_installed,
     correction_files,
     in_rad,
     load_arm,
@@ -274,10 +273,9 @@ def _csv(rows, language):
 
 def _spreadsheet(tables):
     """A workbook of these tables, as bytes."""
-    try:
-        import openpyxl
-    except ImportError:
-        raise TableError("spreadsheets need openpyxl: pip install openpyxl.") from None
+    check_installed("openpyxl")
+    import openpyxl
+
     book, stream = openpyxl.Workbook(), io.BytesIO()
     for sheet in book.worksheets:  # the empty one of a new book
         book.remove(sheet)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, parse_number
+from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
-from sklearn_raacmm.app._files import check_installed, load_arm, parse_vector
+from sklearn_raacmm.app._files import load_arm, parse_vector
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, collected_findings, write_whole
 

@@ -12,6 +12,7 @@ import re
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
 
@@ -37,6 +38,15 @@ _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 
 class TableError(ValueError):
     """A table that cannot be read, or not without further options."""
+
+
+def check_installed(*names):
+    """Refuse work that needs, perhaps in its last step, packages that are missing."""
+    missing = [name for name in names if find_spec(name) is None]
+    if missing:
+        raise TableError(
+            f"{' and '.join(missing)} must be installed: pip install {' '.join(missing)}."
+        )
 
 
 def parse_number(text):

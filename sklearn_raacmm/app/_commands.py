@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._files import (
-    check_installed,
     correction_files,
     find_cause_columns,
     find_rows,

@@ -43,11 +43,9 @@ def make_svg(draw, name, style=None):
 
     Its title, which screen readers read, is that of the name.
     """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("Figures need matplotlib: pip install matplotlib.") from None
+    import matplotlib
+    from matplotlib.figure import Figure
+
     file = io.StringIO()
     plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
     with matplotlib.rc_context(plain | (style or {})):

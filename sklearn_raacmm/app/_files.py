@@ -8,7 +8,6 @@ import os
 import sys
 from contextlib import contextmanager
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -48,16 +47,6 @@ def load_arm(source, base=None, tip=None):
         return Arm.from_name(str(source))
     except ValueError as error:
         raise TableError(f"--arm: there is no file {source}, and as a {error}") from None
-
-
-def check_installed(*names):
-    """Refuse work whose last step needs packages that are missing."""
-    missing = [name for name in names if find_spec(name) is None]
-    if missing:
-        raise TableError(
-            f"{' and '.join(missing)} must be installed for what is to be written: pip install "
-            f"{' '.join(missing)}."
-        )
 
 
 def load_correction(source) -> Any:

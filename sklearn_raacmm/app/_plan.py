@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_raacmm.app._cells import check_installed
 from sklearn_raacmm.app._figures import draw_plan
-from sklearn_raacmm.app._files import check_installed, load_arm
+from sklearn_raacmm.app._files import load_arm
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.correction import plan_poses
 from sklearn_raacmm.utils import check_places, write_whole

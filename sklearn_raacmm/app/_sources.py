@@ -19,6 +19,7 @@ from scipy.io import loadmat
 from sklearn_raacmm.app._cells import (
     Dialect,
     TableError,
+    check_installed,
     clean,
     find_dialect,
     find_encoding,
@@ -149,13 +150,9 @@ def _hides_rows(path):
 @contextmanager
 def _open_book(path, values=True):
     """A workbook, which is closed afterwards."""
-    try:
-        import openpyxl
-    except ImportError:
-        raise TableError(
-            f"{path}: to read spreadsheets, install openpyxl (pip install openpyxl), or save the "
-            "sheet as CSV."
-        ) from None
+    check_installed("openpyxl")
+    import openpyxl
+
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
