@@ -3,19 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.metrics import _spheres
-from sklearn_raacmm.utils import Floats, check_groups, check_option, floats, group_means
+from sklearn_raacmm.utils import check_groups, check_option, floats, group_means
 
 # Points of a face that are this close to a line, by its length, do not determine a plane.
 _LEAST_SPREAD = 1e-3
 
 
-def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> Floats:
+def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
     """Measured lengths: distances between the mean points of pairs of groups.
 
     Parameters
@@ -111,12 +111,6 @@ def _ends(points, groups, pairs) -> Any:
     return means, ends, labels, points - means[position], position
 
 
-@overload
-def length_error(
-    measured: ArrayLike, calibrated: ArrayLike, *, statistic: None = None
-) -> Floats: ...
-@overload
-def length_error(measured: ArrayLike, calibrated: ArrayLike, *, statistic: str) -> float: ...
 def length_error(
     measured: ArrayLike, calibrated: ArrayLike, *, statistic: str | None = None
 ) -> Any:
