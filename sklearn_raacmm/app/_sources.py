@@ -82,7 +82,8 @@ def find_source(path, n_numbers, sheet=None):
         if ".jsonl" in path.suffixes or ".ndjson" in path.suffixes:
             return _json_lines(path)
         return _program(path, n_numbers) or find_dialect(path, n_numbers)
-    except (EOFError, zipfile.BadZipFile, zlib.error, gzip.BadGzipFile) as error:
+    # RuntimeError: a password is needed, or the method of packing is not known.
+    except (EOFError, zipfile.BadZipFile, zlib.error, gzip.BadGzipFile, RuntimeError) as error:
         raise TableError(f"{path} cannot be unpacked: {error}.") from None
 
 

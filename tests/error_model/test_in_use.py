@@ -223,3 +223,22 @@ def test_angles_for_orientations_are_those_of_the_true_arm():
     assert np.median(arc_seconds(wanted)) > 50
     assert np.median(arc_seconds(model.angles_for(points, wanted))) > 20
     assert np.max(arc_seconds(found)) < 5
+
+
+@pytest.mark.filterwarnings("ignore:.* points are not reached")
+def test_angles_for_take_each_row_its_extra_columns():
+    """Some rows are tried again: their temperature and force must still be their own."""
+    X, y = rows(300, 9)
+    model = ArmResidualRegressor(ARM, orders=2, extra=EXTRA).fit(X, y)
+    points, start = ARM.forward(X[:30, :6]), X[:30].copy()
+    start[::3, :6] += 0.8
+    turned = ARM.frames(X[:30, :6])[:, -1, :, :3]
+    for wanted in (None, turned):
+        found = model.angles_for(points, start, wanted)
+        there = np.isfinite(found[:, 0])
+        assert there.sum() >= 28
+        left = model.correct(np.hstack([found, X[:30, 6:]])[there]) - points[there]
+        assert np.abs(left).max() < 1e-6
+    one = model.angles_for(points, start[1:2])
+    same = np.hstack([one, np.repeat(start[1:2, 6:], 30, axis=0)])
+    assert np.abs(model.correct(same) - points).max() < 1e-6
