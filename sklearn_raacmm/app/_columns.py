@@ -29,7 +29,7 @@ _UNIT = re.compile(
     r"^(.*?)[\s_]+(deg|rad|mm|m|gon|mrad|mdeg)$"
 )
 # Columns that say whether a row is to be used, and what they hold.
-_VALID = re.compile(r"(is[\s_]?)?valid(ity)?|ok|g(ü|ue)ltig")
+_VALID = re.compile(r"(is[\s_]?)?valid(ity)?|ok|gü?u?e?ltig")
 _YES = ("1", "1.0", "true", "yes", "ja", "wahr", "ok")
 _NO = ("0", "0.0", "false", "no", "nein", "falsch")
 # What loggers write where a reading is missing.

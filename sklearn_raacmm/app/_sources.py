@@ -36,7 +36,7 @@ _SHEETS = (".xlsx", ".xlsm")
 _ARRAYS = (".npy", ".npz", ".mat")
 _SAVE_AS = (
     ".parquet", ".feather", ".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf", ".h5", ".hdf5",
-    ".bag", ".mcap", ".db3", ".mdb", ".accdb", ".sav", ".rds", ".7z",
+    ".bag", ".mcap", ".db3", ".mdb", ".accdb", ".rds", ".7z",
 )  # fmt: skip
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
