@@ -248,7 +248,8 @@ class Columns:
         """Refuse numbers (n_rows, n_columns) such as 999, which loggers write for a missing one."""
         for row, j in np.argwhere(np.abs(values) >= _LEAST_MARK):
             number, cells = rows[row]
-            if _MISSING.fullmatch(str(cells[columns[j]])):
+            is_angle = self.names[columns[j]] not in "xyz"  # 999 mm is a coordinate
+            if is_angle and _MISSING.fullmatch(str(cells[columns[j]])):
                 what = f"{cells[columns[j]]!r} marks a missing value: leave the row out"
                 raise self.fault(number, columns[j], what)
 

@@ -265,6 +265,13 @@ def test_most_kinds_are_read():
     assert len(KINDS) + len(READ) >= 4 * len(NAMED)
 
 
+def test_999_mm_are_a_coordinate(tmp_path):
+    """The sheets of acceptance tests are read as three columns of numbers, too."""
+    (tmp_path / "a.csv").write_text("x,y,z\n999,1,2\n3,9999.9,5\n")
+    table = read_table(tmp_path / "a.csv", 3, angles=list("xyz"), angle_unit="deg", labelled=False)
+    assert table.angles.tolist() == [[999, 1, 2], [3, 9999.9, 5]]
+
+
 def test_rows_left_out_are_told(tmp_path):
     (tmp_path / "a.csv").write_text(with_mark)
     table = read_table(tmp_path / "a.csv", 6)
