@@ -84,7 +84,7 @@ def test_models_of_residuals() -> None:
 
 
 def test_one_call(tmp_path: Path) -> None:
-    test = make_single_point(6, 20, random_state=1)
+    test = make_single_point(6, 12, random_state=0)
     learned = learn_correction(
         test.nominal_arm, test.data, test.groups, model=ArmResidualRegressor(orders=2), cv=3
     )
