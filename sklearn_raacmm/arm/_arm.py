@@ -16,7 +16,7 @@ from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
-from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of
+from sklearn_raacmm.arm._kinematics import frame_poses, parameter_jacobian, points_of
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import Floats, check_option, check_places, html_table, write_whole
@@ -588,7 +588,8 @@ class Arm:
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe.
         """
-        return joint_jacobian(self, check_angles(angles, self.n_joints, angle_unit))
+        n, angles = self.n_joints, check_angles(angles, self.n_joints, angle_unit)
+        return parameter_jacobian(self, angles)[1][:, :, 3 * n : 4 * n] * self.joint_signs
 
     def angles_for(
         self,
