@@ -59,9 +59,9 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
+from sklearn_raacmm.arm import solve
 from sklearn_raacmm.correction._transfer import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
-from sklearn_raacmm.error_model import angles_for
 from sklearn_raacmm.metrics import single_point_repeatability
 
 ARCSEC = np.pi / 180 / 3600
@@ -464,7 +464,7 @@ def mounted_robot(seed, up):
     groups = np.repeat(np.arange(12), 24)
     aim = robot.nominal.forward(start)[groups]
     near = start[groups] + rng.normal(0, 0.5, (len(groups), 6))
-    others, _ = angles_for(robot.nominal, lambda angles, rows: 0.0, aim, near)
+    others, _ = solve(robot.nominal, aim, near)
     found = np.isfinite(others[:, 0])
     X = np.vstack([rng.uniform(-2, 2, (300, 6)), others[found]])
     train = np.arange(len(X)) < 300

@@ -1,7 +1,7 @@
 """What positions are worth to the chain.
 
 Every regressor of the chain is fitted twice: with ``fit(X, y, groups=positions)``, which names the
-rows of one position, and without. On simulated arms it learns at some positions and is
+rows of one position, and with ``groups=False``. On simulated arms it learns at some positions and is
 judged at twenty others by the mean 2S that its correction leaves; on real arms at placements (UR10:
 goals) left out. The table has what is left, as a share of what there was, and the ratio of both
 fits. Settings are the same for both.

@@ -1,11 +1,15 @@
 """The version of the package and its public place: all that need them read them here."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 import re
 
 __version__ = "0.1.0.dev0"
 
-# The public repository, such as "https://github.com/OWNER/sklearn_raacmm"; None while there is no
-# such place. The links of the package index and those of estimators in notebooks are made of it.
+# The public repository, such as "https://github.com/OWNER/sklearn_raacmm", which the workflow of a
+# release sets; None while there is none. The links of the package index, of the pages and of
+# estimators in notebooks are made of it.
 REPOSITORY = None
 
 

@@ -163,6 +163,20 @@ def test_the_readme_leads_somewhere_from_a_package_index(repository, monkeypatch
     assert "Licence" in shown or "licence" in shown
 
 
+def test_a_release_sets_the_public_place(tmp_path):
+    """The workflow's own line, with a made-up address, on a copy of the one file that has it."""
+    workflow = (DOC.parent / ".github" / "workflows" / "publish.yml").read_text(encoding="utf-8")
+    said = re.search(r'sed -i "s\|(.*)\|(.*)\|" (sklearn_raacmm/_version\.py)', workflow)
+    text = (DOC.parent / said[3]).read_text(encoding="utf-8")
+    new = said[2].replace('\\"', '"').replace("$PLACE", "https://github.com/someone/arm")
+    text, n = re.subn(said[1], new, text, flags=re.MULTILINE)
+    (tmp_path / "_version.py").write_text(text)
+    own = runpy.run_path(str(tmp_path / "_version.py"))
+    assert n == 1
+    assert own["REPOSITORY"] == "https://github.com/someone/arm"
+    assert own["documentation_of"](own["REPOSITORY"]) == "https://someone.github.io/arm/"
+
+
 def test_estimators_in_a_notebook_link_to_their_pages(monkeypatch):
     place = documentation_of("https://github.com/someone/sklearn_raacmm")
     assert place == "https://someone.github.io/sklearn_raacmm/"

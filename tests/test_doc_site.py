@@ -4,12 +4,9 @@ import json
 import re
 import runpy
 import sys
-import tomllib
 from pathlib import Path
 
-import jinja2
 import pytest
-import yaml
 
 from sklearn_raacmm import __version__
 
@@ -125,21 +122,6 @@ def test_what_the_pages_say_of_the_results_is_true(results):
         assert found.of(data, results.LINEAR)["r2"] < min(*others, 0)
 
 
-def test_the_recipe_asks_for_what_the_project_asks_for():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
-    recipe = yaml.safe_load(jinja2.Template(text).render(PYTHON="python"))
-    assert recipe["package"] == {"name": project["name"], "version": __version__}
-    assert recipe["source"]["url"].endswith(f"/sklearn_raacmm-{__version__}.tar.gz")
-
-    def asked(kind):
-        return {re.sub(r"-base|[ -]", "", need) for need in recipe["requirements"][kind]}
-
-    def wanted(needs):
-        return {need.replace("-", "") for need in needs}
-
-    assert asked("run") == wanted([f"python{project['requires-python']}", *project["dependencies"]])
-    extras = project["optional-dependencies"]
-    assert asked("run_constrained") == wanted(extras["app"] + extras["examples"])
+def test_the_version_is_cited():
     version = re.search(r"version = \{(\S+)\}", (DOC / "citing.md").read_text(encoding="utf-8"))[1]
     assert version == __version__

@@ -25,7 +25,7 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._cells import TableError, find_encoding, parse_number
+from sklearn_raacmm.app._cells import TableError, check_installed, find_encoding, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import (
     correction_files,
@@ -68,6 +68,7 @@ def accept(options):
     run_path = Path(options.run)
     if options.template:
         return _write_template(run_path, arm or getattr(saved, "arm", None), options.language)
+    check_installed("jinja2")
     out = Path(options.out)
     read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
     models = correction_files(options.model) if options.model else []
@@ -272,10 +273,9 @@ def _csv(rows, language):
 
 def _spreadsheet(tables):
     """A workbook of these tables, as bytes."""
-    try:
-        import openpyxl
-    except ImportError:
-        raise TableError("spreadsheets need openpyxl: pip install openpyxl.") from None
+    check_installed("openpyxl")
+    import openpyxl
+
     book, stream = openpyxl.Workbook(), io.BytesIO()
     for sheet in book.worksheets:  # the empty one of a new book
         book.remove(sheet)

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, parse_number
+from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
 from sklearn_raacmm.app._files import load_arm, parse_vector
 from sklearn_raacmm.arm import Arm, usual_pose
-from sklearn_raacmm.utils import check_places, write_whole
+from sklearn_raacmm.utils import check_places, collected_findings, write_whole
 
 # Names that drawings and papers give the columns; the first three are needed.
 _COLUMNS = {
@@ -58,12 +58,17 @@ def arm(options):
     _check_arm_options(options, given)
     outputs = [path for path in (options.out, options.picture) if path and path != "-"]
     check_places(outputs, filter(None, [options.source, options.dh]))
-    shown = _meant_arm(options)
+    if options.picture:
+        check_installed("matplotlib")
+    with collected_findings() as notes:
+        shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(
             up=parse_vector(options.up, "--up needs three numbers, such as 0,0,1")
         )
     shown = _with_encoders(shown, options)
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
     print(shown)
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)

@@ -6,9 +6,13 @@
 import codecs
 import contextlib
 import csv
+import gzip
+import io
 import re
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
 
@@ -36,11 +40,38 @@ class TableError(ValueError):
     """A table that cannot be read, or not without further options."""
 
 
+def check_installed(*names):
+    """Refuse work that needs, perhaps in its last step, packages that are missing."""
+    missing = [name for name in names if find_spec(name) is None]
+    if missing:
+        raise TableError(
+            f"{' and '.join(missing)} must be installed: pip install {' '.join(missing)}."
+        )
+
+
 def parse_number(text):
     """Number that somebody typed, with either decimal sign."""
     if not _NUMBER.fullmatch(text.strip()):
         raise TableError(f"{text!r} is not a number.")
     return float(text.strip().replace(",", "."))
+
+
+def open_bytes(path):
+    """A file of bytes, unpacked where its name ends in .gz or .zip."""
+    if path.suffix.lower() == ".gz":
+        return gzip.open(path)
+    if path.suffix.lower() != ".zip":
+        return open(path, "rb")
+    with zipfile.ZipFile(path) as archive:
+        names = [name for name in archive.namelist() if not name.endswith("/")]
+        if len(names) != 1:
+            raise TableError(f"{path} holds {len(names)} files, {', '.join(names)}: unpack it.")
+        return archive.open(names[0])
+
+
+def open_text(path, encoding):
+    """The same as text, its ends of lines as they are."""
+    return io.TextIOWrapper(open_bytes(path), encoding=encoding, newline="")
 
 
 @dataclass(frozen=True)
@@ -62,7 +93,7 @@ class Dialect:
         if self.read is not None:
             yield from self.read()
             return
-        with open(self.path, encoding=self.encoding, newline="") as file:
+        with open_text(self.path, self.encoding) as file:
             for number, cells in self.split(file):
                 if any(cells):
                     yield number, cells
@@ -136,7 +167,7 @@ def strip_mark(cells):
 def find_dialect(path, n_numbers):
     """How a file of text is written, by its first rows with at least so many numbers."""
     encoding = find_encoding(path)
-    with open(path, encoding=encoding, newline="") as file:
+    with open_text(path, encoding) as file:
         lines = [line for line in islice(file, _SNIFFED_LINES) if line.strip()]
     # Decimal commas between commas stand in quotation marks.
     quoted = any('"' in line for line in lines)
@@ -161,13 +192,13 @@ def find_dialect(path, n_numbers):
 
 def find_encoding(path):
     """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
-    with open(path, "rb") as file:
+    with open_bytes(path) as file:
         head = file.read(3)
     for mark, name in _MARKS:
         if head.startswith(mark):
             return name
     for encoding in ("utf-8", "cp1252"):
-        with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
+        with contextlib.suppress(UnicodeDecodeError), open_text(path, encoding) as file:
             while file.read(_CHUNK):
                 pass
             return encoding

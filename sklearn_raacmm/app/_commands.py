@@ -9,13 +9,13 @@ import sys
 import webbrowser
 from contextlib import nullcontext
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.app._arms import take
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._figures import draw_plan
 from sklearn_raacmm.app._files import (
     WRITTEN,
@@ -74,7 +74,7 @@ def learn(options):
     _progress(-1, 1, "calibration")
     # Findings stand in the result, and are printed with it.
     with numbered_rows(table.rows), collected_findings():
-        result = learn_correction(
+        result: Any = learn_correction(
             arm,
             table.angles,
             table.positions,
@@ -121,11 +121,7 @@ def _check_learning(options):
         raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
     if options.limit_2s is not None and options.points:
         raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
-    if missing := [name for name in ("jinja2", "matplotlib", "skops") if not find_spec(name)]:
-        raise TableError(
-            f"{' and '.join(missing)} must be installed for the report and the model's file: "
-            f"pip install {' '.join(missing)}."
-        )
+    check_installed("jinja2", "matplotlib", "skops")
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
     check_places([out / name for name in WRITTEN], filter(None, read))
     if (out / "correction.json").exists() and not options.force:
@@ -210,6 +206,7 @@ def plan(options):
     """Plan a first single-point test for an arm, and write the sheet of it."""
     out = Path(options.out)
     paths = {name: out / name for name in ("plan.html", "plan.csv")}
+    check_installed("jinja2", "matplotlib")
     check_places(paths.values(), [options.arm])
     arm = load_arm(options.arm)
     found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean)

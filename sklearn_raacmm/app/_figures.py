@@ -28,22 +28,33 @@ _STYLE: Any = {
 # Points drawn at most in a cloud: more make the file large and the cloud no clearer.
 _MOST_POINTS = 600
 _MOST_ARMS = 12
+_TITLES = {
+    "positions": "Deviation of each position, before and after",
+    "joints": "Deviation against the angle of each joint",
+    "volume": "Points of the probe and poses of the arm",
+    "lengths": "Errors of known lengths, before and after",
+    "arm": "The arm at zero from two sides",
+    "plan": "Where the cones stand, and poses that reach them",
+}
 
 
 def make_svg(draw, name, style=None):
-    """A whole SVG file of what `draw` draws into a figure; names in the file come from `name`."""
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("Figures need matplotlib: pip install matplotlib.") from None
+    """A whole SVG file of what `draw` draws into a figure; names in the file come from `name`.
+
+    Its title, which screen readers read, is that of the name.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
     file = io.StringIO()
     plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
     with matplotlib.rc_context(plain | (style or {})):
         figure = Figure(layout="constrained")
         draw(figure)
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return file.getvalue()
+        figure.savefig(
+            file, format="svg", metadata={"Date": None, "Creator": None, "Title": _TITLES[name]}
+        )
+    return file.getvalue().replace("<svg ", '<svg role="img" ', 1)
 
 
 def draw_figures(result, limit_mm=None):

@@ -9,6 +9,7 @@ import warnings
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def load_arm(source, base=None, tip=None):
         raise TableError(f"--arm: there is no file {source}, and as a {error}") from None
 
 
-def load_correction(source):
+def load_correction(source) -> Any:
     """Saved correction from its folder, or from a file in it."""
     folder = Path(source)
     if folder.is_file():

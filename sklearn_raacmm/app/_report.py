@@ -113,10 +113,8 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
 
 def render(name, **values):
     """Page of a template in this folder."""
-    try:
-        import jinja2
-    except ImportError:
-        raise ImportError("Pages need jinja2: pip install jinja2.") from None
+    import jinja2
+
     folder = files("sklearn_raacmm.app")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,

@@ -3,15 +3,28 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import gzip
 import json
 import re
 import zipfile
+import zlib
 from contextlib import closing, contextmanager
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
-from sklearn_raacmm.app._cells import Dialect, TableError, clean, find_dialect, find_encoding
+import numpy as np
+from scipy.io import loadmat
+
+from sklearn_raacmm.app._cells import (
+    Dialect,
+    TableError,
+    check_installed,
+    clean,
+    find_dialect,
+    find_encoding,
+    open_text,
+)
 
 _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
@@ -20,7 +33,11 @@ _HEAD_CHARACTERS = 1 << 20
 # the file, is no table.
 _MOST_BYTES, _MOST_RATIO = 1 << 30, 300
 _SHEETS = (".xlsx", ".xlsm")
-_SAVE_AS = (".parquet", ".feather", ".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf")
+_ARRAYS = (".npy", ".npz", ".mat")
+_SAVE_AS = (
+    ".parquet", ".feather", ".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf", ".h5", ".hdf5",
+    ".bag", ".mcap", ".db3", ".mdb", ".accdb", ".rds", ".7z",
+)  # fmt: skip
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
 # joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
@@ -59,9 +76,15 @@ def find_source(path, n_numbers, sheet=None):
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
-    if kind in (".jsonl", ".ndjson"):
-        return _json_lines(path)
-    return _program(path, n_numbers) or find_dialect(path, n_numbers)
+    if kind in _ARRAYS:
+        return _arrays(path, n_numbers)
+    try:
+        if ".jsonl" in path.suffixes or ".ndjson" in path.suffixes:
+            return _json_lines(path)
+        return _program(path, n_numbers) or find_dialect(path, n_numbers)
+    # RuntimeError: a password is needed, or the method of packing is not known.
+    except (EOFError, zipfile.BadZipFile, zlib.error, gzip.BadGzipFile, RuntimeError) as error:
+        raise TableError(f"{path} cannot be unpacked: {error}.") from None
 
 
 # -- spreadsheets ---------------------------------------------------------------------------------
@@ -75,10 +98,12 @@ def _find_sheet(path, n_numbers, wanted):
     candidates = candidates or [name for i, name in enumerate(names, 1) if wanted == str(i)]
     if not candidates:
         raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
+    hidden = ", rows that a filter hides among them" if _hides_rows(path) else ""
     for name in candidates:
         others = ", ".join(other for other in names if other != name)
         more = f" (--sheet takes another: {others})" if others else ""
-        what, read = f"Spreadsheet, sheet {name!r}{more}", partial(sheet_rows, path, name)
+        what = f"Spreadsheet, sheet {name!r}{hidden}{more}"
+        read = partial(sheet_rows, path, name)
         best, most = None, 0
         for decimal, separator in ((".", ","), (",", ";")):
             dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
@@ -89,12 +114,23 @@ def _find_sheet(path, n_numbers, wanted):
         if best is not None:
             return best
     sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
-    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
+    advice = ""
+    if any(
+        "=" in str(cell)[:1]
+        for n in candidates
+        for _, row in sheet_rows(path, n, False)
+        for cell in row
+    ):
+        advice = " It holds formulas without their values: save it in a spreadsheet program."
+    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.{advice}")
 
 
-def sheet_rows(path, name):
-    """Yield (row number from 1, cells) of each row of a sheet that is not empty."""
-    with _open_book(path) as book:
+def sheet_rows(path, name, values=True):
+    """Yield (row number from 1, cells) of each row of a sheet that is not empty.
+
+    The cells are the values of formulas, or else the formulas themselves.
+    """
+    with _open_book(path, values) as book:
         sheet = book[name]
         if not hasattr(sheet, "iter_rows"):  # a sheet that is a chart
             return
@@ -105,16 +141,19 @@ def sheet_rows(path, name):
                 yield number, cells
 
 
+def _hides_rows(path):
+    """Whether rows of any sheet are hidden: they are read none the less."""
+    with zipfile.ZipFile(path) as archive:
+        sheets = [name for name in archive.namelist() if "worksheets/" in name]
+        return any(re.search(rb'<row [^>]*hidden="1"', archive.read(name)) for name in sheets)
+
+
 @contextmanager
-def _open_book(path):
+def _open_book(path, values=True):
     """A workbook, which is closed afterwards."""
-    try:
-        import openpyxl
-    except ImportError:
-        raise TableError(
-            f"{path}: to read spreadsheets, install openpyxl (pip install openpyxl), or save the "
-            "sheet as CSV."
-        ) from None
+    check_installed("openpyxl")
+    import openpyxl
+
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
@@ -126,7 +165,7 @@ def _open_book(path):
         # A file of our own: of a sheet that is not read to its end some versions leave theirs open.
         with (
             open(path, "rb") as file,
-            closing(openpyxl.load_workbook(file, read_only=True, data_only=True)) as book,
+            closing(openpyxl.load_workbook(file, read_only=True, data_only=values)) as book,
         ):
             yield book
     except TableError:
@@ -142,7 +181,9 @@ def _json_lines(path):
     """A table of messages, one a line; lists in them become columns of their own."""
     rows = []
     try:
-        for line in filter(str.strip, path.read_text(encoding="utf-8-sig").splitlines()):
+        with open_text(path, "utf-8-sig") as file:
+            lines = file.read().splitlines()
+        for line in filter(str.strip, lines):
             rows.append(row := {})
             for name, value in json.loads(line).items():
                 values = enumerate(value) if isinstance(value, list) else [("", value)]
@@ -154,18 +195,54 @@ def _json_lines(path):
     return Dialect(path, what="Lines of JSON", read=partial(enumerate, cells))
 
 
+# -- arrays of NumPy and MATLAB -------------------------------------------------------------------
+
+
+def _arrays(path, n_numbers):
+    """A table of the arrays of a file that have as many rows as the longest one."""
+    try:
+        if path.suffix.lower() == ".mat":
+            content = loadmat(path, squeeze_me=True)
+        else:
+            loaded = np.load(path, allow_pickle=False)
+            content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
+    except NotImplementedError:  # HDF5
+        raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
+    except Exception as error:  # no such file, or one that would have to be unpickled
+        raise TableError(f"{path} cannot be read: {error}.") from None
+    columns: dict = {}
+    for name, values in content.items():
+        if name.startswith("__") or not np.ndim(values):
+            continue
+        if values.dtype.names:
+            columns |= {field: values[field] for field in values.dtype.names}
+        elif values.ndim == 1:
+            columns[name] = values
+        else:
+            columns |= {f"{name}{i}": column for i, column in enumerate(values.T, 1)}
+    n_rows = max(map(len, columns.values()), default=0)
+    columns = {k: v for k, v in columns.items() if len(v) == n_rows and np.ndim(v) == 1}
+    if len(columns) < n_numbers:
+        raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
+    cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
+    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
+    rows = [(0, names)] * bool(names) + list(enumerate(map(list, zip(*cells, strict=True)), 1))
+    return Dialect(path, what="Arrays", read=partial(iter, rows))
+
+
 # -- programs of robots ---------------------------------------------------------------------------
 
 
 def _program(path, n_joints):
     """A program or log of a robot's controller that holds joint positions; None if it is none."""
     encoding = find_encoding(path)
-    with open(path, encoding=encoding) as file:
+    with open_text(path, encoding) as file:
         head = file.read(_HEAD_CHARACTERS)
     for what, record, value in _PROGRAMS:
         if not re.search(record, head):
             continue
-        text, rows = path.read_text(encoding=encoding), []
+        with open_text(path, encoding) as file:
+            text, rows = file.read(), []
         for match in re.finditer(record, text):
             values = re.findall(value, match[2])
             # Coupled or external axes may follow the robot's own.
@@ -173,6 +250,14 @@ def _program(path, n_joints):
                 line = text.count("\n", 0, match.start()) + 1
                 rows.append((line, [match[1] or f"line {line}", *values[:n_joints]]))
         if rows:
-            rows.insert(0, (0, ["name", *(f"A{i} [deg]" for i in range(1, n_joints + 1))]))
+            names = ["name", *(f"A{i} [deg]" for i in range(1, n_joints + 1))]
+            # Points of one place are named by it: P1_1, P1_2, P2_1 and so on.
+            own = (re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", cells[0]) for _, cells in rows)
+            places = [re.sub(r"[\W_]*\d+\W*$", "", name) for name in own]
+            if min(map(places.count, places)) > 1 < len(set(places)):
+                names += ["position (its name without the last number)"]
+                for (_, cells), place in zip(rows, places, strict=True):
+                    cells.append(place)
+            rows.insert(0, (0, names))
             return Dialect(path, what=f"{what}, degrees", read=partial(iter, rows))
     return None

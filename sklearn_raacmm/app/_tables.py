@@ -70,7 +70,9 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), or a robot's program.
+        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), arrays (.npy, .npz,
+        .mat), or a robot's program; text may be packed (.gz, .zip). Rows that a column "valid"
+        says no of are left out.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
@@ -78,12 +80,14 @@ def read_table(
         numbered from 0 or 1, such as q1 to q6.
     position : str, default=None
         Name of the column of the positions' labels. None: one called so, or the only one of text;
-        with `points` one called so, or none.
+        with `points` one called so, or none. In a robot's program the names of points without their
+        last number, P1 of P1_1 and P1_2, where there are several of each.
     points : list of three str or path-like, default=None
         Names of the columns of a tracker's x, y and z; or a file of points, which are matched by
         their names, or else by their order. None: there are none.
     angle_unit : {"rad", "deg"}, default=None
         None: from the header, such as "q1 [deg]", or degrees if an angle is beyond two turns.
+        Angles in gon, mrad, arc seconds or turns are converted.
     labelled : bool, default=True
         Whether positions are needed.
     joint_names : sequence of str, default=()
@@ -192,6 +196,9 @@ class Layout:
         if self.point_columns:
             points = self.columns.numbers(rows, self.point_columns) * self.point_factor
         angles = self.columns.numbers(rows, self.angle_columns)
+        if self.turns is None:
+            self.columns.refuse_marks(angles, rows, self.angle_columns)
+            angles = self.columns.factor * angles
         others = {}
         for name, column in self.others.items():
             cells = [cells[column] for _, cells in rows]

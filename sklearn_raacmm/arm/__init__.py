@@ -17,12 +17,14 @@ from sklearn_raacmm.arm._kinematics import (
     points_of,
     reach_mm,
 )
+from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
 
 __all__ = [
     "FIELDS",
     "MAX_LENGTH_MM",
     "MIN_LENGTH_MM",
     "Arm",
+    "angles_for",
     "arm_for",
     "arm_or_built_in",
     "axis_vectors",
@@ -31,8 +33,10 @@ __all__ = [
     "check_arm",
     "dh_theta",
     "frame_columns",
+    "limits_of",
     "parameter_jacobian",
     "points_of",
     "reach_mm",
+    "solve",
     "usual_pose",
 ]

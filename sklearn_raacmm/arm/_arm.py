@@ -16,9 +16,10 @@ from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
-from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of
+from sklearn_raacmm.arm._kinematics import frame_poses, parameter_jacobian, points_of
+from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
-from sklearn_raacmm.utils import check_places, html_table, write_whole
+from sklearn_raacmm.utils import Floats, check_option, check_places, html_table, write_whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,20 +90,20 @@ class Arm:
     array([[-812. ,   15. ,  914.5]])
     """
 
-    a: np.ndarray
-    alpha: np.ndarray
-    d: np.ndarray
-    theta_offset: Any = 0.0
+    a: Floats
+    alpha: Floats
+    d: Floats
+    theta_offset: Floats = 0.0  # type: ignore[assignment]
     _: KW_ONLY
-    probe: Any = (0.0, 0.0, 0.0)
+    probe: Floats = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     convention: str = "standard"
-    joint_signs: Any = 1
-    pose_joints: tuple[Any, ...] = (3, 4)
-    pose_frames: tuple[Any, ...] = (2, 5)
+    joint_signs: Floats = 1  # type: ignore[assignment]
+    pose_joints: tuple[int, int] = (3, 4)
+    pose_frames: tuple[int, int] = (2, 5)
     name: str = ""
-    names: tuple[Any, ...] = ()
-    limits: np.ndarray | None = None
-    up: Any = (0.0, 0.0, 1.0)
+    names: tuple[str, ...] = ()
+    limits: Floats | None = None
+    up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -426,8 +427,9 @@ class Arm:
         Warns
         -----
         UserWarning
-            If the base frame is another, or if axes are so nearly parallel that they are taken as
-            parallel.
+            If the base frame is another, if axes are so nearly parallel that they are taken as
+            parallel, or if rounded angles that are taken as pi/2 move the probe by 0.1 mm or more:
+            by how much; below that it is a note, which the command `raacmm arm` prints.
 
         Examples
         --------
@@ -486,12 +488,14 @@ class Arm:
         str
             The text. It has the kinematics of `forward`. A tool is no part of UR's kinematics, so
             UR's file leaves out the probe's distance from the last axis. An `up` unlike the file's
-            turns the fixed joint between its first link and `base`, if there is one.
+            turns the fixed joint between its first link and `base`, if there is one. Where the last
+            joint moves and the probe is beside its axis, a link of the probe is added, and a
+            warning names it.
 
         Raises
         ------
         ValueError
-            If this arm was not read from the file, or the file has no place for its probe.
+            If this arm was not read from the file.
 
         Examples
         --------
@@ -510,7 +514,7 @@ class Arm:
 
     # -- kinematics -------------------------------------------------------------------------
 
-    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Position of the probe, equation (1).
 
         Parameters
@@ -539,7 +543,7 @@ class Arm:
         """
         return points_of(self, check_angles(angles, self.n_joints, angle_unit))
 
-    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Azimuth of the probe about the base's z axis.
 
         Parameters
@@ -555,7 +559,7 @@ class Arm:
         points = self.forward(angles, angle_unit=angle_unit)
         return np.arctan2(points[:, 1], points[:, 0])
 
-    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def frames(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Pose of every frame in the base frame.
 
         Parameters
@@ -570,7 +574,7 @@ class Arm:
         """
         return frame_poses(self, check_angles(angles, self.n_joints, angle_unit))
 
-    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> np.ndarray:
+    def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Compute the derivative of the probe's position by each joint angle.
 
         Parameters
@@ -584,7 +588,60 @@ class Arm:
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe.
         """
-        return joint_jacobian(self, check_angles(angles, self.n_joints, angle_unit))
+        n, angles = self.n_joints, check_angles(angles, self.n_joints, angle_unit)
+        return parameter_jacobian(self, angles)[1][:, :, 3 * n : 4 * n] * self.joint_signs
+
+    def angles_for(
+        self,
+        points: ArrayLike,
+        start: ArrayLike | None = None,
+        orientations: ArrayLike | None = None,
+        *,
+        angle_unit: str = "rad",
+    ) -> Floats:
+        """Joint angles that bring the probe to wanted points, by Newton's method.
+
+        Parameters
+        ----------
+        points : array-like of shape (n, 3)
+            In the base frame, mm.
+        start : array-like of shape (n, n_joints) or (1, n_joints), default=None
+            Poses to begin at: of all the angles that reach a point those near the start are taken,
+            within `limits` where the arm has some. None: zero, then 19 random poses.
+        orientations : array-like of shape (n, 3, 3), default=None
+            Rotation matrix that the last frame is to have in the base frame. None: any.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `start` and of what is returned.
+
+        Returns
+        -------
+        angles : ndarray of shape (n, n_joints)
+            ``forward`` of them are the points to 1e-6 mm; NaN where there are none.
+
+        Raises
+        ------
+        ValueError
+            If shapes do not fit, something is not a finite number, or an orientation no rotation.
+
+        Warns
+        -----
+        UserWarning
+            If points are not reached: how many, the first of them, and how near the probe came.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> arm = Arm.from_name("ur10")
+        >>> pose = [[0.1, -1.0, 1.2, -0.5, -1.4, 0.3]]
+        >>> to_the_pose = arm.frames(pose)[:, -1, :, :3]
+        >>> arm.angles_for(arm.forward(pose), [[0, -1, 1, 0, -1, 0]], to_the_pose).round(6)
+        array([[ 0.1, -1. ,  1.2, -0.5, -1.4,  0.3]])
+        """
+        check_option("angle_unit", angle_unit, ("rad", "deg"))
+        if start is not None:
+            start = check_angles(start, self.n_joints, angle_unit)
+        angles = angles_for(self, points, start, orientations)
+        return np.rad2deg(angles) if angle_unit == "deg" else angles
 
 
 def _rebuild(params):

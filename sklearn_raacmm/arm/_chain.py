@@ -20,6 +20,12 @@ _DECIMALS = {2: 2, 4: 4}
 # With so many, a few units of the last decimal off is still meant to be it.
 _MANY_DECIMALS, _LAST_UNITS = 6, 3
 _BRANCHES_SHOWN = 6
+# Descriptions of robots in other formats, by their outermost elements.
+_OTHERS = {
+    "mujoco": ", that of MuJoCo's MJCF: take the URDF that it was made of",
+    "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
+    "COLLADA": ", that of shapes: take the URDF that names them",
+}
 # Cosines smaller than this are rounding.
 _ROUNDING = 1e-12
 # Cosine below which the shortest rotation between directions is one in two steps.
@@ -46,6 +52,8 @@ class Joint(NamedTuple):
     origin: np.ndarray  # (4, 4): the joint's frame in that of its parent at zero, mm
     axis: np.ndarray | None
     limits: tuple
+    child: str = ""  # the link behind it
+    rounded: float = 0.0  # largest difference of an angle as it was meant from that written, rad
 
 
 def read_chain(source, base=None, tip=None):
@@ -87,10 +95,15 @@ def _joints(text, where):
     except ET.ParseError as error:
         raise ValueError(f"{where} is not valid XML: {error}.") from None
     if root.tag != "robot":
-        raise ValueError(f"{where} is not a URDF: its outermost element is {root.tag!r}.")
-    if re.search(r"<xacro:|\$\{", text):
-        raise ValueError(f"{where} holds xacro macros: expand it first (xacro file.xacro).")
+        other = _OTHERS.get(root.tag, "")
+        raise ValueError(f"{where} is not a URDF: its outermost element is {root.tag!r}{other}.")
     joints = root.findall("joint")
+    # Comments, and elements that are no joints, may hold what they like.
+    parts = (part for joint in joints for part in joint.iter())
+    if any("xacro" in element.tag for element in root.iter()) or any(
+        "${" in value for part in parts for value in part.attrib.values()
+    ):
+        raise ValueError(f"{where} holds xacro macros: expand it first (xacro file.xacro).")
     for joint in joints:
         if joint.find("parent") is None or joint.find("child") is None:
             raise ValueError(f"{where}: joint {joint.get('name')!r} has no parent or no child.")
@@ -142,15 +155,23 @@ def _joint(element, where):
     """A joint as the file has it, in mm."""
     name, kind = element.get("name"), element.get("type")
     if kind not in ("revolute", "continuous", "fixed"):
-        raise ValueError(f"{where}: joint {name!r} is {kind}; only revolute joints are known.")
+        before, after = element.find("parent").get("link"), element.find("child").get("link")
+        raise ValueError(
+            f"{where}: joint {name!r} is {kind}; only revolute joints are known. base={after!r} "
+            f"begins behind it, tip={before!r} ends before it."
+        )
     if element.find("mimic") is not None:
         raise ValueError(f"{where}: joint {name!r} mimics another; the arm has no such joints.")
     xyz, rpy = (
         _numbers(element.find("origin"), key, (0.0, 0.0, 0.0), name, where)
         for key in ("xyz", "rpy")
     )
+    origin = element.find("origin")
+    written = "" if origin is None else origin.get("rpy", "")
+    off = (abs(float(text) - angle) for text, angle in zip(written.split(), rpy, strict=False))
+    behind = element.find("child").get("link"), max(off, default=0.0)
     if kind == "fixed":
-        return Joint(name, pose(xyz, rpy), None, ())
+        return Joint(name, pose(xyz, rpy), None, (), *behind)
     axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), name, where))
     if not np.linalg.norm(axis) > 0:
         raise ValueError(f"{where}: the axis of joint {name!r} has no direction.")
@@ -160,7 +181,7 @@ def _joint(element, where):
             ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
-    return Joint(name, pose(xyz, rpy), axis / np.linalg.norm(axis), ends)
+    return Joint(name, pose(xyz, rpy), axis / np.linalg.norm(axis), ends, *behind)
 
 
 def pose(xyz, rpy):
@@ -240,6 +261,21 @@ def _sin(angle):
 
 
 # -- writing --------------------------------------------------------------------------------------
+
+
+def with_probe(text, parent, origin):
+    """Text of a URDF with one more link at its end, "probe", fixed to a link at an origin, mm."""
+    name = "probe"
+    while f'"{name}"' in text:
+        name += "_"
+    xyz, _ = _xyz_rpy(origin)
+    added = (
+        f'  <link name="{name}"/>\n  <joint name="{name}_joint" type="fixed">\n'
+        f"    <parent link={quoteattr(parent)}/>\n"
+        f'    <child link="{name}"/>\n    <origin xyz="{xyz}"/>\n  </joint>\n'
+    )
+    whole, end, rest = text.rpartition("</robot>")
+    return f"{whole}{added}{end}{rest}", name
 
 
 def edited(text, origins):

@@ -100,20 +100,6 @@ def frame_poses(arm: Any, angles: np.ndarray) -> np.ndarray:
     return frames
 
 
-def joint_jacobian(arm: Any, angles: np.ndarray) -> np.ndarray:
-    """Derivatives (n, 3, n_joints) at angles that have been checked: see `Arm.jacobian`."""
-    result = np.empty((len(angles), 3, len(arm.a)))
-    # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
-    first = 0 if arm.convention == "standard" else 1
-    for rows in chunks(len(angles), CHUNK_ROWS):
-        columns = frame_columns(arm, dh_theta(arm, angles[rows]))
-        probe = probe_from_frames(arm, columns)
-        for i, sign in enumerate(arm.joint_signs):
-            frame = columns[i + first]
-            result[rows, :, i] = sign * cross(frame[2], probe - frame[3]).T
-    return result
-
-
 def probe_from_frames(arm, frames, probes=None):
     """Probe points (3, n_samples) from `frame_columns`; `probes` as of `points_of`."""
     x, y, z, origin = frames[-1]

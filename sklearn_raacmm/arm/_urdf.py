@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._chain import Joint, edited, read_chain, turn_between
-from sklearn_raacmm.utils import warn_user
+from sklearn_raacmm.arm._chain import Joint, edited, read_chain, turn_between, with_probe
+from sklearn_raacmm.arm._kinematics import reach_mm
+from sklearn_raacmm.utils import Finding, report_findings, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
 _PARALLEL = 1e-12
@@ -20,6 +21,8 @@ _FARTHEST_FOOT = 10.0
 _NO_JOINT = Joint("", np.eye(4), None, ())
 # The arm's base frame is the file's where the first axis is so near to what the table can say, mm.
 _SAME_MM = 1e-10
+# Angles that are taken as right ones are warned of from here on, mm at the probe.
+_MUCH_MM = 0.1
 # Calibration turns axes by a degree or so: farther ones belong to another arm, rad.
 _SAME_ARM = 0.2
 
@@ -50,6 +53,16 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
         limits=limits if np.isfinite(limits).any() else None,
         up=np.where(np.abs(up) > _PARALLEL, up, 0.0),
     )  # fmt: skip
+    rounded = [joint.rounded for joint in joints if joint.rounded]
+    if rounded:
+        moved_mm = sum(rounded) * reach_mm(arm)
+        report_findings([Finding(
+            "rounded-angles",
+            f"{where}: angles of {len(rounded)} joints are taken as the right or half right angles "
+            f"that they are nearly: they differ by up to {max(rounded):.2g} rad, which moves the "
+            f"probe by up to {moved_mm:.2g} mm.",
+            weight="doubt" if moved_mm > _MUCH_MM else "note",
+        )])  # fmt: skip
     return arm, placed, joints, mount, text, where
 
 
@@ -93,9 +106,12 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         origins[last.name] = last.origin.copy()
         origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
     elif str(text).lstrip().startswith("<") and off_mm > _SAME_MM:
-        raise ValueError(
-            f"{where}: the probe is {off_mm:.4g} mm beside the last axis, and no fixed joint "
-            f"after {last.name!r} could say so: add one with a link."
+        parent = np.eye(4)
+        parent[:3, 3] = (np.linalg.inv(before) @ [*point, 1.0])[:3]
+        text, name = with_probe(text, last.child, parent)
+        warn_user(
+            f"{where}: the probe is {off_mm:.4g} mm beside the last axis: the link {name!r} was "
+            f"added, fixed to {last.child!r}. Read the file with tip={name!r}."
         )
     if np.abs(arm.up - nominal.up).max() > _SAME_MM:
         if mount:

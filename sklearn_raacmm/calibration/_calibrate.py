@@ -32,6 +32,7 @@ from sklearn_raacmm.utils import (
     param_checks,
     report_findings,
     slip_factors,
+    validate_params,
     with_findings,
 )
 
@@ -51,7 +52,7 @@ _PRIOR = [
 
 
 @one_blas_thread
-@param_checks.validate_params(
+@validate_params(
     {
         "arm": [Arm],
         "loss": [param_checks.StrOptions(set(WEIGHTS))],

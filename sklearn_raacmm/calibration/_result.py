@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.utils import centred, encode_groups, floats, slip_factors
+from sklearn_raacmm.utils import Floats, centred, encode_groups, floats, slip_factors
 
 # What the names of parameters that are angles begin with.
 ANGLES = ("alpha", "theta", "base_r")
@@ -139,7 +139,7 @@ class CalibrationResult:
         tools: ArrayLike | None = None,
         stations: ArrayLike | None = None,
         angle_unit: str = "rad",
-    ) -> np.ndarray:
+    ) -> Floats:
         """Residuals of rows, old or new, in the arm's base frame: what a correction learns.
 
         Parameters

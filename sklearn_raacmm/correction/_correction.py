@@ -10,25 +10,34 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
-from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._change import fadings_for
 from sklearn_raacmm.correction._deviations import distances, of_coordinate, predict_with_std
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
+from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._update import update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Finding, check_option
+from sklearn_raacmm.utils import Finding, Floats, check_option
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
+
+
+class FittedModel(Protocol):
+    """Any fitted regressor; that of `learn_correction` is an `ArmResidualRegressor`."""
+
+    def predict(self, X: ArrayLike, /) -> Floats:
+        """Residuals (n_samples, 3), mm."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +70,11 @@ class Correction:
     """
 
     arm: Arm
-    model: Any
+    model: FittedModel
     base: tuple[Any, ...] | None = field(repr=False)
     facts: dict[str, Any] = field(repr=False)
-    scores: Any = None
-    calibration: Any = field(default=None, repr=False)
+    scores: CorrectionScores | None = None
+    calibration: CalibrationResult | None = field(default=None, repr=False)
     angles: np.ndarray | None = field(default=None, repr=False)
     positions: np.ndarray | None = field(default=None, repr=False)
 
@@ -120,7 +129,7 @@ class Correction:
         angle_unit: str = "rad",
         std_of: str = "coordinate",
         extra: dict[str, Any] | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[Floats, Floats]:
         """Corrected points, and how far to trust them.
 
         Parameters
@@ -160,7 +169,7 @@ class Correction:
 
     def distances(
         self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[Floats, Floats]:
         """Distances between pairs of corrected readings, and how far to trust them.
 
         Parameters
@@ -238,8 +247,9 @@ class Correction:
             y = position_residuals(self.arm.forward(angles), positions)
         else:
             raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
+        model: Any = self.model  # of another kind is refused
         return check_correction(
-            self.model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
+            model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
             refitted=refitted, false_alarm_rate=false_alarm_rate, date=date,
         )  # fmt: skip
 
@@ -340,10 +350,12 @@ class Correction:
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         new = self.register(angles, positions, points, lengths)
-        y = new.calibration.residuals(angles, points, positions)
+        model: Any = new.model
+        calibration: Any = new.calibration
+        y = calibration.residuals(angles, points, positions)
         X = self.inputs(angles, extra)
-        options = {"groups": positions, "date": date, "accept": accept}
-        return replace(new, model=update_correction(new.model, X, y, **options))
+        updated = update_correction(model, X, y, groups=positions, date=date, accept=accept)
+        return replace(new, model=updated)
 
     def move(self, probe: ArrayLike) -> Self:
         """The same with another probe, whose vector is known.
@@ -358,12 +370,13 @@ class Correction:
         ValueError
             If the model knows no causes, so that only a registration helps.
         """
-        if not hasattr(self.model, "with_arm"):
+        model: Any = self.model
+        if not hasattr(model, "with_arm"):
             raise ValueError(
                 "this correction has no model of causes: register the new probe instead."
             )
         arm = self.arm.replace(probe=probe)
-        return replace(self, arm=arm, model=self.model.with_arm(arm))
+        return replace(self, arm=arm, model=model.with_arm(arm))
 
     def with_tool(self, tool: str) -> Self:
         """The same with another of the probes that it was learnt with.
@@ -476,13 +489,14 @@ class Correction:
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
-    def _registered(self, through, angles, positions, points):
+    def _registered(self, through, angles, positions, points) -> Any:
         """Calibration through the model, and the model with what of it these poses are for.
 
         They had no part in its fit: what fades beyond the doubt at them is compared with what fades
         from no doubt on, each after a registration of its own, and the share follows.
         """
-        model, linear = self.model, getattr(self.model, "linear_model_", None)
+        model: Any = self.model
+        linear = getattr(model, "linear_model_", None)
         n = len(angles) if positions is None else len(np.unique(positions))
         if linear is None or n < LEAST_POSITIONS:
             return through(model), model

@@ -48,7 +48,7 @@ def learn_correction(
     model: Any = None,
     cv: Any = None,
     n_jobs: int | None = None,
-    progress: Callable | None = None,
+    progress: Callable[..., object] | None = None,
     extra: dict[str, Any] | None = None,
     in_order: bool = False,
     like: Sequence[ArmResidualRegressor] = (),
@@ -191,7 +191,7 @@ class LearnOptions(TypedDict, total=False):
     model: Any
     cv: Any
     n_jobs: int | None
-    progress: Callable | None
+    progress: Callable[..., object] | None
     extra: dict[str, Any] | None
     in_order: bool
     like: Sequence[ArmResidualRegressor]
@@ -236,7 +236,8 @@ def cross_validate_correction(
     >>> scores.helps
     True
     """
-    return learn_correction(arm, angles, positions, points, lengths, **options).scores
+    scores: Any = learn_correction(arm, angles, positions, points, lengths, **options).scores
+    return scores
 
 
 def _say_what_moved(data, calibration, model, noise, rows):

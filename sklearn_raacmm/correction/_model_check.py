@@ -32,6 +32,7 @@ from sklearn_raacmm.utils import (
     one_blas_thread,
     one_warning,
     param_checks,
+    validate_params,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -145,7 +146,7 @@ class CorrectionCheck:
 
 
 @one_blas_thread
-@param_checks.validate_params(
+@validate_params(
     {
         "false_alarm_rate": [param_checks.Interval(Real, 0, 0.5, closed="neither")],
         "refitted": ["array-like", str],

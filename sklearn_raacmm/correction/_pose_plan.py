@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.arm import Arm, check_arm, reach_mm
-from sklearn_raacmm.error_model import angles_for, limits_of
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.arm import Arm, check_arm, limits_of, reach_mm, solve
+from sklearn_raacmm.utils import Floats, floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
 _PLACES, _STARTS = 4, 8
@@ -37,8 +36,8 @@ class PosePlan(NamedTuple):
         About how long it takes, at 6 s for a pose and a minute for a cone.
     """
 
-    positions: np.ndarray
-    angles: np.ndarray
+    positions: Floats
+    angles: Floats
     groups: np.ndarray
     minutes: float
 
@@ -145,7 +144,7 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
     size = (_STARTS * n_poses, arm.n_joints)
     start = rng.uniform(np.maximum(low, -np.pi), np.minimum(high, np.pi), size)
     aim = np.broadcast_to(place, (len(start), 3))
-    found, _ = angles_for(arm, lambda angles, rows: 0.0, aim, start)
+    found, _ = solve(arm, aim, start)
     found = found[~np.isnan(found[:, 0])]
     if lean_deg is not None and len(found):
         found = found[_stands(arm, found, place, lean_deg)]

@@ -21,8 +21,8 @@ from sklearn_raacmm.utils import (
     call_collecting,
     listed,
     one_blas_thread,
-    param_checks,
     report_findings,
+    validate_params,
 )
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
@@ -31,7 +31,7 @@ _STRANGE = 10.0
 
 
 @one_blas_thread
-@param_checks.validate_params(
+@validate_params(
     {"arm": [Arm, None], "date": [str, calendar, None], "accept": ["array-like", str]},
     prefer_skip_nested_validation=True,
 )

@@ -19,7 +19,7 @@ from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import param_checks
+from sklearn_raacmm.utils import param_checks, validate_params
 
 PANDA_URL = (
     "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"
@@ -44,7 +44,7 @@ _CONSTRAINTS = {
 }
 
 
-@param_checks.validate_params(
+@validate_params(
     _CONSTRAINTS | {"arm": [param_checks.StrOptions({"panda_2", "panda_3"})]},
     prefer_skip_nested_validation=True,
 )
@@ -148,7 +148,7 @@ def fetch_panda_ball_socket(
     return pack(data, return_X_y, as_frame, split_by="placements")
 
 
-@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def fetch_ur10_tracker(
     *,
     data_home: str | PathLike[str] | None = None,

@@ -6,20 +6,18 @@
 import warnings
 from functools import lru_cache
 from numbers import Integral
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.utils import Bunch, check_random_state, check_scalar
 
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import (
-    floats,
-    param_checks,
-)
+from sklearn_raacmm.utils import Floats, floats, validate_params
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -35,8 +33,45 @@ _CONSTRAINTS = {
     "as_frame": ["boolean"],
 }
 
+if TYPE_CHECKING:  # scikit-learn's Bunch has no types
 
-@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+    class SimulatedTest(dict[str, Any]):
+        data: Floats
+        target: Floats
+        groups: NDArray[np.int_]
+        lengths: Any
+        points: Floats
+        arm: Arm
+        nominal_arm: Arm
+        feature_names: list[str]
+        target_names: list[str]
+        directions: Floats
+        temperature: Floats
+        payload: Floats
+        simulation: Any
+
+
+@overload
+def make_single_point(
+    n_positions: int = 10,
+    n_poses: int = 100,
+    *,
+    bars: ArrayLike = (),
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    random_state: int | np.random.RandomState | None = 0,
+) -> "SimulatedTest": ...
+@overload
+def make_single_point(
+    n_positions: int = 10,
+    n_poses: int = 100,
+    *,
+    bars: ArrayLike = (),
+    machine: SimulatedArm | ArmErrors | str = "typical",
+    random_state: int | np.random.RandomState | None = 0,
+    return_X_y: bool = False,
+    as_frame: bool = False,
+) -> Any: ...
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_single_point(
     n_positions: int = 10,
     n_poses: int = 100,
@@ -136,7 +171,7 @@ def make_single_point(
     return pack(data, return_X_y, as_frame)
 
 
-@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_gauge(
     lengths: ArrayLike = (300.0, 500.0),
     n_placements: int = 10,

@@ -19,7 +19,6 @@ from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
 from sklearn_raacmm.error_model._fading import LEAST_POSITIONS, Fading, Judgement, judge
 from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._solve import angles_for, limits_of
 from sklearn_raacmm.error_model._structures import UNUSED_SD, order_price, smooth_shares
 
 __all__ = [
@@ -34,14 +33,12 @@ __all__ = [
     "Judgement",
     "LinearModel",
     "Terms",
-    "angles_for",
     "check_extra",
     "check_poses",
     "column_table",
     "constrained",
     "force_on_probe",
     "judge",
-    "limits_of",
     "order_price",
     "smooth_shares",
     "term_columns",

@@ -8,6 +8,9 @@ One table says what each column is, see `Column`. `term_columns` computes the co
 the export to C writes the same table into its source.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from functools import lru_cache
 from typing import Any, NamedTuple
 

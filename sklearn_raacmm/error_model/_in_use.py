@@ -6,21 +6,20 @@
 import warnings
 from copy import copy
 from numbers import Integral
-from typing import Any
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.arm import Arm, angles_for, check_arm
 from sklearn_raacmm.error_model._checks import check_poses
 from sklearn_raacmm.error_model._fading import Fading, Judgement, warn_where_unknown
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._moved import moved_fading, moved_model
-from sklearn_raacmm.error_model._solve import angles_for
+from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
 from sklearn_raacmm.residuals import PointCorrectionMixin
-from sklearn_raacmm.utils import check_flags, floats, warn_user
+from sklearn_raacmm.utils import Floats, Pair, check_flags
 
 
 class FittedArmModel(PointCorrectionMixin):
@@ -74,6 +73,19 @@ class FittedArmModel(PointCorrectionMixin):
     def arm_(self) -> Arm:
         return self.linear_model_.arm
 
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: Literal[False] = False, with_noise: bool = False
+    ) -> Floats: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: Literal[True], with_noise: bool = False
+    ) -> Pair: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = False,
+        with_unseen: bool = False,
+    ) -> Pair: ...  # fmt: skip
     def predict(
         self,
         X: ArrayLike,
@@ -125,6 +137,35 @@ class FittedArmModel(PointCorrectionMixin):
         UserWarning
             If the angles are most likely in the other unit, or most of the corrections are reduced
             to less than a tenth.
+
+        Examples
+        --------
+        For what knows one target only, a coordinate of a fitted model is a regressor. MAPIE's
+        ``SplitConformalRegressor(Coordinate(model, 0), prefit=True)`` takes it, too.
+
+        >>> from sklearn.base import BaseEstimator, RegressorMixin
+        >>> from sklearn.dummy import DummyRegressor
+        >>> from sklearn.ensemble import StackingRegressor
+        >>> from sklearn_raacmm import ArmResidualRegressor
+        >>> from sklearn_raacmm.datasets import make_single_point
+        >>> class Coordinate(RegressorMixin, BaseEstimator):
+        ...     fitted_ = True
+        ...     def __init__(self, model, axis):
+        ...         self.model, self.axis = model, axis
+        ...     def fit(self, X, y):
+        ...         return self
+        ...     def predict(self, X):
+        ...         return self.model.predict(X)[:, self.axis]
+        ...     def __sklearn_is_fitted__(self):
+        ...         return True
+        >>> test = make_single_point(6, 40)  # simulated
+        >>> X, y, first = test.data, test.target, test.groups < 4
+        >>> model = ArmResidualRegressor(test.arm, orders=2)
+        >>> model = model.fit(X[first], y[first], groups=test.groups[first])
+        >>> parts = [("arm", Coordinate(model, 0)), ("mean", DummyRegressor().fit(X, y[:, 0]))]
+        >>> stack = StackingRegressor(parts, cv="prefit").fit(X[~first], y[~first, 0])
+        >>> stack.predict(X).shape
+        (240,)
         """
         check_flags(
             return_std=return_std,
@@ -153,7 +194,7 @@ class FittedArmModel(PointCorrectionMixin):
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def with_arm(self, arm: Arm) -> Any:
+    def with_arm(self, arm: Arm) -> Self:
         """Move the fitted model to another probe.
 
         A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
@@ -168,7 +209,7 @@ class FittedArmModel(PointCorrectionMixin):
 
         Returns
         -------
-        model : Any
+        model : object of the same class
             This one is left as it is.
 
         Raises
@@ -210,7 +251,7 @@ class FittedArmModel(PointCorrectionMixin):
         *,
         with_noise: bool = False,
         with_unseen: bool = False,
-    ) -> np.ndarray:
+    ) -> Floats:
         """Draw corrections of all poses together, as the posterior has them.
 
         Compute a result, such as a diameter or a flatness, from the corrected points of each of 200
@@ -251,7 +292,9 @@ class FittedArmModel(PointCorrectionMixin):
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
-    def angles_for(self, points: ArrayLike, start: ArrayLike) -> np.ndarray:
+    def angles_for(
+        self, points: ArrayLike, start: ArrayLike, orientations: ArrayLike | None = None
+    ) -> Floats:
         """Joint angles that bring the corrected probe to wanted points, by Newton's method.
 
         Parameters
@@ -260,8 +303,13 @@ class FittedArmModel(PointCorrectionMixin):
             In the arm's base frame, mm.
         start : array-like of shape (n, n_joints + n_extra) or (1, n_joints + n_extra)
             Poses to begin at, in the unit that the model takes, such as those of a program that
-            knows nothing of the correction; then the extra columns. Of all the angles that reach a
-            point those near the start are taken, within ``arm_.limits`` where the arm has some.
+            knows nothing of the correction (:meth:`Arm.angles_for`); then the extra columns. Of all
+            the angles that reach a point those near the start are taken, within ``arm_.limits``
+            where the arm has some.
+        orientations : array-like of shape (n, 3, 3), default=None
+            Rotation matrix that the arm's last frame is to have in its base. It is corrected, too,
+            as far as the model knows: what it predicts at probes of other lengths says how much the
+            last link is turned. None: any.
 
         Returns
         -------
@@ -272,7 +320,7 @@ class FittedArmModel(PointCorrectionMixin):
         Raises
         ------
         ValueError
-            If shapes do not fit or something is not a finite number.
+            If shapes do not fit, something is not a finite number, or an orientation no rotation.
 
         Warns
         -----
@@ -292,34 +340,25 @@ class FittedArmModel(PointCorrectionMixin):
         >>> bool(np.abs(model.correct(found) - wanted).max() < 1e-6)
         True
         """
-        points = floats("points", points, 3)
-        start = np.asarray(start, dtype=float)
-        if start.ndim == 2 and len(start) == 1:
-            start = np.repeat(start, len(points), axis=0)
-        X = check_poses(self, start)
-        if len(X) != len(points):
-            raise ValueError(
-                f"start has {len(X)} poses for {len(points)} points: give one, or one each."
-            )
+        X = check_poses(self, np.asarray(start, dtype=float))
         in_rad = copy(self)
         in_rad.angle_unit = "rad"
-        n, extra = self.arm_.n_joints, X[:, self.arm_.n_joints :]
+        n, linear = self.arm_.n_joints, self.linear_model_
 
         def correction(angles, rows):
+            extra = X[rows if len(X) > 1 else np.zeros_like(rows), n:]
+            rows = np.hstack([angles, extra])
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)
-                return in_rad.predict(np.hstack([angles, extra[rows]]))
+                shift = in_rad.predict(rows)
+                if orientations is None:
+                    return shift, None
+                return shift, in_rad.fading(rows)[:, None] * turns_of(linear, rows)
 
-        angles, missed = angles_for(self.arm_, correction, points, X[:, :n])
-        if missed.size:
-            row, off = int(missed["row"][0]), missed["off_mm"][0]
-            warn_user(
-                f"{len(missed)} of {len(points)} points are not reached: first that of row {row}, "
-                f"to which the probe came as near as {off:.3g} mm. Their angles are NaN."
-            )
+        angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
         return np.rad2deg(angles) if self.angle_unit == "deg" else angles
 
-    def fading(self, X: ArrayLike) -> np.ndarray:
+    def fading(self, X: ArrayLike) -> Floats:
         """Share of the correction that `predict` returns at each pose.
 
         Parameters
@@ -335,7 +374,7 @@ class FittedArmModel(PointCorrectionMixin):
         X = check_poses(self, X)
         return self.fading_.share(self.linear_model_.predict_with_doubt(X)[2])
 
-    def distance_std(self, X1: ArrayLike, X2: ArrayLike) -> np.ndarray:
+    def distance_std(self, X1: ArrayLike, X2: ArrayLike) -> Floats:
         """Standard deviation of corrected lengths between two poses each, without noise.
 
         Parameters

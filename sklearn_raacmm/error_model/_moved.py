@@ -14,6 +14,9 @@ from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
 _ROUNDING = 1e-9
+# How far from the probe others are by which the turn of the last link is found, mm: any will do,
+# since all is in proportion.
+_BESIDE_MM = 100.0
 # Families whose columns are all per reach.
 _PER_REACH = ("gravity", "force")
 
@@ -75,6 +78,22 @@ def moved_model(linear, arm):
         gauge_free_half=np.hstack([matrix @ linear.gauge_free_half, unknown]),
         fading_half=np.hstack([matrix @ linear.fading_half, unknown]),
     )
+
+
+def turns_of(linear: Any, rows: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) in rad that the model has the last link turned by at rows of X.
+
+    Of residuals e at probes beside each other, E = de / dprobe in the base: the last link turns by
+    the antisymmetric part of E R', with R its orientation. The rest is growth.
+    """
+    arm = linear.arm
+    own = linear.predict(rows)[0]
+    beside = (arm.replace(probe=arm.probe + step) for step in _BESIDE_MM * np.eye(3))
+    by_probe = [moved_model(linear, other).predict(rows)[0] - own for other in beside]
+    frame = arm.frames(rows[:, : arm.n_joints])[:, -1, :, :3]
+    slope = np.stack(by_probe, axis=2) @ frame.swapaxes(1, 2) / (2 * _BESIDE_MM)
+    i, j = [2, 0, 1], [1, 2, 0]
+    return slope[:, i, j] - slope[:, j, i]
 
 
 def moved_fading(fading, old, new):

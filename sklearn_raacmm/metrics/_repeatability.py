@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,7 @@ from sklearn import get_config
 from sklearn.metrics import make_scorer
 
 from sklearn_raacmm.utils import (
+    Floats,
     check_groups,
     check_option,
     deviations_by_group,
@@ -21,6 +22,22 @@ from sklearn_raacmm.utils import (
 _DISTANCES = ("2s", "max", "mean")
 
 
+@overload
+def single_point_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: str = "mean",
+) -> float: ...
+@overload
+def single_point_repeatability(
+    points: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    statistic: str = "2s",
+    aggregate: None,
+) -> Floats: ...
 def single_point_repeatability(
     points: ArrayLike,
     groups: ArrayLike | None = None,
@@ -81,7 +98,7 @@ def axis_repeatability(
     *,
     statistic: str = "half_range",
     aggregate: str | None = "mean",
-) -> np.ndarray:
+) -> Floats:
     r"""Repeatability of each coordinate by itself.
 
     Parameters

@@ -1,5 +1,8 @@
 """Two spheres of metrology: the least-squares one and the smallest one that holds all points."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from itertools import combinations
 from typing import Any
 
@@ -7,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from sklearn_raacmm.utils import floats
+from sklearn_raacmm.utils import Floats, floats
 
 
-def fit_sphere(points: ArrayLike) -> tuple[np.ndarray, float, np.ndarray]:
+def fit_sphere(points: ArrayLike) -> tuple[Floats, float, Floats]:
     """Least-squares (Gaussian) sphere through points.
 
     Parameters

@@ -5,6 +5,9 @@ neither on their order nor on how they are split into blocks nor on repeats. Eve
 sum over blocks, or a triangular factor of them, like that of rows in memory.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from functools import partial, reduce
 
 import numpy as np

@@ -4,6 +4,9 @@ A smooth kernel has a factor of low rank, and a step of the selection costs the 
 times the rank. Of a rough kernel the factor is cut.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from functools import partial
 
 import numpy as np

@@ -11,6 +11,9 @@ References
    2006, section 2.7.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from functools import partial
 from typing import Any
 

@@ -5,6 +5,9 @@ function of one number, the squared distance ``s``. The derivative with respect 
 gradient with respect to any width needs: no square root, hence no division by a zero distance.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from collections.abc import Callable
 from typing import Any
 

@@ -1,5 +1,8 @@
 """Penalised least squares on nested subsets, from one QR of the true columns."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from functools import partial
 
 import numpy as np

@@ -12,6 +12,9 @@ References
    2006, sections 5.4 and 8.3.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from itertools import pairwise
 from typing import NamedTuple
 

@@ -1,5 +1,8 @@
 """What of a network is linear: groups' constants, the polynomial, and the evidence for it."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from typing import NamedTuple
 
 import numpy as np

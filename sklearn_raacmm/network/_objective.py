@@ -12,6 +12,9 @@ slope whose square is far above :math:`\kappa^2 / n`, its error from n observati
 however steep it is; one that cannot be told from 0 costs nothing.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from typing import NamedTuple
 
 import numpy as np

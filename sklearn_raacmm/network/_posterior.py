@@ -1,5 +1,8 @@
 """The fitted network as a value: its radial functions, weights and their posterior."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self

@@ -1,7 +1,10 @@
 """Radial basis function network regression with centres chosen by orthogonal least squares."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from numbers import Integral, Real
-from typing import Any, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +21,9 @@ from sklearn_raacmm.network._read import (
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
+    Floats,
     MultiOutputMixin,
+    Pair,
     RegressorMixin,
     VersionedEstimator,
     check_features,
@@ -321,6 +326,16 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
         return rows.codes is not None
 
+    @overload
+    def predict(self, X: ArrayLike, return_std: Literal[False] = False) -> Floats: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, return_std: Literal[True], *, with_noise: bool = True
+    ) -> Pair: ...
+    @overload
+    def predict(
+        self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = True
+    ) -> Pair: ...
     def predict(
         self,
         X: ArrayLike,
@@ -381,7 +396,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         n_samples: int = 1,
         random_state: int | np.random.RandomState | None = 0,
         with_noise: bool = True,
-    ) -> np.ndarray:
+    ) -> Floats:
         """Draw targets from the posterior of the Gaussian process that the network approximates.
 
         Parameters
@@ -425,6 +440,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
 
+    @overload
+    def predict_gradient(self, X: ArrayLike, return_variance: Literal[True]) -> Pair: ...
+    @overload
+    def predict_gradient(self, X: ArrayLike) -> Floats: ...
     def predict_gradient(self, X: ArrayLike, return_variance: bool = False) -> Any:
         """Derivatives of the prediction by the features, in closed form.
 

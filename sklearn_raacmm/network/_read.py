@@ -1,5 +1,8 @@
 """What the user gives, checked: parameters, and the data as a problem in memory or in blocks."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 import numpy as np
 
 from sklearn_raacmm.network._blocks import ArrayChunks, dask_chunks, draw_rows, is_dask

@@ -6,6 +6,9 @@ References
    band-spectroscopic data", Technometrics 16 (1974).
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 import numpy as np
 
 from sklearn_raacmm.network._blocks import is_dask

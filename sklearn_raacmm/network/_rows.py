@@ -12,6 +12,9 @@ have independent noise of unit variance: that is done to all columns and targets
 is no constants, an infinite one takes the whole mean out.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from collections.abc import Callable
 from functools import partial, reduce
 from typing import Any, NamedTuple, Self

@@ -11,6 +11,9 @@ Structures are compared on these rows (`_choose`), by the objective of `_objecti
 leave-one-out predictions.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -20,6 +20,9 @@ References
    basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
 """
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 from typing import Any
 
 import numpy as np

@@ -1,5 +1,8 @@
 """Kernel, widths and ridge of some outputs, found where they are not given; and their network."""
 
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 

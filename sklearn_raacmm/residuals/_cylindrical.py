@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn.utils import _safe_indexing, check_array
 
-from sklearn_raacmm.utils import centred, check_weights, encode_groups, floats, slip_factors
+from sklearn_raacmm.utils import Floats, centred, check_weights, encode_groups, floats, slip_factors
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
 NORM_TOLERANCE = 1e-5
@@ -18,7 +18,7 @@ NORM_TOLERANCE = 1e-5
 
 def position_residuals(
     points: ArrayLike, groups: ArrayLike, sample_weight: ArrayLike | None = None
-) -> np.ndarray:
+) -> Floats:
     """Residual of each probe point from the mean point of its position.
 
     Parameters

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,8 @@ from sklearn.metrics import r2_score
 
 from sklearn_raacmm.utils import (
     Finding,
+    Floats,
+    Pair,
     RegressorMixin,
     are_deviations,
     centred,
@@ -41,7 +43,21 @@ class PointCorrectionMixin(RegressorMixin):
         def _points_of(self, X: ArrayLike) -> Any: ...
         def _knows_deviations_only(self) -> bool: ...
 
-    def correct(self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any) -> Any:
+    @overload
+    def correct(
+        self, X: ArrayLike, points: Any = None, *, return_std: Literal[True], **predict_params: Any
+    ) -> Pair: ...
+    @overload
+    def correct(
+        self, X: ArrayLike, points: Any = None, *, return_cov: Literal[True], **predict_params: Any
+    ) -> Pair: ...
+    @overload
+    def correct(
+        self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Literal[False]
+    ) -> Floats: ...
+    def correct(
+        self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
+    ) -> Any:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters

@@ -18,6 +18,7 @@ from sklearn_raacmm.arm import (
     points_of,
 )
 from sklearn_raacmm.utils import (
+    Floats,
     TransformerMixin,
     VersionedEstimator,
     check_features,
@@ -136,7 +137,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         )
         return self
 
-    def transform(self, X: ArrayLike) -> np.ndarray:
+    def transform(self, X: ArrayLike) -> Floats:
         """Compute the pose.
 
         Parameters

@@ -5,7 +5,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +38,8 @@ from sklearn_raacmm.residuals._positions import (
     takes_groups,
 )
 from sklearn_raacmm.utils import (
+    Floats,
+    Pair,
     RegressorMixin,
     VersionedEstimator,
     are_deviations,
@@ -127,7 +129,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
     }
 
     def __init__(
-        self, regressor: Any = None, *, azimuth: str | Callable | None = "appended"
+        self, regressor: Any = None, *, azimuth: str | Callable[..., Any] | None = "appended"
     ) -> None:
         self.regressor = regressor
         self.azimuth = azimuth
@@ -248,6 +250,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             y = y - constants[codes]
         return y, fit_params
 
+    @overload
+    def predict(self, X: ArrayLike, *, return_std: Literal[True], **options: Any) -> Pair: ...
+    @overload
+    def predict(self, X: ArrayLike, **options: Literal[False]) -> Floats: ...
     @one_warning
     def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
         """Predict Cartesian residuals, to be subtracted from the measured points.

@@ -7,11 +7,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn import base
 from sklearn.utils import _param_validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Floats = NDArray[np.float64]
+Pair = tuple[Floats, Floats]
 
 if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
 
@@ -27,7 +30,7 @@ if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
         def score(self, X: Any, y: Any, *args: Any, **kwargs: Any) -> float: ...
 
     class TransformerMixin:
-        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> np.ndarray: ...
+        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> Floats: ...
         def set_output(self, *, transform: str | None = None) -> Self: ...
 
     class MultiOutputMixin: ...
@@ -37,6 +40,15 @@ else:
     RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
 
 param_checks: Any = _param_validation
+
+
+def validate_params(
+    constraints: dict[str, Any], *, prefer_skip_nested_validation: bool
+) -> Callable[[Function], Function]:
+    """Make a function that checks its parameters, as scikit-learn's, which has no types."""
+    return _param_validation.validate_params(
+        constraints, prefer_skip_nested_validation=prefer_skip_nested_validation
+    )
 
 
 def one_blas_thread(function: Function) -> Function:

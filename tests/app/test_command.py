@@ -281,6 +281,10 @@ def test_missing_extras_are_said_before_the_work(learned, monkeypatch, tmp_path,
     log, arm = folder.parent / "log.csv", folder.parent / "arm.urdf"
     assert main(["learn", str(log), "--arm", str(arm), "--out", str(tmp_path / "out")]) == 2
     assert "jinja2 and skops must be installed" in capsys.readouterr().err
+    assert main(["plan", "--arm", str(arm), "--out", str(tmp_path / "out")]) == 2
+    assert "jinja2 must be installed" in capsys.readouterr().err
+    assert main(["accept", "no.xlsx", "--out", str(tmp_path / "out")]) == 2
+    assert "jinja2 must be installed" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -4,12 +4,14 @@ All hold the same four poses of a UR-like arm, so that one comparison judges all
 """
 
 import datetime
+import gzip
 import io
 import json
 import zipfile
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.app import TableError, read_table
@@ -128,6 +130,156 @@ KINDS = {
         **labelled([f"J{i}" for i in range(1, 7)], separator="\t"), "encoding": "utf-16",
     },
 }  # fmt: skip
+
+
+Q = [f"q{i}" for i in range(1, 7)]
+
+
+def as_table(header, values=DEG, separator=",", more=(), end="\n"):
+    """Text of labels and values with further columns before them, one list for each row."""
+    rows = [["station", *header]]
+    rows += [[lab, *row] for lab, row in zip(LABELS, values, strict=True)]
+    rows = [[*extra, *row] for extra, row in zip(more, rows, strict=True)] if more else rows
+    return "".join(separator.join(map(str, row)) + end for row in rows)
+
+
+def decimal_commas(text):
+    return text.replace(".", ",")
+
+
+def saved(write, *args, **kwargs):
+    file = io.BytesIO()
+    write(file, *args, **kwargs)
+    return file.getvalue()
+
+
+def zipped(text, method):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        archive.writestr("logs/log.csv", text)
+    return file.getvalue()
+
+
+def of_places(text):
+    """The names of a robot's points, by which two and two belong together."""
+    for i, name in enumerate(["A_1", "A_2", "B_1", "B_2"]):
+        text = text.replace(f"XP{i}=", f"{name}=").replace(f" j{i}:=", f" {name}:=")
+        text = text.replace(f'P[{i + 1}:"p{i + 1}"]', f'P[{i + 1}:"{name}"]')
+    return text
+
+
+GON = (RAD / np.pi * 200).round(5)
+MARKED = np.vstack([DEG[:2], np.full((1, 6), 999), DEG[2:]])
+FLAGS = [["time", "valid"], [1, 1], [2, 1], [3, 0], [4, 1], [5, 1]]
+with_mark = joined(
+    [extra + row for extra, row in zip(
+        FLAGS, [["station", *Q], *([lab, *row] for lab, row in zip("AACBB", MARKED, strict=True))],
+        strict=True)]
+)  # fmt: skip
+STRUCTURED = np.array(
+    [(lab, *row) for lab, row in zip(LABELS, RAD, strict=True)],
+    dtype=[("station", "U3"), *((f"{q} [rad]", float) for q in Q)],
+)
+CELLS = np.array(LABELS, dtype=object)
+PLAIN = as_table([f"{q} [deg]" for q in Q])
+# Name of the kind -> name of the file and its bytes or text; all are read without any option.
+READ = {
+    "joints in brackets": ("a.csv", as_table([f"j[{i}]" for i in range(6)])),
+    "joints and units in brackets": ("a.csv", as_table([f"j[{i}] [rad]" for i in range(6)], RAD)),
+    "gon": ("a.csv", as_table([f"{q} [gon]" for q in Q], GON)),
+    "gon behind the name": ("a.csv", as_table([f"{q}_gon" for q in Q], GON)),
+    "mrad": ("a.csv", as_table([f"{q} (mrad)" for q in Q], 1000 * RAD)),
+    "mrad behind the name": ("a.csv", as_table([f"{q}_mrad" for q in Q], 1000 * RAD)),
+    "turns": ("a.csv", as_table([f"{q} [turns]" for q in Q], (RAD / 2 / np.pi).round(8))),
+    "unit behind a slash": ("a.csv", as_table([f"{q}/rad" for q in Q], RAD)),
+    "units in capitals": ("a.csv", as_table([f"{q} [DEG]" for q in Q])),
+    "units in a row": ("a.csv", "station,q1,q2,q3,q4,q5,q6\n,deg,deg,deg,deg,deg,deg\n"
+                       + as_table(Q).split("\n", 1)[1]),
+    "a mark beside valid": ("a.csv", with_mark),
+    "a mark beside valid in words": ("a.csv", with_mark.replace(",1,", ",True,", 2).replace(
+        "3,0,", "3,False,").replace("4,1,", "4,True,").replace("5,1,", "5,True,")),
+    "packed by gzip": ("a.csv.gz", gzip.compress(PLAIN.encode())),
+    "packed by gzip in utf-16": ("a.txt.gz", gzip.compress(PLAIN.encode("utf-16"))),
+    "packed by zip": ("a.zip", zipped(PLAIN, zipfile.ZIP_DEFLATED)),
+    "stored by zip": ("a.zip", zipped(PLAIN, zipfile.ZIP_STORED)),
+    "numpy, structured": ("a.npy", saved(np.save, STRUCTURED)),
+    "numpy, several": ("a.npz", saved(np.savez, station=np.array(LABELS), q=DEG)),
+    "matlab 5": ("a.mat", saved(savemat, {"q": DEG, "station": CELLS, "fs": 50.0})),
+    "matlab, columns": ("a.mat", saved(savemat, {q: DEG[:, i] for i, q in enumerate(Q)}
+                        | {"station": CELLS})),
+    "bars": ("a.txt", as_table(Q, separator="|")),
+    "tabs and decimal commas": ("a.txt", decimal_commas(as_table(Q, separator="\t"))),
+    "blanks of any width": ("a.txt", as_table(Q, separator="    ")),
+    "ends of lines of Windows": ("a.csv", as_table(Q, end="\r\n")),
+    "a separator at the end": ("a.csv", as_table(Q, end=",\n")),
+    "dates before": ("a.csv", as_table(Q, more=[["when"], *([f"2026-11-22 10:00:0{i}"]
+                     for i in range(4))])),
+    "empty lines between": ("a.csv", PLAIN.replace("\nB", "\n\n\nB", 1)),
+    "rapid, names of places": ("a.mod", of_places(PROGRAM["abb rapid"])),
+    "krl, names of places": ("a.dat", of_places(PROGRAM["kuka krl"])),
+    "ls, names of places": ("a.ls", of_places(PROGRAM["fanuc ls"])),
+}  # fmt: skip
+# What is asked or refused, and the words of the sentence.
+NAMED = {
+    "a mark without a word": (
+        "a.csv",
+        as_table(Q, MARKED[[0, 1, 2, 4]]),
+        "marks a missing",
+    ),
+    "a mark in radians": ("a.csv", as_table(Q, np.where(np.eye(4, 6), 9999, RAD)), "deg or --unit"),
+    "numpy without names": ("a.npy", saved(np.save, RAD), "which 6 columns"),
+    "numpy of objects": (
+        "a.npy",
+        saved(np.save, CELLS, allow_pickle=True),
+        "cannot be read",
+    ),
+    "matlab 7.3": ("a.mat", b"MATLAB 7.3 MAT-file" + 105 * b" " + b"\0\2IM", "7.3 are not read"),
+    "parquet": ("a.parquet", b"PAR1", "save the table as"),
+    "hdf5": ("a.h5", b"\x89HDF", "save the table as"),
+    "two files": ("a.zip", b"", "cannot be unpacked"),
+    "half a file": ("a.csv.gz", gzip.compress(PLAIN.encode())[:60], "cannot be unpacked"),
+    "no unit": ("a.csv", as_table(Q, RAD), "degrees or in radians"),
+}
+
+
+@pytest.mark.parametrize("kind", READ)
+def test_kinds_that_are_read_without_an_option(kind, tmp_path):
+    name, content = READ[kind]
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    table = read_table(tmp_path / name, 6)
+    np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
+    assert table.positions.tolist() == LABELS
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_kinds_that_are_asked_about(kind, tmp_path):
+    name, content, said = NAMED[kind]
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(TableError, match=said):
+        read_table(tmp_path / name, 6)
+
+
+def test_most_kinds_are_read():
+    """Of more than forty kinds of files four in five are read, and the others named."""
+    assert len(READ) >= 30
+    assert len(KINDS) + len(READ) >= 4 * len(NAMED)
+
+
+def test_999_mm_are_a_coordinate(tmp_path):
+    """The sheets of acceptance tests are read as three columns of numbers, too."""
+    (tmp_path / "a.csv").write_text("x,y,z\n999,1,2\n3,9999.9,5\n")
+    table = read_table(tmp_path / "a.csv", 3, angles=list("xyz"), angle_unit="deg", labelled=False)
+    assert table.angles.tolist() == [[999, 1, 2], [3, 9999.9, 5]]
+
+
+def test_rows_left_out_are_told(tmp_path):
+    (tmp_path / "a.csv").write_text(with_mark)
+    table = read_table(tmp_path / "a.csv", 6)
+    assert any(
+        note == "1 rows left out, where the column valid says no: first row 4."
+        for note in table.notes
+    )
+    assert table.rows.tolist() == [2, 3, 5, 6]
 
 
 def write_points(path, kind="spatialanalyzer"):
@@ -306,3 +458,21 @@ def test_commanded_angles_alone_are_taken_and_other_columns_are_handed_on(tmp_pa
     assert "Joint angles: target_q_0 to target_q_5." in table.notes
     assert table.others["t"].tolist() == [20.5] * 4
     assert table.others["tool"].tolist() == ["ball"] * 4
+
+
+def test_formulas_without_values_and_hidden_rows(book):
+    """openpyxl computes nothing: what it has written holds no values until a program saves it."""
+    import openpyxl
+
+    read = openpyxl.load_workbook(book)
+    read["Messung"].row_dimensions[4].hidden = True
+    read.save(book)
+    table = read_table(book, 6)
+    assert len(table.rows) == 4
+    assert "rows that a filter hides among them" in table.notes[0]
+    for row in read["Messung"].iter_rows(min_row=3, min_col=2, max_row=6):
+        for cell in row:
+            cell.value = "=1+1"
+    read.save(book)
+    with pytest.raises(TableError, match=r"found in the sheet Messung\. It holds formulas without"):
+        read_table(book, 6, sheet="Messung")

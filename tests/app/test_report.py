@@ -194,3 +194,11 @@ def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
         assert np.mean((low < table[name]) & (table[name] < high)) > 0.9
     drawn = ax.get_lines()[1].get_ydata()
     np.testing.assert_allclose(drawn, [1000 * after[label] for label in shown])
+
+
+def test_what_a_screen_reader_needs_is_there(page):
+    figures = re.findall(r"<svg[^>]*>\s*<title>[^<]+</title>", page)
+    assert len(figures) == page.count("<svg ") == 4
+    assert all('role="img"' in figure for figure in figures)
+    assert page.count("<caption>") == page.count("<table")
+    assert page.count('<th scope="col"') == len(re.findall(r"<th[ >]", page))

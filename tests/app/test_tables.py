@@ -102,7 +102,7 @@ def test_points_of_a_tracker_in_metres_and_without_labels(write):
     [
         ("k;q1;q2\nA;0.1;0.2\nA;0.2;0.3\n", "degrees or in radians.*reach 0.3.*--unit deg or"),
         ("k;q1 [deg];q2 [rad]\nA;1;2\nA;1;2\n", "all be in degrees or all in radians"),
-        ("k;q1 [mrad];q2 [mrad]\nA;1;2\nA;1;2\n", "all be in degrees or all in radians"),
+        ("k;q1 [inch];q2 [inch]\nA;1;2\nA;1;2\n", "all be in degrees or all in radians"),
         ("k;a;b;c\nA;1;2;3\nA;1;2;3\n", "which 2 columns hold the joint angles.*--angles q1,q2 "),
         ("q1;q2\n100;2\n100;2\n", "which column holds the label.*--position NAME.*q1, q2"),
         ("u;v;q1;q2\na;b;100;2\na;b;100;2\n", "which column holds the label"),

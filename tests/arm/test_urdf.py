@@ -158,6 +158,7 @@ def test_axes_that_are_all_but_parallel_stay_near(angles):
      ("0.7854", math.pi / 4), ("0.79", 0.79), ("1.58", 1.58), ("1.571", math.pi / 2), ("1.5", 1.5),
      ("1.5709", 1.5709), ("0.0001", 0.0001)],
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*angles of 1 joints are taken as the right")
 def test_rounded_right_angles(written, meant):
     text = urdf(
         ("j1", "revolute", "0 0 0", "0 0 0", "0 0 1"),
@@ -445,8 +446,10 @@ def test_only_an_arm_of_the_file_is_written_back():
         arm.replace(alpha=arm.alpha + np.eye(6)[2]).update_urdf(ROBOT, **ENDS)
     short = {"base": "world", "tip": "l6"}
     wrist = Arm.from_urdf(ROBOT, **short)
-    with pytest.raises(ValueError, match=r"probe is 1 mm beside the last axis, and no fixed joint"):
-        wrist.replace(probe=wrist.probe + np.eye(3)[0]).update_urdf(ROBOT, **short)
+    with pytest.warns(UserWarning, match=r"probe is 1 mm beside the last axis: the link 'probe'"):
+        text = wrist.replace(probe=wrist.probe + np.eye(3)[0]).update_urdf(ROBOT, **short)
+    off = Arm.from_urdf(text, base="world", tip="probe").forward([[0.1] * 6])
+    assert_allclose(np.linalg.norm(off - wrist.forward([[0.1] * 6])), 1, atol=1e-9)
 
 
 # Axes and points on them at zero, m: of the packages abb_irb120_support and of the joint tables of

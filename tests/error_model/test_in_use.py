@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import (
     Arm,
@@ -198,3 +199,46 @@ def test_angles_for_points_are_those_of_the_corrected_probe(unit):
     assert np.isnan(far).all(axis=1).tolist() == [False] * 4 + [True] * 2
     with pytest.raises(ValueError, match="start has 2 poses for 3 points"):
         model.angles_for(wanted[:3], turned[:2])
+
+
+def test_angles_for_orientations_are_those_of_the_true_arm():
+    """Encoders with errors turn the last link: the true arm's own frames say how much is left."""
+    rng = np.random.default_rng(8)
+    X, amplitude = rng.uniform(-2, 2, (400, 6)), np.array([1, -2, 1.5, 2, -1, 3]) * 1e-4
+
+    def true(angles):  # the angles that the joints really have
+        return angles - amplitude * np.cos(angles)
+
+    y = ARM.forward(X) - ARM.forward(true(X)) + rng.normal(0, 0.001, X[:, :3].shape)
+    model = ArmResidualRegressor(ARM, orders=3).fit(X, y)
+    wanted = X[:40]
+    points, turned = ARM.forward(wanted), ARM.frames(wanted)[:, -1, :, :3]
+
+    def arc_seconds(angles):
+        off = ARM.frames(true(angles))[:, -1, :, :3].swapaxes(1, 2) @ turned
+        return np.rad2deg(Rotation.from_matrix(off).magnitude()) * 3600
+
+    found = model.angles_for(points, wanted, turned)
+    assert np.abs(model.correct(found) - points).max() < 1e-6
+    assert np.median(arc_seconds(wanted)) > 50
+    assert np.median(arc_seconds(model.angles_for(points, wanted))) > 20
+    assert np.max(arc_seconds(found)) < 5
+
+
+@pytest.mark.filterwarnings("ignore:.* points are not reached")
+def test_angles_for_take_each_row_its_extra_columns():
+    """Some rows are tried again: their temperature and force must still be their own."""
+    X, y = rows(300, 9)
+    model = ArmResidualRegressor(ARM, orders=2, extra=EXTRA).fit(X, y)
+    points, start = ARM.forward(X[:30, :6]), X[:30].copy()
+    start[::3, :6] += 0.8
+    turned = ARM.frames(X[:30, :6])[:, -1, :, :3]
+    for wanted in (None, turned):
+        found = model.angles_for(points, start, wanted)
+        there = np.isfinite(found[:, 0])
+        assert there.sum() >= 28
+        left = model.correct(np.hstack([found, X[:30, 6:]])[there]) - points[there]
+        assert np.abs(left).max() < 1e-6
+    one = model.angles_for(points, start[1:2])
+    same = np.hstack([one, np.repeat(start[1:2, 6:], 30, axis=0)])
+    assert np.abs(model.correct(same) - points).max() < 1e-6

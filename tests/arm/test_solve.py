@@ -1,0 +1,63 @@
+"""Angles that reach points and orientations: forward kinematics says whether they do."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm
+
+
+def poses(name, n=60, seed=0):
+    """An arm, poses of it, and their points and orientations."""
+    arm = Arm.from_name(name, joint_signs=-1, probe=(3, 5, 90))
+    angles = np.random.default_rng(seed).uniform(-2, 2, (n, arm.n_joints))
+    return arm, angles, arm.forward(angles), arm.frames(angles)[:, -1, :, :3]
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda", "ur10"])
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_points_and_orientations_are_reached(name, unit):
+    arm, angles, points, turned = poses(name)
+    start = angles + np.random.default_rng(1).normal(0, 0.02, angles.shape)
+    start = np.rad2deg(start) if unit == "deg" else start
+    found = arm.angles_for(points, start, turned, angle_unit=unit)
+    assert_allclose(arm.forward(found, angle_unit=unit), points, atol=1e-6)
+    assert_allclose(arm.frames(found, angle_unit=unit)[:, -1, :, :3], turned, atol=1e-9)
+    # A point alone leaves the other joints where they are as nearly as may be.
+    alone = arm.angles_for(points, start, angle_unit=unit)
+    assert_allclose(arm.forward(alone, angle_unit=unit), points, atol=1e-6)
+    assert np.linalg.norm(alone - start) < np.linalg.norm(found - start)
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "iiwa7"])
+def test_a_start_is_found(name):
+    arm, _, points, turned = poses(name, 20)
+    found = arm.angles_for(points, orientations=turned)
+    assert_allclose(arm.forward(found), points, atol=1e-6)
+    assert_allclose(arm.frames(found)[:, -1, :, :3], turned, atol=1e-9)
+
+
+def test_half_a_turn_and_limits():
+    """Where the orientation is opposite there is no nearest way; limits end ways that there are."""
+    arm, angles, points, turned = poses("iiwa7", 3)
+    start = angles + np.pi * np.eye(7)[6]
+    found = arm.angles_for(points, start, turned)
+    assert_allclose(arm.frames(found)[:, -1, :, :3], turned, atol=1e-9)
+    short = arm.replace(limits=np.tile([-0.01, 0.01], (7, 1)))
+    with pytest.warns(UserWarning, match=r"3 of 3 points .* row 0, .* mm and \d[.\d]* degrees\."):
+        assert np.isnan(short.angles_for(points, start, turned)).all()
+    inside = arm.replace(limits=np.tile([-2.0, 2.0], (7, 1)))
+    found = inside.angles_for(points, orientations=turned)
+    assert np.abs(found).max() <= 2.0
+
+
+def test_what_cannot_be_a_pose_is_named():
+    arm, angles, points, turned = poses("ur10", 3)
+    with pytest.raises(ValueError, match=r"3 of 3 orientations are no rotations; .* row 0"):
+        arm.angles_for(points, angles, -turned)
+    with pytest.raises(ValueError, match=r"for each point, \(3, 3, 3\), got \(2, 3, 3\)"):
+        arm.angles_for(points, angles, turned[:2])
+    with pytest.raises(ValueError, match="start has 2 poses for 3 points"):
+        arm.angles_for(points, angles[:2])
+    with pytest.raises(ValueError, match="angle_unit='grad' is not one of"):
+        arm.angles_for(points, angle_unit="grad")

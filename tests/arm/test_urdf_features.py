@@ -1,0 +1,150 @@
+"""What robots' real files hold beside joints: small files of our own, their points by hand."""
+
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_raacmm import Arm
+from sklearn_raacmm.utils import collected_findings
+
+# Two joints, z then -y, 100 mm up, links of 300 and 200 mm: the points are written out below.
+PLAIN = """<?xml version="1.0" encoding="utf-8"?>
+<robot name="two">
+  <link name="foot"/> <link name="upper"/> <link name="lower"/> <link name="hand"/>
+  <joint name="turn" type="continuous">
+    <origin xyz="0 0 0.1"/> <parent link="foot"/> <child link="upper"/> <axis xyz="0 0 1"/>
+  </joint>
+  <joint name="lift" type="revolute">
+    <origin xyz="0.3 0 0"/> <parent link="upper"/> <child link="lower"/> <axis xyz="0 -1 0"/>
+    <limit lower="-1" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="end" type="fixed">
+    <origin xyz="0.2 0 0"/> <parent link="lower"/> <child link="hand"/>
+  </joint>
+</robot>
+"""
+ANGLES = np.random.default_rng(0).uniform(-1, 2, (20, 2))
+TURN, LIFT = ANGLES.T
+OUT = 300 + 200 * np.cos(LIFT)
+BY_HAND = np.column_stack([OUT * np.cos(TURN), OUT * np.sin(TURN), 100 + 200 * np.sin(LIFT)])
+COMMENT = '<!-- <xacro:arm d="${d}"/> made of $(find xarm)/urdf/xarm.xacro, ${pi/2}, "1.57" -->'
+FINGER = """  <link name="finger"/> <link name="thumb"/>
+  <joint name="close" type="prismatic"><parent link="hand"/><child link="finger"/></joint>
+  <joint name="thumb" type="prismatic"><parent link="hand"/><child link="thumb"/>
+    <mimic joint="close"/></joint>
+</robot>"""
+RAIL = """  <link name="hall"/>
+  <joint name="rail" type="prismatic"><parent link="hall"/><child link="foot"/></joint>
+</robot>"""
+MESH = """<link name="lower">
+  <visual><geometry><mesh filename="${here}/a.stl"/></geometry></visual></link>"""
+GAZEBO = '<gazebo><plugin name="${p}"/></gazebo></robot>'
+PREFIX = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name'
+
+
+def change(text, *pairs):
+    for old, new in zip(pairs[::2], pairs[1::2], strict=True):
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("text", "ends"),
+    [
+        (PLAIN, {}),
+        (change(PLAIN, "<link", COMMENT + "<link", "</joint>", COMMENT + "</joint>"), {}),
+        (change(PLAIN, "<robot name", COMMENT + PREFIX, '<link name="lower"/>', MESH), {}),
+        (change(PLAIN, "</robot>", GAZEBO), {}),
+        (change(PLAIN, "</robot>", FINGER), {"tip": "hand"}),
+        (change(PLAIN, "</robot>", RAIL), {"base": "foot"}),
+        (change(PLAIN, "<joint", "\r\n<joint").replace('"', "'"), {}),
+    ],
+    ids=["plain", "comments", "prefix and mesh", "gazebo", "fingers", "behind a rail", "quotes"],
+)
+def test_points_are_those_by_hand(text, ends, tmp_path):
+    arm = Arm.from_urdf(text, **ends)
+    assert arm.names == ("turn", "lift")
+    assert_allclose(arm.forward(ANGLES), BY_HAND, atol=1e-10)
+    # The same as a file with a byte-order mark, and what is written into it keeps the comments.
+    (tmp_path / "robot.urdf").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert Arm.from_urdf(tmp_path / "robot.urdf", **ends) == arm
+    moved = arm.replace(d=arm.d + np.array([7, 0]))
+    again = moved.update_urdf(tmp_path / "robot.urdf", **ends)
+    assert again.count(COMMENT) == text.count(COMMENT)
+    assert_allclose(
+        Arm.from_urdf(again, **ends).forward(ANGLES) - BY_HAND, 20 * [[0, 0, 7]], atol=1e-9
+    )
+
+
+def test_on_a_wall():
+    """World is a quarter turn about y away: what was up, z, points along the world's x."""
+    mount = """<link name="world"/><joint name="wall" type="fixed"><origin xyz="1 2 3"
+      rpy="0 1.5707963 0"/><parent link="world"/><child link="foot"/></joint></robot>"""
+    text = change(PLAIN, "</robot>", mount)
+    arm = Arm.from_urdf(text, base="foot")
+    assert_allclose(arm.forward(ANGLES), BY_HAND, atol=1e-10)
+    # Ry(90) takes (x, y, z) to (z, y, -x): heights are -x.
+    assert_allclose(arm.up, [-1, 0, 0], atol=1e-12)
+
+
+def test_a_chain_that_ends_in_a_joint_gets_a_link():
+    """The probe of a calibrated arm is beside the last axis: 0.5 mm up, 0.2 along the link."""
+    text = PLAIN[: PLAIN.index('  <joint name="end"')] + "</robot>\n"
+    text = change(text, '<link name="hand"/>', '<!-- "probe" -->')
+    arm = Arm.from_urdf(text)
+    assert_allclose(arm.forward([[0, 0]]), [[300, 0, 100]], atol=1e-10)
+    gap = np.array([[0.2, 0, 0.5]])
+    moved = arm.replace(probe=arm.probe + gap[0] @ arm.frames([[0, 0]])[0, -1, :, :3])
+    with pytest.warns(
+        UserWarning, match=r"0\.5385 mm beside .* link 'probe_' was added, .*'lower'"
+    ):
+        written = moved.update_urdf(text)
+    again = Arm.from_urdf(written, tip="probe_")
+    by_hand = change_of(gap[0]) + change_of(np.zeros(3), 300, 100)
+    assert_allclose(again.forward(ANGLES), by_hand, atol=1e-9)
+    assert again.names == ("turn", "lift")
+    assert Arm.from_urdf(again.update_urdf(written)) == again
+
+
+def change_of(vector, out=0, up=0):
+    """A vector of the last link's frame in the base frame, turned by hand, from a place."""
+    x, z = vector[0] * np.cos(LIFT) - vector[2] * np.sin(LIFT) + out, vector[0] * np.sin(LIFT)
+    return np.column_stack([x * np.cos(TURN), x * np.sin(TURN), z + vector[2] * np.cos(LIFT) + up])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (change(PLAIN, "</robot>", RAIL), r"'rail' is prismatic; .* base='foot' begins behind it"),
+        (change(PLAIN, '<axis xyz="0 -1 0"/>', '<axis xyz="0 ${s} 0"/>'), "holds xacro macros"),
+        (
+            change(PLAIN, "<robot name", PREFIX, "</robot>", '<xacro:arm d="2"/></robot>'),
+            "holds xacro macros",
+        ),
+        (change(PLAIN, "</robot>", FINGER), r"2 links .* tip \(finger, thumb\)"),
+        (change(PLAIN, 'type="continuous">', 'type="continuous"><mimic joint="end"/>'), "mimics"),
+        ('<mujoco model="a"/>', "'mujoco', that of MuJoCo's MJCF: take the URDF"),
+    ],
+)
+def test_what_is_not_read_is_named(text, message):
+    with pytest.raises(ValueError, match=message):
+        Arm.from_urdf(text)
+
+
+@pytest.mark.parametrize(
+    ("angle", "off", "weight"), [("1.5708", "3.7e-06", "note"), ("1.57", "0.0008", "doubt")]
+)
+def test_rounding_of_angles_is_told_with_its_size(angle, off, weight):
+    """The second joint is tilted: half a metre of arm times the difference, 2 um and 0.4 mm."""
+    text = change(PLAIN, '<origin xyz="0.3 0 0"/>', f'<origin xyz="0.3 0 0" rpy="{angle} 0 0"/>')
+    with collected_findings() as found:
+        arm = Arm.from_urdf(text)
+    assert np.isin(np.round(arm.alpha, 12), np.round([-np.pi, 0, np.pi], 12)).all()
+    (finding,) = found
+    assert finding.weight == weight
+    said = re.search(r"by up to (\S+) rad, which moves the probe by up to (\S+) mm", finding.text)
+    assert said[1] == off
+    assert 500 < float(said[2]) / abs(np.pi / 2 - float(angle)) < 600
