@@ -184,11 +184,11 @@ class Correction:
             If the angles do not fit the arm or each other.
         """
         one, other = (
-            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+            self.inputs(check_angles(q, self.arm.n_joints, angle_unit)) for q in (angles, others)
         )
-        if len(one[0]) != len(other[0]):
-            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
-        return distances(one, other, self.facts["scale_sd"])
+        if len(one) != len(other):
+            raise ValueError(f"There are {len(one)} angles, but {len(other)} others.")
+        return distances(self, one, other)
 
     def check(
         self,

@@ -38,6 +38,9 @@ _LEAST_GROWING_MM = 1.0
 # Waves of one joint about one axis from which on a product per joint is faster than one selection
 # of all axes: ten times with 318 harmonics of a UR10.
 _LONG_RUN = 24
+import os
+END = float(os.environ.get('END', '1'))
+BASE = float(os.environ.get('BASE', '1'))
 
 
 class Terms(NamedTuple):
@@ -117,7 +120,8 @@ def _gravity(arm):
             for load in [*before, *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                yield Column(name, GRAVITY, LOAD, frame, axis, unit, load=load)
+                size = unit * (END if load < frame else BASE if frame == 0 else 1.0)
+                yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 
 def _kinematics(arm):

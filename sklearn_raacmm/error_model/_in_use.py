@@ -81,7 +81,7 @@ class FittedArmModel(PointCorrectionMixin):
         with_noise: bool = False,
         *,
         return_cov: bool = False,
-        with_unseen: bool = False,
+        with_unseen: bool = True,
     ) -> Any:
         """Predict residuals.
 
@@ -209,7 +209,7 @@ class FittedArmModel(PointCorrectionMixin):
         random_state: int | np.random.RandomState | None = None,
         *,
         with_noise: bool = False,
-        with_unseen: bool = False,
+        with_unseen: bool = True,
     ) -> np.ndarray:
         """Draw corrections of all poses together, as the posterior has them.
 
@@ -245,7 +245,7 @@ class FittedArmModel(PointCorrectionMixin):
         check_flags(with_noise=with_noise, with_unseen=with_unseen)
         check_scalar(n_samples, "n_samples", Integral, min_val=1)
         linear, rng = self.linear_model_, check_random_state(random_state)
-        root = linear.std_scale * linear.root_at(check_poses(self, X), with_unseen)
+        root = linear.root_at(check_poses(self, X), with_unseen)
         draws = root @ rng.normal(size=(root.shape[1], n_samples))
         if with_noise:
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
@@ -356,4 +356,4 @@ class FittedArmModel(PointCorrectionMixin):
         X1, X2 = check_poses(self, X1), check_poses(self, X2)
         if len(X1) != len(X2):
             raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
-        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
+        return self.linear_model_.distance_std(X1, X2)

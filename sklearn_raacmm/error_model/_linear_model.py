@@ -18,6 +18,7 @@ from sklearn_raacmm.error_model._columns import (
     term_columns,
     term_names,
 )
+from sklearn_raacmm.error_model._gauge import unseen_half
 from sklearn_raacmm.utils import check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -186,12 +187,12 @@ class LinearModel:
         noise = self.noise_scale * self.noise_sd if with_noise else 0.0
         return np.hypot(self.std_scale * std, noise)
 
-    def root_at(self, angles: np.ndarray, with_unseen: bool = False) -> np.ndarray:
+    def root_at(self, angles: np.ndarray, with_unseen: bool = True) -> np.ndarray:
         """Root (3 n, r) of the posterior covariance of the coordinates of some poses, mm.
 
-        Of `half` instead of `gauge_free_half` where the unseen is asked for; not widened.
+        What a single-point test shows is widened by `std_scale`, what it does not is not.
         """
-        half = self.half if with_unseen else self.gauge_free_half
+        half = self._root(with_unseen)
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.columns(angles[rows])
@@ -199,11 +200,16 @@ class LinearModel:
             out[rows] = every.reshape(len(columns), 3, half.shape[1])
         return out.reshape(-1, half.shape[1])
 
+    def _root(self, with_unseen):
+        """Root (n_columns, r) of the widened covariance of the coefficients: see `root_at`."""
+        seen = self.std_scale * self.gauge_free_half
+        return seen + unseen_half(self) if with_unseen else seen
+
     def joint_covariance(
-        self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = False
+        self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = True
     ) -> np.ndarray:
         """Widened covariance (3 n, 3 n) of the coordinates of some poses, mm^2: see `root_at`."""
-        root = self.std_scale * self.root_at(angles, with_unseen)
+        root = self.root_at(angles, with_unseen)
         covariance = root @ root.T
         if with_noise:
             noise = self.noise_scale**2 * self.noise_variance
@@ -216,11 +222,11 @@ class LinearModel:
         line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
         length = np.linalg.norm(line, axis=1, keepdims=True)
         line = line / np.maximum(length, 1e-300)
-        out = np.empty(len(first))
+        half, out = self._root(with_unseen=True), np.empty(len(first))
         for rows in chunks(len(first), _CHUNK):
             difference = self.columns(second[rows]) - self.columns(first[rows])
             along = np.einsum("nc,ncp->np", line[rows], difference)
-            out[rows] = np.linalg.norm(along @ self.half, axis=1)
+            out[rows] = np.linalg.norm(along @ half, axis=1)
         return out
 
     def harmonic_table(self) -> np.ndarray:
