@@ -76,7 +76,7 @@ def diameters(learned, machine, seed):
     X, rng, found = learned.inputs(run.angles), np.random.RandomState(seed), []
     mean = learned.model.predict(X)
     draws = learned.model.sample_y(X, 200, rng, with_noise=True) - mean[:, :, None]
-    scale = learned.facts["scale_sd"] * rng.normal(size=200)
+    scale = learned.scale_sd * rng.normal(size=200)
     points = arm.forward(run.angles) - mean
     draws += points[:, :, None] * scale
     for key in sorted(set(zip(run.artefact.tolist(), run.position.tolist(), strict=True))):

@@ -19,7 +19,12 @@ from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._change import fadings_for
-from sklearn_raacmm.correction._deviations import distances, of_coordinate, predict_with_std
+from sklearn_raacmm.correction._deviations import (
+    distances,
+    linear_in_use,
+    of_coordinate,
+    predict_with_std,
+)
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._update import update_correction
@@ -88,6 +93,15 @@ class Correction:
     def noise(self) -> float:
         """Root mean square of a coordinate that the model leaves of its training rows, mm."""
         return self.facts["noise_mm"]
+
+    @property
+    def scale_sd(self) -> float:
+        """Standard deviation of the arm's common scale, as a share of it, beside the model's own.
+
+        That of the calibration; 0 where known lengths have shown the model the scale.
+        """
+        linear = linear_in_use(self.model)
+        return 0.0 if linear is not None and linear.knows_scale else self.facts["scale_sd"]
 
     @property
     def causes(self) -> dict[str, Any]:

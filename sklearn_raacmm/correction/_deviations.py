@@ -31,13 +31,16 @@ def predict_with_std(model, X, noise):
 
 def of_coordinate(correction, X, points, within):
     """Standard deviations of coordinates in the base frame, (n, 3) mm, from those in a position."""
-    scale = correction.facts["scale_sd"] * (points - _shoulder(correction.arm))
+    scale = correction.scale_sd * (points - _shoulder(correction.arm))
     variance = within**2 + scale**2
-    model = correction.model
-    linear = getattr(model, "linear_model_", None)
-    if linear is not None and model.helps_:
+    if (linear := linear_in_use(correction.model)) is not None:
         variance += unseen_variance(linear, X)
     return np.sqrt(variance)
+
+
+def linear_in_use(model):
+    """The linear error model, or None where there is none, or where it is of no help."""
+    return getattr(model, "linear_model_", None) if getattr(model, "helps_", False) else None
 
 
 def _shoulder(arm):
@@ -58,11 +61,10 @@ def distances(correction, first, second):
     lengths = np.linalg.norm(apart, axis=1)
     along = apart / np.maximum(lengths, 1e-300)[:, None]
     variance = np.sum(along**2 * (one[1] ** 2 + other[1] ** 2), axis=1)
-    model = correction.model
-    if hasattr(model, "distance_std") and model.helps_:
+    if (linear := linear_in_use(correction.model)) is not None:
         noise = correction.facts["std_factor"] * correction.noise
-        variance = 2 * noise**2 + model.distance_std(first, second) ** 2
-    return lengths, np.sqrt(variance + (correction.facts["scale_sd"] * lengths) ** 2)
+        variance = 2 * noise**2 + linear.distance_std(first, second) ** 2
+    return lengths, np.sqrt(variance + (correction.scale_sd * lengths) ** 2)
 
 
 def length_findings(calibration):

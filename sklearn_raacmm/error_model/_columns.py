@@ -38,9 +38,9 @@ _LEAST_GROWING_MM = 1.0
 # Waves of one joint about one axis from which on a product per joint is faster than one selection
 # of all axes: ten times with 318 harmonics of a UR10.
 _LONG_RUN = 24
-import os
-END = float(os.environ.get('END', '1'))
-BASE = float(os.environ.get('BASE', '1'))
+# What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
+# moves it, in parts of that: F L^2 / (6 E I).
+_OF_END = 0.5
 
 
 class Terms(NamedTuple):
@@ -120,7 +120,7 @@ def _gravity(arm):
             for load in [*before, *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                size = unit * (END if load < frame else BASE if frame == 0 else 1.0)
+                size = unit * (_OF_END if load < frame else 1.0)
                 yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, points_of
+from sklearn_raacmm.arm import Arm, points_of, reach_mm
 from sklearn_raacmm.error_model._columns import (
+    ARCSEC,
     FAMILIES,
+    LOAD,
     Terms,
     factored_columns,
     other_columns,
@@ -79,6 +81,8 @@ class LinearModel:
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out; 1 where that is not known.
+    knows_scale : bool
+        Whether known lengths have shown it the common scale of all lengths.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
     """
@@ -97,6 +101,7 @@ class LinearModel:
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
+    knows_scale: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
@@ -251,7 +256,11 @@ class LinearModel:
         table = np.empty(len(names), dtype=dtype)
         table["family"] = [FAMILIES[f] for f in family]
         table["name"] = names
-        table["value"], table["sd"] = self.coef[n:], self.coef_sd[n:]
+        # The columns of gravity are not all of one arc second: see `_gravity`.
+        arcsec = ARCSEC / reach_mm(self.arm)
+        others = other_columns(self.arm, self.terms)
+        size = np.array([c.unit / arcsec if c.kind == LOAD else 1.0 for c in others])
+        table["value"], table["sd"] = size * self.coef[n:], size * self.coef_sd[n:]
         return table
 
 
