@@ -19,7 +19,6 @@ from sklearn_raacmm.error_model._checks import (
 from sklearn_raacmm.error_model._columns import CAUSES, Terms
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fading import find_fading, judge
-from sklearn_raacmm.error_model._fit import STIFF_BASE
 from sklearn_raacmm.error_model._in_use import FittedArmModel
 from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
 from sklearn_raacmm.error_model._structures import offered_harmonics
@@ -253,8 +252,7 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
         extra = with_references(tuple(self.extra), values, rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
-        base = 1.0 if rows.codes is None else STIFF_BASE
-        terms = Terms(offered, gravity, kinematics, wobble, extra, base=base)
+        terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions

@@ -50,9 +50,6 @@ class Terms(NamedTuple):
     all. Then those of the families that are on.
     extra: name and reference of each column of X after the angles, as `with_references` makes them.
     up: direction against gravity where the data have found another one than the arm states.
-    base: what the columns that bend the base are in arc seconds. Less than one while a model is
-    fitted to positions with offsets, which do not tell what a weight at the probe does to the base:
-    it gives way less than the links. One in the model that is handed over.
     """
 
     harmonics: np.ndarray
@@ -61,7 +58,6 @@ class Terms(NamedTuple):
     wobble: bool
     extra: tuple[Any, ...] = ()
     up: tuple[float, ...] = ()
-    base: float = 1.0
 
 
 def vertical(arm: Arm, terms: Terms) -> np.ndarray:
@@ -108,7 +104,7 @@ def _harmonics(arm, pairs):
             yield Column("", HARMONICS, TURN, j + first, 2, unit, j, order)
 
 
-def _gravity(arm, base):
+def _gravity(arm):
     """Turns of each frame about each of its axes, by the torque of each load beyond.
 
     With e the `vertical`, the torque of unit weight about the axis u through o is
@@ -124,7 +120,7 @@ def _gravity(arm, base):
             for load in [*before, *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                size = unit * (_OF_END if load < frame else base if frame == 0 else 1.0)
+                size = unit * (_OF_END if load < frame else 1.0)
                 yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 
@@ -210,7 +206,7 @@ def _extra(arm, extra):
 @lru_cache(maxsize=64)
 def _columns_of_causes(arm, causes):
     """Columns that are no harmonics, in their order; `causes` are `Terms` without harmonics."""
-    columns = [*_gravity(arm, causes.base)] if causes.gravity else []
+    columns = [*_gravity(arm)] if causes.gravity else []
     columns += _kinematics(arm) if causes.kinematics else []
     columns += _wobble(arm) if causes.wobble else []
     columns += _extra(arm, causes.extra)

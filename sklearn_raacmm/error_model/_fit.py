@@ -12,7 +12,6 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     factored_columns,
-    other_columns,
     term_names,
 )
 from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
@@ -51,9 +50,6 @@ _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
 
-# Prior standard deviation of what bends the base, in parts of gravity's, where positions have offsets
-# (``benchmarks/bench_uncertainty.py --base``).
-STIFF_BASE = 0.3
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
 # Steps of the other variances at each, and rounds with a fit at what was found
@@ -322,17 +318,14 @@ def model_of(rows, terms, state):
     offered, terms = terms.harmonics, terms._replace(harmonics=terms.harmonics[state.pairs])
     n_waves = 2 * len(state.pairs)
     order = np.roll(np.arange(len(state.coef)), n_waves)
-    plain = terms._replace(base=1.0)
-    units = (other_columns(rows.arm, some) for some in (terms, plain))
-    size = np.r_[np.ones(n_waves), [own.unit / one.unit for own, one in zip(*units, strict=True)]]
-    half = size[:, None] * state.half[order]
+    half = state.half[order]
     families = np.unique(term_names(rows.arm, terms)[1]).tolist()
     line = len(FAMILIES) - 2
     families += [line] * bool(len(offered)) + [line + 1] * state.with_field
     model = LinearModel(
         arm=rows.arm,
-        terms=plain,
-        coef=size * state.coef[order],
+        terms=terms,
+        coef=state.coef[order],
         half=half,
         noise_variance=state.noise_variance,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
