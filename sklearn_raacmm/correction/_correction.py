@@ -98,10 +98,11 @@ class Correction:
     def scale_sd(self) -> float:
         """Standard deviation of the arm's common scale, as a share of it, beside the model's own.
 
-        That of the calibration; 0 where known lengths have shown the model the scale.
+        Both together are that of the calibration: known lengths tell the model what they told it.
         """
         linear = linear_in_use(self.model)
-        return 0.0 if linear is not None and linear.knows_scale else self.facts["scale_sd"]
+        own = 0.0 if linear is None else linear.scale_sd
+        return float(np.sqrt(max(self.facts["scale_sd"] ** 2 - own**2, 0.0)))
 
     @property
     def causes(self) -> dict[str, Any]:

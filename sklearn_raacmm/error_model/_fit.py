@@ -334,7 +334,6 @@ def model_of(rows, terms, state):
         log_bayes_factor=state.gains,
         gauge_free_half=half,
         fading_half=half,
-        knows_scale=bool(rows.lengths),
     )
     poses = rows.X, rows.weights, rows.codes
-    return constrained(model, *poses, keep_scale=not model.knows_scale)
+    return constrained(model, *poses, keep_scale=not rows.lengths)

@@ -125,16 +125,18 @@ def constrained(
         return model
     arm, terms = model.arm, model.terms
     columns = _mean_columns(arm, X, weights, codes, terms)
-    if keep_scale and terms.kinematics:
+    if terms.kinematics:
         points = group_means(points_of_rows(arm, terms, X), codes, weights)
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if size > 0:
             scale_of = np.einsum("gc,gcp->p", spread, columns) / size
-            unit = scale_direction(arm, terms)
-            coef = model.coef - unit * (scale_of @ model.coef)
-            half = model.half - np.outer(unit, scale_of @ model.half)
-            model = replace(model, coef=coef, half=half)
+            along, unit = scale_of @ model.half, scale_direction(arm, terms)
+            if keep_scale:
+                coef = model.coef - unit * (scale_of @ model.coef)
+                model = replace(model, coef=coef, half=model.half - np.outer(unit, along))
+            else:
+                model = replace(model, scale_sd=float(np.linalg.norm(along)))
     fields = place_fields(arm, terms)
     half = model.half
     if fields.shape[1]:

@@ -81,8 +81,8 @@ class LinearModel:
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out; 1 where that is not known.
-    knows_scale : bool
-        Whether known lengths have shown it the common scale of all lengths.
+    scale_sd : float
+        Standard deviation of the common scale of all lengths that it holds: 0 without known ones.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
     """
@@ -101,7 +101,7 @@ class LinearModel:
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
-    knows_scale: bool = False
+    scale_sd: float = 0.0
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
