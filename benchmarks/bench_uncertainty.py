@@ -1,8 +1,8 @@
-"""Standard deviations: errors over them, at places never measured, of what a correction is used for.
+"""Standard deviations of single points, distances and diameters: errors over them.
 
 Simulated arms of three kinds, learnt from ten cones of 25 poses alone, with bars of 500 mm at one
 and three places, and from 250 points of a tracker. Asked for are deviations of single points within
-a position by zone, distances, and diameters of spheres.
+a position by zone, distances, and diameters of spheres, at places that were never measured.
 
     python benchmarks/bench_uncertainty.py --arms 6
 """
@@ -66,7 +66,8 @@ def distances(learned, machine, seed):
     found, sd = learned.distances(bars.data[first], bars.data[second])
     true = bars.simulation.true_points
     z = (found - np.linalg.norm(true[first] - true[second], axis=1)) / sd
-    return {f"{length:.0f} mm": part for length, part in zip(LENGTHS, z.reshape(4, -1), strict=True)}
+    parts = zip(LENGTHS, z.reshape(len(LENGTHS), -1), strict=True)
+    return {f"{length:.0f} mm": part for length, part in parts}
 
 
 def diameters(learned, machine, seed):

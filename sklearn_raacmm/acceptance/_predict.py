@@ -57,10 +57,10 @@ def predict_acceptance(
     -----
     Each draw of :meth:`~sklearn_raacmm.ArmResidualRegressor.sample_y` with noise, less the
     correction, is an error of every reading. What is common to a position is common to its rows, so
-    that no factor of intervals within positions applies. What cones do not show
-    is drawn, too; the scale of a correction as its calibration left it. The
-    error is added to where the corrected probe would be on perfect artefacts, whose sizes are off
-    as it is stated; form and fixture are not drawn.
+    that no factor of intervals within positions applies. What cones do not show is drawn, too; the
+    scale of a correction as its calibration left it. The error is added to where the corrected
+    probe would be on perfect artefacts, whose sizes are off as it is stated; form and fixture are
+    not drawn.
 
     Examples
     --------

@@ -191,7 +191,7 @@ class Correction:
             In mm.
         std : ndarray of shape (n_samples,)
             Standard deviation of a distance between two readings, mm (k = 1): of its ends along
-            the line, and of the scale of the arm.
+            the line, together and with what cones do not show, and of the scale of the arm.
 
         Raises
         ------

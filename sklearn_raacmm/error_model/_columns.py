@@ -110,8 +110,8 @@ def _gravity(arm):
     With e the `vertical`, the torque of unit weight about the axis u through o is
     u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. A cantilever does
     not only turn where it is held: its end slopes, too, about the axis of the torque that a load at
-    its beginning would have about its end. Hence the frame before, but for the last frame: with it
-    a longer probe than the one that was learnt came out four times worse.
+    its beginning would have about its end. Hence the frame before, in a smaller unit, but for the
+    last frame: with it a longer probe than the one that was learnt came out four times worse.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
     for frame in range(n + 1):

@@ -96,9 +96,10 @@ class FittedArmModel(PointCorrectionMixin):
             shows, rather than of the correction.
         return_cov : bool, default=False
             Instead of standard deviations, return the covariance of all coordinates of all poses.
-        with_unseen : bool, default=False
-            Whether the covariance contains what a single-point test cannot show, such as a common
-            scale, as far as the model knows it: for lengths over several positions.
+        with_unseen : bool, default=True
+            Whether the covariance contains what a single-point test cannot show, but a motion of
+            the base: how the arm gives way as a function of the place. False: for deviations within
+            a position.
 
         Returns
         -------
@@ -224,7 +225,8 @@ class FittedArmModel(PointCorrectionMixin):
             Number of draws.
         random_state : int, RandomState instance or None, default=None
             Draws the numbers.
-        with_noise, with_unseen : bool, default=False
+        with_noise : bool, default=False
+        with_unseen : bool, default=True
             See `predict`; the noise is independent from pose to pose.
 
         Returns

@@ -72,14 +72,17 @@ def test_three_deviations_have_three_names(learned):
     same, within = correction.correct(angles, std_of="position")
     np.testing.assert_array_equal(points, same)
     assert np.all(of_coordinate >= within)
-    assert correction.scale_sd == 0 < correction.calibration.scale_sd  # the model holds it
+    # Calibration and model have the scale from the same lengths: together that of calibration.
+    own, whole = correction.model.linear_model_.scale_sd, correction.calibration.scale_sd
+    assert 0 < own < whole == pytest.approx(np.hypot(own, correction.scale_sd))
     lengths, std = correction.distances(angles[:10], angles[10:])
     line = points[10:] - points[:10]
     np.testing.assert_allclose(lengths, np.linalg.norm(line, axis=1))
     draws = correction.model.sample_y(angles, 4000, random_state=0)
     draws = np.linalg.norm(line[:, :, None] + draws[10:] - draws[:10], axis=1).std(axis=1)
     noise = correction.facts["std_factor"] * correction.noise
-    np.testing.assert_allclose(std, np.sqrt(draws**2 + 2 * noise**2), rtol=0.05)
+    expected = np.sqrt(draws**2 + 2 * noise**2 + (correction.scale_sd * lengths) ** 2)
+    np.testing.assert_allclose(std, expected, rtol=0.05)
     with pytest.raises(ValueError, match="std_of"):
         correction.correct(angles, std_of="length")
     with pytest.raises(ValueError, match="There are 10 angles, but 9 others"):
