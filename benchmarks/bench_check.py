@@ -1,8 +1,7 @@
-"""What checks find: of a correction, of its stated deviations, and of a table of measurements.
+"""What checks find: of a correction, and of a table of measurements.
 
     python benchmarks/bench_check.py changes --real       # two minutes
     python benchmarks/bench_check.py kinds --real         # ten minutes
-    python benchmarks/bench_check.py deviations           # two minutes
     python benchmarks/bench_check.py dwells               # one minute
     python benchmarks/bench_check.py set-ups              # one minute
     python benchmarks/bench_check.py steps --real         # three minutes
@@ -16,11 +15,6 @@ knock of one joint (1 to 5 in turn), with a loose probe, and 5 K warmer.
 are learnt, and 6 others of the same arm, 10 poses each, are checked on another day, as they are and
 with one joint knocked (2 to 4 in turn). Tracker series: the base settles by 40 um or drifts by that
 much.
-
-``deviations``: the arms of ``kinds`` measure spheres of 25 points and lengths. What the corrections
-leave of the arm's true errors changes the fitted diameter and the length: root mean square of the
-error over the stated standard deviation, which should be 1, by what such a test shows of all poses
-together, by all that the model knows (``with_unseen=True``), and as though points were independent.
 
 ``dwells``: 90 poses of which a logger wrote 100 rows each, beside one row a pose; mean distances in
 um at positions that no fit has seen. ``set-ups``: a tracker or a target that moved half way.
@@ -226,66 +220,6 @@ def kinds(options):
             kind_of_panda(name, max(options.runs // 10, 5))
 
 
-def sphere(machine, rng):
-    """Poses at 25 points of a sphere of 50 mm somewhere."""
-    for _ in range(100):
-        place = rng.uniform([300, -500, 0], [900, 500, 400])
-        normals = rng.normal(size=(25, 3))
-        normals[:, 2] = np.abs(normals[:, 2])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        try:
-            poses = [machine.find_poses(place + 25 * n, 1, rng.randint(2**31)) for n in normals]
-        except ValueError:
-            continue
-        return np.concatenate(poses), normals
-    raise ValueError("no place for a sphere was found")
-
-
-def by_points(points, normals=None):
-    """Derivatives (3 n,) by the points: of a fitted sphere's diameter, or of a length."""
-    if normals is None:
-        line = points[1] - points[0]
-        line = line / np.linalg.norm(line)
-        return np.r_[-line, line]
-    design = np.column_stack([normals, np.ones(len(normals))])
-    weights = 2 * np.linalg.pinv(design)[3]
-    return (weights[:, None] * normals).ravel()
-
-
-def measured_features(errors, seed, n_spheres):
-    """Errors over standard deviations of diameters and lengths: shown, all, independent."""
-    machine = SimulatedArm(errors, random_state=seed)
-    known = make_single_point(12, 30, machine=machine, random_state=seed)
-    model = ArmResidualRegressor(known.arm).fit(known.data, known.target, groups=known.groups)
-    rng = np.random.RandomState(seed)
-    found = []
-    for _ in range(n_spheres):
-        poses, normals = sphere(machine, rng)
-        far = sphere(machine, rng)[0][:1]
-        row = []
-        for angles, outward in ((poses, normals), (np.vstack([poses[:1], far]), None)):
-            points = known.arm.forward(angles)
-            true, g = points - machine.forward(angles), by_points(points, outward)
-            for unseen in (False, True):
-                mean, cov = model.predict(angles, return_cov=True, with_unseen=unseen)
-                error = g @ (true - mean).ravel()
-                row.append(error / np.sqrt(g @ cov @ g))
-            row.append(error / np.sqrt(np.square(g) @ cov.diagonal()))
-        found.append(row)
-    return found
-
-
-def deviations(options):
-    ways = [f"{what}, {way}" for what in ("diameter", "length")
-            for way in ("shown", "all", "independent")]  # fmt: skip
-    print(f"{'':14}" + "".join(f"{way:>23}" for way in ways))
-    for kind, errors in KINDS.items():
-        seeds = range(options.arms)
-        z = np.concatenate([measured_features(errors, seed, options.spheres) for seed in seeds])
-        rms = np.sqrt(np.mean(np.square(z), axis=0))
-        print(f"{kind:14}" + "".join(f"{value:23.2f}" for value in rms), flush=True)
-
-
 # -- tables of measurements ----------------------------------------------------------------------
 
 
@@ -460,7 +394,6 @@ def findings(options):
 PARTS = {
     "changes": changes,
     "kinds": kinds,
-    "deviations": deviations,
     "dwells": dwells,
     "set-ups": set_ups,
     "steps": steps,
@@ -474,7 +407,6 @@ def main():
     parser.add_argument("--arms", type=int, default=6, help="of each kind, simulated")
     parser.add_argument("--days", type=int, default=6, help="checks of each arm")
     parser.add_argument("--runs", type=int, default=60, help="of each change or series")
-    parser.add_argument("--spheres", type=int, default=10, help="of each arm")
     parser.add_argument("--tests", type=int, default=100, help="simulated, for steps")
     parser.add_argument("--real", action="store_true", help="the real robots, too")
     options = parser.parse_args()

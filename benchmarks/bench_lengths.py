@@ -1,10 +1,9 @@
-"""Lengths: the scale of an arm from cones alone, what known lengths buy, and standard deviations.
+"""Lengths: the scale of an arm from cones alone, and what known lengths buy.
 
 Simulated arms, ten cones of 25 poses, calibrated from descriptions that are more or less wrong.
 
     python benchmarks/bench_lengths.py scale        # error of the scale, also over `scale_sd`
     python benchmarks/bench_lengths.py lengths      # what a known length buys
-    python benchmarks/bench_lengths.py deviations   # errors over standard deviations
     python benchmarks/bench_lengths.py intervals    # coverage of the intervals of a mean 2S
 """
 
@@ -16,7 +15,7 @@ os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM
 
 import numpy as np
 
-from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm import ArmResidualRegressor, calibrate
 from sklearn_raacmm.correction._scores import _summary
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
@@ -121,31 +120,6 @@ def lengths(n_arms):
         print(f"{name:<30}{rms(found):12.0f}{max(found):12.0f}", flush=True)
 
 
-def deviations(n_arms):
-    """Errors of single readings over their standard deviations, at places never measured."""
-    print("rms of error over standard deviation")
-    print(f"{'known':<30}{'coordinate':>11}{'0.2 m':>8}{'0.5 m':>8}{'1 m':>8}{'1.5 m':>8}")
-    for name in ("none", "500 mm at one place", "500 mm at three places"):
-        rows = []
-        for seed in range(n_arms):
-            test, angles, labels, known = with_bars(seed, *KNOWN[name])
-            learned = learn_correction(test.nominal_arm, angles, labels, lengths=known)
-            bars = make_gauge(
-                [200.0, 500.0, 1000.0, 1500.0], 10, 2,
-                machine=test.simulation.machine, random_state=seed + 1000,
-            )  # fmt: skip
-            points, std = learned.correct(bars.data)
-            z = (points - bars.simulation.true_points) / std
-            first, second = np.arange(0, len(bars.data), 4), np.arange(2, len(bars.data), 4)
-            found, sd = learned.distances(bars.data[first], bars.data[second])
-            true = bars.simulation.true_points
-            true = np.linalg.norm(true[first] - true[second], axis=1)
-            by_size = ((found - true) / sd).reshape(4, -1)
-            rows.append([rms(z), *np.sqrt(np.mean(by_size**2, axis=1))])
-        values = "".join(f"{rms(column):8.2f}" for column in np.array(rows).T)
-        print(f"{name:<30}   {values}", flush=True)
-
-
 def intervals(n_arms):
     """How often the interval of a mean 2S holds the mean of 300 other positions."""
     rng = np.random.default_rng(0)
@@ -169,7 +143,7 @@ def rms(values):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["scale", "lengths", "deviations", "intervals"])
+    parser.add_argument("what", choices=["scale", "lengths", "intervals"])
     parser.add_argument("--arms", type=int, default=10)
     options = parser.parse_args()
     warnings.simplefilter("ignore", UserWarning)

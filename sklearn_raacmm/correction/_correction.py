@@ -19,7 +19,12 @@ from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._change import fadings_for
-from sklearn_raacmm.correction._deviations import distances, of_coordinate, predict_with_std
+from sklearn_raacmm.correction._deviations import (
+    distances,
+    linear_in_use,
+    of_coordinate,
+    predict_with_std,
+)
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._scores import CorrectionScores
@@ -97,6 +102,16 @@ class Correction:
     def noise(self) -> float:
         """Root mean square of a coordinate that the model leaves of its training rows, mm."""
         return self.facts["noise_mm"]
+
+    @property
+    def scale_sd(self) -> float:
+        """Standard deviation of the arm's common scale, as a share of it, beside the model's own.
+
+        Both together are that of the calibration: known lengths tell the model what they told it.
+        """
+        linear = linear_in_use(self.model)
+        own = 0.0 if linear is None else linear.scale_sd
+        return float(np.sqrt(max(self.facts["scale_sd"] ** 2 - own**2, 0.0)))
 
     @property
     def causes(self) -> dict[str, Any]:
@@ -185,7 +200,7 @@ class Correction:
             In mm.
         std : ndarray of shape (n_samples,)
             Standard deviation of a distance between two readings, mm (k = 1): of its ends along
-            the line, and of the scale of the arm.
+            the line, together and with what cones do not show, and of the scale of the arm.
 
         Raises
         ------
@@ -193,11 +208,11 @@ class Correction:
             If the angles do not fit the arm or each other.
         """
         one, other = (
-            self.correct(q, angle_unit=angle_unit, std_of="position") for q in (angles, others)
+            self.inputs(check_angles(q, self.arm.n_joints, angle_unit)) for q in (angles, others)
         )
-        if len(one[0]) != len(other[0]):
-            raise ValueError(f"There are {len(one[0])} angles, but {len(other[0])} others.")
-        return distances(one, other, self.facts["scale_sd"])
+        if len(one) != len(other):
+            raise ValueError(f"There are {len(one)} angles, but {len(other)} others.")
+        return distances(self, one, other)
 
     def check(
         self,

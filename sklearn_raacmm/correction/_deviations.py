@@ -31,13 +31,16 @@ def predict_with_std(model, X, noise):
 
 def of_coordinate(correction, X, points, within):
     """Standard deviations of coordinates in the base frame, (n, 3) mm, from those in a position."""
-    scale = correction.facts["scale_sd"] * (points - _shoulder(correction.arm))
+    scale = correction.scale_sd * (points - _shoulder(correction.arm))
     variance = within**2 + scale**2
-    model = correction.model
-    linear = getattr(model, "linear_model_", None)
-    if linear is not None and model.helps_:
+    if (linear := linear_in_use(correction.model)) is not None:
         variance += unseen_variance(linear, X)
     return np.sqrt(variance)
+
+
+def linear_in_use(model):
+    """The linear error model, or None where there is none, or where it is of no help."""
+    return getattr(model, "linear_model_", None) if getattr(model, "helps_", False) else None
 
 
 def _shoulder(arm):
@@ -47,17 +50,21 @@ def _shoulder(arm):
     return arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, 3]
 
 
-def distances(first, second, scale_sd):
-    """Distances between corrected points and their standard deviations, (n,) mm each.
+def distances(correction, first, second):
+    """Distances between corrected readings at two poses each and their deviations, (n,) mm each.
 
-    `first` and `second` are points and their standard deviations within a position, (n, 3). The
-    errors of two readings are taken as independent.
+    A model of the arm knows how the errors of both ends belong together, and how much positions did
+    not show of them; those of another regressor are taken as independent.
     """
-    apart = second[0] - first[0]
+    one, other = (correction._within_positions(X) for X in (first, second))
+    apart = other[0] - one[0]
     lengths = np.linalg.norm(apart, axis=1)
     along = apart / np.maximum(lengths, 1e-300)[:, None]
-    ends = np.sum(along**2 * (first[1] ** 2 + second[1] ** 2), axis=1)
-    return lengths, np.sqrt(ends + (scale_sd * lengths) ** 2)
+    variance = np.sum(along**2 * (one[1] ** 2 + other[1] ** 2), axis=1)
+    if (linear := linear_in_use(correction.model)) is not None:
+        noise = correction.facts["std_factor"] * correction.noise
+        variance = 2 * noise**2 + linear.distance_std(first, second) ** 2
+    return lengths, np.sqrt(variance + (correction.scale_sd * lengths) ** 2)
 
 
 def length_findings(calibration):

@@ -177,16 +177,14 @@ def _pooled(linears, arm):
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
-    def pooled_root(roots):
-        return np.asarray(
-            np.linalg.qr(np.hstack([*(r / np.sqrt(n) for r in roots), own]).T, mode="r")
-        ).T
-
-    gauge_free = pooled_root([one.gauge_free_half for one in aligned])
+    # Both roots together: their difference is what a single-point test does not show.
+    roots = [np.vstack([one.half, one.gauge_free_half]) / np.sqrt(n) for one in aligned]
+    pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r").T
+    half, gauge_free = np.vsplit(pooled, 2)
     return replace(
         model,
         coef=trust * mean,
-        half=pooled_root([one.half for one in aligned]),
+        half=half,
         gauge_free_half=gauge_free,
         fading_half=gauge_free,
     )

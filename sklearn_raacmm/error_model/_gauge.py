@@ -125,16 +125,18 @@ def constrained(
         return model
     arm, terms = model.arm, model.terms
     columns = _mean_columns(arm, X, weights, codes, terms)
-    if keep_scale and terms.kinematics:
+    if terms.kinematics:
         points = group_means(points_of_rows(arm, terms, X), codes, weights)
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if size > 0:
             scale_of = np.einsum("gc,gcp->p", spread, columns) / size
-            unit = scale_direction(arm, terms)
-            coef = model.coef - unit * (scale_of @ model.coef)
-            half = model.half - np.outer(unit, scale_of @ model.half)
-            model = replace(model, coef=coef, half=half)
+            along, unit = scale_of @ model.half, scale_direction(arm, terms)
+            if keep_scale:
+                coef = model.coef - unit * (scale_of @ model.coef)
+                model = replace(model, coef=coef, half=model.half - np.outer(unit, along))
+            else:
+                model = replace(model, scale_sd=float(np.linalg.norm(along)))
     fields = place_fields(arm, terms)
     half = model.half
     if fields.shape[1]:
@@ -143,33 +145,37 @@ def constrained(
     return replace(model, gauge_free_half=half, fading_half=half)
 
 
+def unseen_half(model: Any) -> np.ndarray:
+    """What positions with offsets do not show, as columns to add to `gauge_free_half`.
+
+    What the posterior has beside it, without the motions of the base: the frame is the arm's own.
+    What is left is how the arm gives way as a function of the place.
+    """
+    names, half = term_names(model.arm, model.terms)[0], model.half.copy()
+    if model.offsets:
+        half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
+    return half - model.gauge_free_half
+
+
 def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
     """Variance of each coordinate that positions with offsets do not show, (n, 3), mm^2.
 
-    What the posterior has beside `gauge_free_half`, without the motions of the base: the frame is
-    the arm's own. What is left is how the arm gives way as a function of the place.
+    With G the widened root of what they show and U of what they do not, ``(G + U)(G + U)' - G G'``
+    is ``U (2 G + U)'`` but for its order. U is narrow, for few fields differ.
     """
     variance = np.zeros((len(X), 3))
     if not model.offsets:
         return variance
-    names, half = term_names(model.arm, model.terms)[0], model.half.copy()
-    half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
-    first, second = _difference(half, model.gauge_free_half)
-    for rows in chunks(len(X), _CHUNK):
-        columns = model.columns(X[rows])
-        columns = columns.reshape(3 * len(columns), len(half))
-        variance[rows] = ((columns @ first) * (columns @ second)).sum(axis=1).reshape(-1, 3)
-    return np.maximum(variance, 0.0)
-
-
-def _difference(half, seen):
-    """Two matrices a and b, ``a b' = half half' - seen seen'``: narrow, as few fields differ."""
-    if half.shape != seen.shape:
-        return np.hstack([half, seen]), np.hstack([half, -seen])
-    basis, triangle, _ = qr(half - seen, mode="economic", pivoting=True, check_finite=False)
+    unseen = unseen_half(model)
+    basis, triangle, _ = qr(unseen, mode="economic", pivoting=True, check_finite=False)
     size = np.abs(triangle.diagonal())
     basis = basis[:, size > _ROUNDING * size.max(initial=0.0)]
-    return basis, (half + seen) @ ((half - seen).T @ basis)
+    other = (2 * model.std_scale * model.gauge_free_half + unseen) @ (unseen.T @ basis)
+    for rows in chunks(len(X), _CHUNK):
+        columns = model.columns(X[rows])
+        columns = columns.reshape(3 * len(columns), len(unseen))
+        variance[rows] = ((columns @ basis) * (columns @ other)).sum(axis=1).reshape(-1, 3)
+    return variance
 
 
 def place_fields(arm, terms):

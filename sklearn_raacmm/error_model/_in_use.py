@@ -93,7 +93,7 @@ class FittedArmModel(PointCorrectionMixin):
         with_noise: bool = False,
         *,
         return_cov: bool = False,
-        with_unseen: bool = False,
+        with_unseen: bool = True,
     ) -> Any:
         """Predict residuals.
 
@@ -108,9 +108,10 @@ class FittedArmModel(PointCorrectionMixin):
             shows, rather than of the correction.
         return_cov : bool, default=False
             Instead of standard deviations, return the covariance of all coordinates of all poses.
-        with_unseen : bool, default=False
-            Whether the covariance contains what a single-point test cannot show, such as a common
-            scale, as far as the model knows it: for lengths over several positions.
+        with_unseen : bool, default=True
+            Whether the covariance contains what a single-point test cannot show, but a motion of
+            the base: how the arm gives way as a function of the place. False: for deviations within
+            a position.
 
         Returns
         -------
@@ -250,7 +251,7 @@ class FittedArmModel(PointCorrectionMixin):
         random_state: int | np.random.RandomState | None = None,
         *,
         with_noise: bool = False,
-        with_unseen: bool = False,
+        with_unseen: bool = True,
     ) -> Floats:
         """Draw corrections of all poses together, as the posterior has them.
 
@@ -265,7 +266,8 @@ class FittedArmModel(PointCorrectionMixin):
             Number of draws.
         random_state : int, RandomState instance or None, default=None
             Draws the numbers.
-        with_noise, with_unseen : bool, default=False
+        with_noise : bool, default=False
+        with_unseen : bool, default=True
             See `predict`; the noise is independent from pose to pose.
 
         Returns
@@ -286,7 +288,7 @@ class FittedArmModel(PointCorrectionMixin):
         check_flags(with_noise=with_noise, with_unseen=with_unseen)
         check_scalar(n_samples, "n_samples", Integral, min_val=1)
         linear, rng = self.linear_model_, check_random_state(random_state)
-        root = linear.std_scale * linear.root_at(check_poses(self, X), with_unseen)
+        root = linear.root_at(check_poses(self, X), with_unseen)
         draws = root @ rng.normal(size=(root.shape[1], n_samples))
         if with_noise:
             draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
@@ -395,4 +397,4 @@ class FittedArmModel(PointCorrectionMixin):
         X1, X2 = check_poses(self, X1), check_poses(self, X2)
         if len(X1) != len(X2):
             raise ValueError(f"X1 has {len(X1)} poses and X2 has {len(X2)}: lengths need pairs.")
-        return self.linear_model_.std_scale * self.linear_model_.distance_std(X1, X2)
+        return self.linear_model_.distance_std(X1, X2)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, points_of
+from sklearn_raacmm.arm import Arm, points_of, reach_mm
 from sklearn_raacmm.error_model._columns import (
+    ARCSEC,
     FAMILIES,
     LOAD,
     Terms,
@@ -19,6 +20,7 @@ from sklearn_raacmm.error_model._columns import (
     term_columns,
     term_names,
 )
+from sklearn_raacmm.error_model._gauge import unseen_half
 from sklearn_raacmm.utils import check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -79,6 +81,8 @@ class LinearModel:
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out; 1 where that is not known.
+    scale_sd : float
+        Standard deviation of the common scale of all lengths that it holds: 0 without known ones.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
     """
@@ -97,6 +101,7 @@ class LinearModel:
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
+    scale_sd: float = 0.0
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
@@ -197,12 +202,12 @@ class LinearModel:
         noise = self.noise_scale * self.noise_sd if with_noise else 0.0
         return np.hypot(self.std_scale * std, noise)
 
-    def root_at(self, angles: np.ndarray, with_unseen: bool = False) -> np.ndarray:
+    def root_at(self, angles: np.ndarray, with_unseen: bool = True) -> np.ndarray:
         """Root (3 n, r) of the posterior covariance of the coordinates of some poses, mm.
 
-        Of `half` instead of `gauge_free_half` where the unseen is asked for; not widened.
+        What a single-point test shows is widened by `std_scale`, what it does not is not.
         """
-        half = self.half if with_unseen else self.gauge_free_half
+        half = self._root(with_unseen)
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.columns(angles[rows])
@@ -210,11 +215,16 @@ class LinearModel:
             out[rows] = every.reshape(len(columns), 3, half.shape[1])
         return out.reshape(-1, half.shape[1])
 
+    def _root(self, with_unseen):
+        """Root (n_columns, r) of the widened covariance of the coefficients: see `root_at`."""
+        seen = self.std_scale * self.gauge_free_half
+        return seen + unseen_half(self) if with_unseen else seen
+
     def joint_covariance(
-        self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = False
+        self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = True
     ) -> np.ndarray:
         """Widened covariance (3 n, 3 n) of the coordinates of some poses, mm^2: see `root_at`."""
-        root = self.std_scale * self.root_at(angles, with_unseen)
+        root = self.root_at(angles, with_unseen)
         covariance = root @ root.T
         if with_noise:
             noise = self.noise_scale**2 * self.noise_variance
@@ -227,11 +237,11 @@ class LinearModel:
         line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
         length = np.linalg.norm(line, axis=1, keepdims=True)
         line = line / np.maximum(length, 1e-300)
-        out = np.empty(len(first))
+        half, out = self._root(with_unseen=True), np.empty(len(first))
         for rows in chunks(len(first), _CHUNK):
             difference = self.columns(second[rows]) - self.columns(first[rows])
             along = np.einsum("nc,ncp->np", line[rows], difference)
-            out[rows] = np.linalg.norm(along @ self.half, axis=1)
+            out[rows] = np.linalg.norm(along @ half, axis=1)
         return out
 
     def harmonic_table(self) -> np.ndarray:
@@ -256,7 +266,11 @@ class LinearModel:
         table = np.empty(len(names), dtype=dtype)
         table["family"] = [FAMILIES[f] for f in family]
         table["name"] = names
-        table["value"], table["sd"] = self.coef[n:], self.coef_sd[n:]
+        # The columns of gravity are not all of one arc second: see `_gravity`.
+        arcsec = ARCSEC / reach_mm(self.arm)
+        others = other_columns(self.arm, self.terms)
+        size = np.array([c.unit / arcsec if c.kind == LOAD else 1.0 for c in others])
+        table["value"], table["sd"] = size * self.coef[n:], size * self.coef_sd[n:]
         return table
 
 

@@ -1,5 +1,7 @@
 """Standard deviations of coordinates and distances against draws, geometry, and simulated arms."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,8 @@ def test_distances_of_points_that_are_drawn():
     rng = np.random.default_rng(1)
     first, second = np.array([[100.0, 20, 300]]), np.array([[-400.0, 700, 10]])
     sds, scale_sd = rng.uniform(0.01, 0.05, (2, 1, 3)), 5e-5
-    _, std = distances((first, sds[0]), (second, sds[1]), scale_sd)
+    pair = SimpleNamespace(model=None, scale_sd=scale_sd, _within_positions=lambda X: X)
+    _, std = distances(pair, (first, sds[0]), (second, sds[1]))
     factor = 1 + scale_sd * rng.normal(size=(20_000, 1))
     pairs = zip((first, second), sds, strict=True)
     ends = [p + sd * rng.normal(size=(20_000, 3)) for p, sd in pairs]
@@ -68,13 +71,18 @@ def test_three_deviations_have_three_names(learned):
     points, of_coordinate = correction.correct(angles)
     same, within = correction.correct(angles, std_of="position")
     np.testing.assert_array_equal(points, same)
-    scale = correction.calibration.scale_sd * (points - _shoulder(correction.arm))
-    assert np.all(of_coordinate**2 >= within**2 + scale**2 - 1e-15)
+    assert np.all(of_coordinate >= within)
+    # Calibration and model have the scale from the same lengths: together that of calibration.
+    own, whole = correction.model.linear_model_.scale_sd, correction.calibration.scale_sd
+    assert 0 < own < whole == pytest.approx(np.hypot(own, correction.scale_sd))
     lengths, std = correction.distances(angles[:10], angles[10:])
-    expected = distances(
-        (points[:10], within[:10]), (points[10:], within[10:]), correction.calibration.scale_sd
-    )
-    np.testing.assert_allclose([lengths, std], expected)
+    line = points[10:] - points[:10]
+    np.testing.assert_allclose(lengths, np.linalg.norm(line, axis=1))
+    draws = correction.model.sample_y(angles, 4000, random_state=0)
+    draws = np.linalg.norm(line[:, :, None] + draws[10:] - draws[:10], axis=1).std(axis=1)
+    noise = correction.facts["std_factor"] * correction.noise
+    expected = np.sqrt(draws**2 + 2 * noise**2 + (correction.scale_sd * lengths) ** 2)
+    np.testing.assert_allclose(std, expected, rtol=0.05)
     with pytest.raises(ValueError, match="std_of"):
         correction.correct(angles, std_of="length")
     with pytest.raises(ValueError, match="There are 10 angles, but 9 others"):

@@ -88,7 +88,10 @@ def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, -1), (2, -1, 0.5)])
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_gravity_columns_follow_potential_energy(arm, up):
-    """The torque of a load about an axis is what lifting it by a turn about that axis costs."""
+    """The torque of a load about an axis is what lifting it by a turn about that axis costs.
+
+    A load before the frame stands for the slope of a cantilever's end: half of its turn.
+    """
     arm = arm.replace(up=up)
     theta = draw_angles(arm, 20)
     terms = Terms(np.empty((0, 2), int), True, False, False)
@@ -98,12 +101,14 @@ def test_gravity_columns_follow_potential_energy(arm, up):
     small = 1e-6
     for column, name in enumerate(names):
         words = name.split()
-        place = arm.forward(theta) if words[2] == "probe" else frames[:, int(words[3]), :, 3]
+        load = arm.n_joints + 1 if words[2] == "probe" else int(words[3])
+        place = arm.forward(theta) if words[2] == "probe" else frames[:, load, :, 3]
         frame, axis = int(words[-3]), "xyz".index(words[-1])
         origin = frames[:, frame, :, 3]
         lifted = Rotation.from_rotvec(small * frames[:, frame, :, axis]).apply(place - origin)
         torque = -(lifted + origin - place) @ arm.up / small / reach_mm(arm)
-        expected = turned(arm, theta, frame, axis, torque * ARCSEC)
+        share = 0.5 if load < frame else 1.0
+        expected = turned(arm, theta, frame, axis, share * torque * ARCSEC)
         assert_allclose(columns[:, :, column], expected, atol=2e-7, err_msg=name)
     # About three axes: every load beyond a frame, and one before it but for the first and last.
     n = arm.n_joints

@@ -152,16 +152,16 @@ def test_the_joint_covariance_contains_the_single_ones(cones):
     test, model = cones
     X = test.data[:12]
     mean, std = model.predict(X, return_std=True)
-    again, cov = model.predict(X, return_cov=True)
+    again, cov = model.predict(X, return_cov=True, with_unseen=False)
     assert_allclose(again, mean)
     assert_allclose(np.sqrt(cov.diagonal()), std.ravel(), rtol=1e-6)
-    noisy = model.predict(X, return_cov=True, with_noise=True)[1]
+    noisy = model.predict(X, return_cov=True, with_noise=True, with_unseen=False)[1]
     both = model.predict(X, return_std=True, with_noise=True)[1]
     assert_allclose(np.sqrt(noisy.diagonal()), both.ravel(), rtol=1e-6)
     # A length, by one product, is what distance_std has of it.
     first, second = X[:1], test.data[-1:]
     pair = np.vstack([first, second])
-    cov = model.predict(pair, return_cov=True, with_unseen=True)[1]
+    cov = model.predict(pair, return_cov=True)[1]
     line = np.subtract(*test.arm.forward(pair)[::-1])
     g = np.r_[-line, line] / np.linalg.norm(line)
     assert_allclose(np.sqrt(g @ cov @ g), model.distance_std(first, second), rtol=1e-6)
