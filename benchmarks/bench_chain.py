@@ -1,10 +1,10 @@
 """What positions are worth to the chain.
 
 Every regressor of the chain is fitted twice: with ``fit(X, y, groups=positions)``, which names the
-rows of one position, and with ``groups=False``. On simulated arms it learns at some positions and is
-judged at twenty others by the mean 2S that its correction leaves; on real arms at placements (UR10:
-goals) left out. The table has what is left, as a share of what there was, and the ratio of both
-fits. Settings are the same for both.
+rows of one position, and with ``groups=False``. On simulated arms it learns at some positions and
+is judged at twenty others by the mean 2S that its correction leaves; on real arms at placements
+(UR10: goals) left out. The table has what is left, as a share of what there was, and the ratio of
+both fits. Settings are the same for both.
 
 The default, the network on twelve simulated arms and the real ones, takes about ten CPU minutes;
 ``--models`` measures the others.

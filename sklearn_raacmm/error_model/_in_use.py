@@ -84,7 +84,7 @@ class FittedArmModel(PointCorrectionMixin):
     @overload
     def predict(
         self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = False,
-        with_unseen: bool = False,
+        with_unseen: bool = True,
     ) -> Pair: ...  # fmt: skip
     def predict(
         self,

@@ -55,9 +55,7 @@ class PointCorrectionMixin(RegressorMixin):
     def correct(
         self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Literal[False]
     ) -> Floats: ...
-    def correct(
-        self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
-    ) -> Any:
+    def correct(self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any) -> Any:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters
