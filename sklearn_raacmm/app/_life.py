@@ -370,7 +370,7 @@ def _refuse_other_writers(saved, folder):
         raise TableError(f"{folder} was changed by another process meanwhile: run this again.")
 
 
-def step_of(what, today, facts, measure=None, before_mm=None, after_mm=None):
+def step_of(what, today, facts, measure=None, before_mm=np.nan, after_mm=np.nan):
     """What was done, with which poses, and what it was worth, as plain values."""
     step = {"what": what}
     if today is not None:

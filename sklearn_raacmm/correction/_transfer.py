@@ -179,8 +179,8 @@ def _pooled(linears, arm):
 
     # Both roots together: their difference is what a single-point test does not show.
     roots = [np.vstack([one.half, one.gauge_free_half]) / np.sqrt(n) for one in aligned]
-    pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r").T
-    half, gauge_free = np.vsplit(pooled, 2)
+    pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r")
+    half, gauge_free = np.vsplit(np.asarray(pooled).T, 2)
     return replace(
         model,
         coef=trust * mean,

@@ -44,9 +44,11 @@ class _Targets:
         kept = weights > 0
         self.y, self.weights, self.arm, self.offsets = y[kept], weights[kept], arm, offsets
         self.codes = None if codes is None else codes[kept]
-        self.angles = None if arm is None else angles[kept]
-        self.points = None if arm is None else points_of(arm, self.angles)
-        self.reach = np.inf if arm is None else reach_mm(arm)
+        self.angles = self.points = None
+        self.reach = np.inf
+        if arm is not None:
+            self.angles = angles[kept]
+            self.points, self.reach = points_of(arm, self.angles), reach_mm(arm)
 
 
 def are_points(targets):
