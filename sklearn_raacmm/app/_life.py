@@ -157,8 +157,9 @@ def check(options):
     facts |= {"holds": not changed}
     try:
         _refuse_other_writers(saved, files[0].parent)
-        worth = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
-        step = step_of("check", today, facts, *worth)
+        step = step_of("check", today, facts)
+        if by_spread:
+            step = step_of("check", today, facts, "mean 2S", facts["before_mm"], facts["after_mm"])
         save_step(saved, files[0].parent, step, _page_of(options))
     except (OSError, ValueError, ImportError) as error:
         print_notes([f"This check is not in the history of {files[0].parent}: {error}"])
