@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from sklearn_raacmm.app._cells import TableError
+from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._files import (
     WRITTEN,
     correction_files,
@@ -241,7 +241,7 @@ def _open_correction(options):
     out = Path(options.out) if options.out else files[0].parent
     read = [getattr(options, "table", None), *(files * bool(options.out))]
     check_places([out / name for name in WRITTEN], filter(None, read))
-    with_history("", [])  # what the report needs is missed before the work, if it is missing
+    check_installed("jinja2")
     return load_correction(options.model)
 
 

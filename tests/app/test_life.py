@@ -189,7 +189,7 @@ def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     monkeypatch.setattr(Correction, "update", None)
     code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
-    assert (code, "Pages need jinja2: pip install jinja2." in printed) == (2, True)
+    assert (code, "jinja2 must be installed: pip install jinja2." in printed) == (2, True)
     code, printed = run(capsys, "check", folder / "new.csv", "--model", out)
     assert code in (0, 3)
     assert "This check is not in the history of" in printed
