@@ -30,9 +30,9 @@ from sklearn_raacmm.inference import (
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
-    are_deviations,
     centred,
     chunks,
+    group_means,
     group_sums,
     report_findings,
     stage,
@@ -55,6 +55,8 @@ _POSES = 256
 # Steps of the other variances at each, and rounds with a fit at what was found
 # (``benchmarks/bench_few_poses.py --constants``).
 _KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-4.0, 0.5, 0.5), 3, 2
+# Variance of means that are 0 but for rounding, in parts of that of the residuals.
+_LEAST_MEANS = 1e-6
 
 
 class Rows(NamedTuple):
@@ -184,28 +186,38 @@ def fit_with_constants(rows, positions, terms, with_field):
 def _known_of_constants(rows, positions, terms, with_field, fitted):
     """Noise variance over that of the constants, by the evidence of what a fit has chosen.
 
-    Infinite: there are none; 0: nothing is known of them, as of residuals that are deviations from
-    a mean, a median or a row of their position. With W the weight of a position its
-    constant takes ``log(1 + W / known) / 2`` of the log evidence, for x, y and z each. Their
-    variance is one more number, which costs half the logarithm of how many there are (Schwarz).
+    Infinite: there are none. With W the weight of a position its constant takes
+    ``log(1 + W / known) / 2`` of the log evidence, for x, y and z each. Their variance is one more
+    number, which costs half the logarithm of how many there are (Schwarz).
+
+    0: the means of the positions say nothing of the arm, as those of deviations from a mean, a
+    median or a row of their position. They are then normal by themselves, of another variance.
     """
+    # As counts of rows, weights of another size would say that means scatter too much or too little.
+    weight = rows.weights.mean()
+    rows = rows._replace(weights=rows.weights / weight)
     state, structures = fitted.state, structures_of(rows.arm, terms, with_field)
     few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
     total = np.bincount(positions, rows.weights)
-    found = {}
-    for known in [np.inf, *_KNOWN.tolist()]:
-        given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
+    start = lines, state.with_field, state.variance, state.noise_variance / weight
+
+    def evidence(given):
         problem = Problem(given.sums(few)[0], structures)
-        start = lines, state.with_field, state.variance, state.noise_variance
-        state_there = problem.with_variances(problem.state(*start), _CONSTANT_STEPS)
-        taken = 0.5 * rows.y.shape[1] * np.log1p(total / known).sum()
-        taken += 0.0 if np.isinf(known) else 0.5 * np.log(rows.y.shape[1] * len(total))
-        found[known] = state_there.log_evidence - taken
+        return problem.with_variances(problem.state(*start), _CONSTANT_STEPS).log_evidence
+
+    n = rows.y.shape[1] * len(total)
+    found = {np.inf: evidence(rows)}
+    for known in _KNOWN.tolist():
+        taken = 0.5 * rows.y.shape[1] * np.log1p(total / known).sum() + 0.5 * np.log(n)
+        found[known] = evidence(rows._replace(codes=positions, known=known)) - taken
+    squares = np.square(group_means(rows.y, positions, rows.weights)) * total[:, None]
+    least = _LEAST_MEANS * np.average(np.square(rows.y).mean(axis=1), weights=rows.weights)
+    variance = max(squares.mean(), least)
+    taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
+    found[0.0] = evidence(rows._replace(codes=positions)) - taken
     known = max(found, key=lambda one: found[one])
-    if known == _KNOWN[-1]:  # they are no larger than the noise
-        return np.inf
-    unknown = known == _KNOWN[0] and are_deviations(rows.y, positions, rows.weights)
-    return 0.0 if unknown else known
+    # Constants that are no larger than the noise are none.
+    return np.inf if known == _KNOWN[-1] else known * weight
 
 
 @stage("linear error model")

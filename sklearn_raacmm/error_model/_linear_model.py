@@ -14,6 +14,7 @@ from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
     LOAD,
+    OF_END,
     Terms,
     factored_columns,
     other_columns,
@@ -132,6 +133,11 @@ class LinearModel:
                 values = np.zeros((n, *np.shape(state[name])[1:]))
                 values[kept] = state[name]
                 vars(self)[name] = values
+        elif "scale_sd" not in state:  # those of the first files with them had twice the unit
+            size = np.ones(n)
+            size[slopes] = 1 / OF_END
+            for name in ("coef", "half", "gauge_free_half", "fading_half"):
+                vars(self)[name] = (np.transpose(state[name]) * size).T
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
     @property

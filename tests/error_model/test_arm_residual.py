@@ -281,10 +281,15 @@ def test_offsets_auto(eccentric):
     assert not model.fit(theta, y, groups=groups).offsets_
     centred = position_residuals(y, groups)
     assert model.fit(theta, centred, groups=groups).offsets_
-    # Of other means, or where one position is off, constants have a size that is found.
-    centred[groups == "a"] += 0.1
+    # Deviations from a median or from one row know as little of the arm.
+    of_group = [y[groups == name] for name in "abcde"]
+    for origins in (np.median(of_group, axis=1), [part[0] for part in of_group]):
+        found = model.fit(theta, y - np.array(origins)[np.arange(len(y)) % 5], groups=groups)
+        assert found.offsets_
+    # Constants beside the arm's own errors have a size that is found.
+    size = 0.05 * np.random.default_rng(1).normal(size=(5, 3))
     with pytest.warns(UserWarning, match=r"positions differ by constants of 0\.0"):
-        assert not model.fit(theta, centred, groups=groups).offsets_
+        assert not model.fit(theta, y + size[np.arange(len(y)) % 5], groups=groups).offsets_
 
 
 def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
