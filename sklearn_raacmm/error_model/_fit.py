@@ -193,7 +193,7 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
     0: the means of the positions say nothing of the arm, as those of deviations from a mean, a
     median or a row of their position. They are then normal by themselves, of another variance.
     """
-    # As counts of rows, weights of another size would say that means scatter too much or too little.
+    # As counts of rows, weights of another size would have means scatter too much or too little.
     weight = rows.weights.mean()
     rows = rows._replace(weights=rows.weights / weight)
     state, structures = fitted.state, structures_of(rows.arm, terms, with_field)
