@@ -170,7 +170,8 @@ def export_c(
     rows = make_test_rows(model, given, std, dtype, any_probe)
     program, notes = _faded(model, exact, rows, given, fade, std, any_probe)
     sums = program is not exact and bool(fade)  # of single precision, from small tables
-    notes += _check_in_c(program, rows, dtype, **({"limit": SINGLE_SUMS} if sums else {}))
+    small = {"limit": SINGLE_SUMS, "of": "the same tables summed in double precision"}
+    notes += _check_in_c(program, rows, dtype, **(small if sums else {}))
     source, header = sources(program, name, path.stem, dtype, card, notes)
     header_path = path.with_suffix(".h")
     files = {path: source, header_path: header}
@@ -211,7 +212,8 @@ def _check_in_c(program, rows, dtype, **limits):
         size = np.abs(rows["y"][known]).max(initial=1e-300)
         gap = np.abs(found["y"] - rows["y"])[known].max(initial=0.0)
         unit = " mm" if "point" in found else ""
-        text = f"single precision, at {known.sum()} rows: within {gap:.1e}{unit} of predict"
+        of = limits.get("of", "predict")
+        text = f"single precision, at {known.sum()} rows: within {gap:.1e}{unit} of {of}"
         notes.append(f"{text}, {gap / size:.1e} of the largest")
         if "point" in found:
             exact = run(program, rows["X"])["point"]

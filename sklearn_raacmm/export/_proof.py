@@ -99,11 +99,12 @@ def rows_as_json(rows):
     return json.dumps(lists)
 
 
-def check_answers(what, rows, found, dtype="double", limit=_LIMIT):
+def check_answers(what, rows, found, dtype="double", limit=_LIMIT, of="predict"):
     """How far a file is from ``predict`` at test rows, or ValueError if that is too far.
 
     `what` names the file, `found` is what it gives: y and perhaps std. The list has what the file
     must say where it is worse than promised; beyond `limit` of the largest number it is refused.
+    `of` names what gave the answers in `rows`.
     """
     expected, y, std = rows["y"], found["y"], found.get("std")
     refused = np.isnan(expected)
@@ -119,11 +120,11 @@ def check_answers(what, rows, found, dtype="double", limit=_LIMIT):
     promise = TOLERANCE[dtype]
     if not gap <= max(limit, promise) * size:
         raise ValueError(
-            f"{what} is up to {gap:.2g} away from predict, {gap / size:.2g} of the largest number "
+            f"{what} is up to {gap:.2g} away from {of}, {gap / size:.2g} of the largest number "
             f"({len(y)} rows); {promise:g} is promised. Rounding costs as much where weights are "
             "huge: fit with a larger alpha."
         )
-    notes = [] if gap <= promise * size else [f"within {gap:.1e} of predict, at {len(y)} rows"]
+    notes = [] if gap <= promise * size else [f"within {gap:.1e} of {of}, at {len(y)} rows"]
     if std is None:
         return notes
     of_std = rows["std"][~refused]
