@@ -25,7 +25,7 @@ from sklearn_raacmm.app._files import (
     print_notes,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import read_lengths
+from sklearn_raacmm.app._lengths import parse_length, read_lengths
 from sklearn_raacmm.app._report import with_history
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
@@ -130,7 +130,7 @@ def check(options):
     saved = load_correction(options.model)
     has_causes = hasattr(saved.model, "linear_model_")
     by_spread = saved.facts["measure"] == "2S" and not options.points
-    needed = [f"--{name}" for name in ("record", "lengths") if getattr(options, name)]
+    needed = [f"--{name}" for name in ("record", "length", "lengths") if getattr(options, name)]
     if not has_causes and (needed or not by_spread):
         raise TableError(
             f"{' and '.join(needed) or 'this check'} needs a model of causes; this correction has "
@@ -251,7 +251,8 @@ def _read_today(options, arm):
     layout = find_rows(options, arm, labelled=not by_tracker)
     table = layout.read()
     print_notes(table.notes)
-    lengths = read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    lengths = [parse_length(text) for text in options.length or ()]
+    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit

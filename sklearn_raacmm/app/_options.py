@@ -20,7 +20,7 @@ _EPILOG = (
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
 _LEARNING = "--limit-2s --folds --jobs --open --force"
 _CAUSES = "--extra --in-order --tool"
-_TODAY = f"table --model --points --lengths --length-sd {_COLUMNS}"
+_TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
 # Each word with the module that holds its function, a description, an example, and its options.
 WORDS = {

@@ -154,6 +154,8 @@ def _open_book(path, values=True):
     check_installed("openpyxl")
     import openpyxl
 
+    if not path.is_file():
+        raise TableError(f"There is no file {path}.")
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())

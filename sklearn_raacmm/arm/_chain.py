@@ -137,13 +137,15 @@ def _chain(joints, base, tip, where):
 
 
 def _one_of(ends, given, what, links, where):
-    if given is not None:
-        if given not in links:
-            raise ValueError(f"{where} has no link {given!r} that could be the {what}.")
+    if given in links:
         return given
+    shown = ", ".join(ends[:_BRANCHES_SHOWN]) or "none"
+    more = ", ..." if len(ends) > _BRANCHES_SHOWN else ""
+    if given is not None:
+        raise ValueError(
+            f"{where} has no link {given!r} that could be the {what}; try {shown}{more}."
+        )
     if len(ends) != 1:
-        shown = ", ".join(ends[:_BRANCHES_SHOWN]) or "none"
-        more = ", ..." if len(ends) > _BRANCHES_SHOWN else ""
         raise ValueError(
             f"{where} branches: it has {len(ends)} links that could be the {what} ({shown}{more}); "
             f"say which is the {what}."

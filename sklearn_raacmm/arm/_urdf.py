@@ -89,7 +89,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         if np.linalg.norm(np.cross(old[i][:3, 2], new[i][:3, 2])) > _SAME_ARM:
             raise ValueError(
                 f"{where}: the axis of joint {joint.name!r} is another one in the arm, which "
-                "was not read from this file."
+                "was not read from this file, or from another base."
             )
         # The file's frame goes where the table's frame has gone, exactly onto the new axis.
         frame = new[i] @ np.linalg.inv(old[i]) @ files[k]

@@ -25,6 +25,8 @@ _SPREAD = 1.5
 _UNITS = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1e-3: "micrometres"}
 # Measuring arms reach from half a metre on, robots are not much smaller.
 _LEAST_REACH_MM = 200.0
+# Labels that a message lists.
+_LABELS_SHOWN = 12
 
 
 def check_problem(angles, groups, points, lengths, tools, stations):
@@ -115,7 +117,11 @@ def check_length(entry: Any, labels: Any) -> Any:
         ) from None
     for label in (first, second):
         if label not in labels:
-            raise ValueError(f"lengths name the group {label!r}, which has no samples.")
+            some = ", ".join(str(one) for one in list(labels)[:_LABELS_SHOWN])
+            more = ", ..." if len(labels) > _LABELS_SHOWN else ""
+            raise ValueError(
+                f"lengths name the group {label!r}, which has no samples; groups are {some}{more}."
+            )
     in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
     if not in_bounds or first == second:
         raise ValueError(

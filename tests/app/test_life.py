@@ -296,6 +296,8 @@ def test_labels_of_tools_are_the_same_in_every_block():
     pytest.param("cones", "register on_a_line.csv --points x,y,z", "spread in all directions",
                  marks=pytest.mark.exhaustive),
     ("cones", "update more_points.csv --points x,y,z --lengths new.csv", "length"),
+    ("cones", "update more_points.csv --points x,y,z --length 0:1:500:0.01", "--lengths are betw"),
+    ("cones", "register new.csv --length 0:1:500:0.01", "no samples; groups are cone 0, cone 1."),
     ("cones", "move --probe 0,250", "three numbers"),
 ])  # fmt: skip
 def test_faults_get_one_sentence(folder, tmp_path, capsys, learnt, words, sentence):

@@ -338,6 +338,7 @@ def places(tmp_path, monkeypatch):
         ("arm arm.json --out arm.json", "arm.json is read and would be written over"),
         ("learn t.csv --arm nothing --out o", "there is no file nothing, and as a name must be"),
         ("learn none.csv --arm ur10 --out o", "There is no file none.csv"),
+        ("accept none.xlsx --arm ur10", "There is no file none.xlsx"),
         ("learn t.csv --arm ur10 --out o --points x,y", "--points needs three columns"),
         ("learn t.csv --arm ur10 --out o --limit-2s -1", "must be a positive number"),
         ("learn t.csv --arm ur10 --out -", "--out is a folder here"),

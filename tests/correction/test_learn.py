@@ -369,7 +369,7 @@ def test_progress_and_processes_change_nothing(test_data, learned):
         ({"cv": [(np.arange(20, 140), np.arange(20))]}, "leave out each row exactly once"),
         ({"rows": slice(40)}, "at least 3 positions are needed to leave some out, got 2"),
         ({"points": np.zeros((3, 3))}, r"points must have shape \(140, 3\)"),
-        ({"lengths": [(0, 99, 400, 0.1)]}, "lengths name the group 99, which has no samples"),
+        ({"lengths": [(0, 99, 400, 0.1)]}, "the group 99, which has no samples; groups are 0, 1, "),
     ],
 )
 def test_bad_input_gets_one_sentence(test_data, change, message):
