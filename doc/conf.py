@@ -1,6 +1,7 @@
 """Sphinx: ``sphinx-build -W -n doc doc/_build/html``; needs no network."""
 
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -111,13 +112,17 @@ sphinx_gallery_conf = {
 }
 
 
+# Full names of what docstrings name by the last part; the reference has results in full.
+LISTED = re.findall(r"^   (\w+\.\w+)$", (DOC / "api.rst").read_text(encoding="utf-8"), re.MULTILINE)
+FULL = {n.split(".")[-1]: f"sklearn_raacmm.{n}" for n in (*sklearn_raacmm.__all__, *LISTED)}
+
+
 def of_the_package(app, env, node, contnode):
     """Find a name of the package that a docstring gives by itself."""
     name = node.get("reftarget", "")
-    if node.get("refdomain") == "py" and name in sklearn_raacmm.__all__:
-        full = f"sklearn_raacmm.{name}"
+    if node.get("refdomain") == "py" and name in FULL:
         return env.get_domain("py").resolve_xref(
-            env, node["refdoc"], app.builder, node["reftype"], full, node, contnode
+            env, node["refdoc"], app.builder, node["reftype"], FULL[name], node, contnode
         )
     return None
 
