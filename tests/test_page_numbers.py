@@ -62,7 +62,6 @@ def test_numbers_of_geometry_and_of_the_normal_distribution():
     assert_said("user_guide/limits.md", "at one metre is @ micrometres", [1e6 * arc_second], 1e-3)
     median = scipy.stats.chi.ppf(0.5, 3)
     assert_said("numerics.md", "is @ standard deviations of a coordinate", [median], 1e-4)
-    assert_said("log.md", "6 features and 3 outputs are @ GB", [1e9 * 9 * 8 / 1e9], 1e-9)
     scale = 0.1 / 50 / np.sqrt(5)
     assert_said("log.md", "to @ %, which is @ mm at 270 mm", [100 * scale, 270 * scale])
 
