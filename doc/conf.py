@@ -139,8 +139,16 @@ def of_a_list(app, what, name, obj, options, lines):
         lines[:] = ["Types that skops may build when it loads a model of this package."]
 
 
+def of_their_own_pages(app, pagename, templatename, context, doctree):
+    """Mend the links from sources: viewcode takes all names of a file for those of one module."""
+    if pagename.startswith("_modules/"):
+        link = r'(generated/([\w.]+\.(\w+))\.html#)[\w.]+?\.\3((?:\.\w+)?")'
+        context["body"] = re.sub(link, r"\1\2\4", context["body"])
+
+
 def setup(app):
     """Connect to Sphinx."""
     app.connect("autodoc-process-docstring", of_a_list)
     app.connect("missing-reference", of_the_package)
     app.connect("source-read", gallery_in_sections)
+    app.connect("html-page-context", of_their_own_pages)
