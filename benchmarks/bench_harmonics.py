@@ -1,7 +1,8 @@
 """What each idea of a correction is worth, at positions that no stage has seen.
 
-Run ``python benchmarks/bench_harmonics.py [--rows N] [--inputs] [--defaults] [sets ...]``. `sets`
-are some of
+    python benchmarks/bench_harmonics.py --rows 1500 sim-gravity panda_3
+
+Sets are
 
 - sim-gravity, sim-typical, sim-eccentricity: simulated arms, ten positions of 40 poses in five
   folds; gauges of 500 mm corrected by a model of all positions;

@@ -1,6 +1,7 @@
 """Sphinx: ``sphinx-build -W -n doc doc/_build/html``; needs no network."""
 
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -111,13 +112,17 @@ sphinx_gallery_conf = {
 }
 
 
+# Full names of what docstrings name by the last part; the reference has results in full.
+LISTED = re.findall(r"^   (\w+\.\w+)$", (DOC / "api.rst").read_text(encoding="utf-8"), re.MULTILINE)
+FULL = {n.split(".")[-1]: f"sklearn_raacmm.{n}" for n in (*sklearn_raacmm.__all__, *LISTED)}
+
+
 def of_the_package(app, env, node, contnode):
     """Find a name of the package that a docstring gives by itself."""
     name = node.get("reftarget", "")
-    if node.get("refdomain") == "py" and name in sklearn_raacmm.__all__:
-        full = f"sklearn_raacmm.{name}"
+    if node.get("refdomain") == "py" and name in FULL:
         return env.get_domain("py").resolve_xref(
-            env, node["refdoc"], app.builder, node["reftype"], full, node, contnode
+            env, node["refdoc"], app.builder, node["reftype"], FULL[name], node, contnode
         )
     return None
 
@@ -134,8 +139,16 @@ def of_a_list(app, what, name, obj, options, lines):
         lines[:] = ["Types that skops may build when it loads a model of this package."]
 
 
+def of_their_own_pages(app, pagename, templatename, context, doctree):
+    """Mend the links from sources: viewcode takes all names of a file for those of one module."""
+    if pagename.startswith("_modules/"):
+        link = r'(generated/([\w.]+\.(\w+))\.html#)[\w.]+?\.\3((?:\.\w+)?")'
+        context["body"] = re.sub(link, r"\1\2\4", context["body"])
+
+
 def setup(app):
     """Connect to Sphinx."""
     app.connect("autodoc-process-docstring", of_a_list)
     app.connect("missing-reference", of_the_package)
     app.connect("source-read", gallery_in_sections)
+    app.connect("html-page-context", of_their_own_pages)

@@ -20,6 +20,8 @@ MODULES = (
     "",
     ".acceptance",
     ".app",
+    ".calibration",
+    ".correction",
     ".datasets",
     ".display",
     ".export",

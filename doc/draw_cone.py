@@ -1,7 +1,8 @@
 """Draw an arm in a cone, and its points before and after: ``python doc/draw_cone.py``.
 
 The data are those of the first example of README.md, a simulated single-point test. Each position
-is corrected by a model of the other ones. Writes ``doc/images/cone.svg``.
+is corrected by a model of the other ones. Writes ``doc/images/cone.svg`` and, for
+narrow screens, ``cone_narrow.svg``.
 """
 
 from pathlib import Path
@@ -54,6 +55,25 @@ def scatter(ax, left, color, two_s, title):
     ax.set(xlabel="x (µm)", aspect="equal")
 
 
+def draw(name, learned, angles, mosaic, size, **ratios):
+    """Draw and write one file."""
+    scores = learned.scores
+    shown = int(np.argsort(scores.table["after"])[len(scores.table["after"]) // 2])
+    rows = scores.rows_by_position[shown]
+    figure, axes = plt.subplot_mosaic(mosaic, figsize=size, layout="constrained", **ratios)
+    side_view(axes["arm"], learned.arm, angles[rows])
+    before, after = axes["before"], axes["after"]
+    scatter(before, scores.left_before[rows], BEFORE, scores.table["before"][shown], "Before")
+    scatter(after, scores.left_after[rows], AFTER, scores.table["after"][shown], "After")
+    before.set_ylabel("z (µm)")
+    end = 1.1e3 * np.abs(scores.left_before[rows][:, [0, 2]]).max()
+    for ax in (before, after):
+        ax.set(xlim=(-end, end), ylim=(-end, end))
+    path = Path(__file__).parent / "images" / name
+    figure.savefig(path, metadata={"Date": None}, bbox_inches="tight", pad_inches=0.05)
+    print(f"{name}: position {shown}; {learned.verdict}")
+
+
 def main():
     """Learn, and draw the position of median scatter after correction."""
     test = make_single_point(n_positions=8, n_poses=20, bars=[500], random_state=0)
@@ -61,22 +81,9 @@ def main():
         "2-2-2", shoulder=376, upper=750, fore=500, probe=113, elbow_offset=62, wrist_offset=62
     )
     learned = learn_correction(arm, test.data, test.groups, lengths=test.lengths)
-    scores = learned.scores
-    shown = int(np.argsort(scores.table["after"])[len(scores.table["after"]) // 2])
-    rows = scores.rows_by_position[shown]
-    figure, axes = plt.subplots(
-        1, 3, figsize=(8.2, 3.0), width_ratios=[1.15, 1, 1], layout="constrained"
-    )
-    side_view(axes[0], learned.arm, test.data[rows])
-    scatter(axes[1], scores.left_before[rows], BEFORE, scores.table["before"][shown], "Before")
-    scatter(axes[2], scores.left_after[rows], AFTER, scores.table["after"][shown], "After")
-    axes[1].set_ylabel("z (µm)")
-    end = 1.1e3 * np.abs(scores.left_before[rows][:, [0, 2]]).max()
-    for ax in axes[1:]:
-        ax.set(xlim=(-end, end), ylim=(-end, end))
-    print(f"position {shown}; {learned.verdict}")
-    path = Path(__file__).parent / "images" / "cone.svg"
-    figure.savefig(path, metadata={"Date": None})
+    wide, narrow = [["arm", "before", "after"]], [["arm", "arm"], ["before", "after"]]
+    draw("cone.svg", learned, test.data, wide, (8.2, 3.0), width_ratios=[1.15, 1, 1])
+    draw("cone_narrow.svg", learned, test.data, narrow, (4.0, 4.4), height_ratios=[1.2, 1])
 
 
 if __name__ == "__main__":

@@ -10,13 +10,9 @@ from sklearn_raacmm._version import __version__
 
 if TYPE_CHECKING:
     from sklearn_raacmm.arm import Arm
-    from sklearn_raacmm.calibration import CalibrationResult, calibrate, lengths_of_places
+    from sklearn_raacmm.calibration import calibrate, lengths_of_places
     from sklearn_raacmm.correction import (
         Correction,
-        CorrectionCheck,
-        CorrectionScores,
-        PosePlan,
-        TableChange,
         check_correction,
         cross_validate_correction,
         learn_correction,
@@ -36,23 +32,17 @@ if TYPE_CHECKING:
         position_residuals,
         shoulder_wrist_distance,
     )
-    from sklearn_raacmm.utils import Finding, FindingError, FindingWarning
+    from sklearn_raacmm.utils import FindingError, FindingWarning
 
 __all__ = [
     "Arm",
     "ArmResidualRegressor",
-    "CalibrationResult",
     "Correction",
-    "CorrectionCheck",
-    "CorrectionScores",
     "CylindricalResidualTarget",
-    "Finding",
     "FindingError",
     "FindingWarning",
     "PoseFeatures",
-    "PosePlan",
     "RBFNetRegressor",
-    "TableChange",
     "__version__",
     "calibrate",
     "cartesian_to_cylindrical",

@@ -20,6 +20,16 @@ def test_public_names_are_there_once_and_without_underscore(name):
     assert len(module.__all__) == len(set(module.__all__))
 
 
+def test_the_top_level_is_what_people_type():
+    """At most 24 names. Results, which nobody makes, are documented where they are made."""
+    names = {name for name in sklearn_raacmm.__all__ if name != "__version__"}
+    assert len(names) <= 24
+    results = ("CalibrationResult", "CorrectionCheck", "CorrectionScores", "Finding", "PosePlan")
+    for name in (*results, "TableChange"):
+        assert name not in names
+        assert not hasattr(sklearn_raacmm, name)
+
+
 def test_every_module_of_a_subpackage_is_private():
     modules = {p.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.py")}
     assert {m for m in modules if not m.split("/")[-1].startswith("_")} == set()

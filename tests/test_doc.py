@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import sklearn_raacmm
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
@@ -133,6 +134,21 @@ def test_every_public_name_is_in_the_reference(module):
     ]
     public = set(importlib.import_module(name).__all__) - {"__version__"}
     assert sorted(listed) == sorted(public)
+
+
+def test_results_are_in_the_reference():
+    """Classes that a subpackage makes and that the top level lacks, under their full names."""
+    text = (DOC / "api.rst").read_text(encoding="utf-8")
+    results = text[text.index("\nResults\n") : text.index("\nMeasures and scorers\n")]
+    listed = re.findall(r"^   (\w+)\.(\w+)$", results, flags=re.MULTILINE)
+    made = {
+        (module, name)
+        for module in ("calibration", "correction")
+        for name, thing in vars(importlib.import_module(f"sklearn_raacmm.{module}")).items()
+        if isinstance(thing, type) and not hasattr(sklearn_raacmm, name)
+    }
+    assert len(made) == 5
+    assert sorted(listed) == sorted(made | {("utils", "Finding")})
 
 
 def test_the_version_is_said_once_and_cited_right():

@@ -60,7 +60,7 @@ def test_every_example_is_in_a_section_of_the_gallery(monkeypatch):
 
 def test_numbers_of_the_readme_are_those_of_the_results(results):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert results.filled(text, results.read()) == text, "run benchmarks/make_results.py"
+    assert results.filled(text, results.read()) == text, "run `benchmarks/make_results.py`"
     # The check sees a number that was typed: another result gives another text.
     contents = json.loads(results.FILE.read_text(encoding="utf-8"))
     contents["comparisons"]["real, ur10"]["models"][results.LINEAR]["mean_mm"] *= 2

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
-    CalibrationResult,
     Correction,
     CylindricalResidualTarget,
     PoseFeatures,
@@ -23,11 +22,14 @@ from sklearn_raacmm import (
     learn_correction,
     plan_poses,
     position_residuals,
+    search_table,
     update_correction,
 )
-from sklearn_raacmm.correction import CorrectionCheck
+from sklearn_raacmm.calibration import CalibrationResult
+from sklearn_raacmm.correction import CorrectionCheck, CorrectionScores, PosePlan, TableChange
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import axis_repeatability, fit_sphere, single_point_repeatability
+from sklearn_raacmm.utils import Finding
 
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
@@ -46,7 +48,9 @@ def test_the_arm() -> None:
     assert_type(arm.probe, Floats)
     assert_type(arm.limits, Floats | None)
     assert_type(Arm.from_json(arm.to_json()), Arm)
-    assert_type(plan_poses(arm, 2, 3).angles, Floats)
+    plan = plan_poses(arm, 2, 3)
+    assert_type(plan, PosePlan)
+    assert_type(plan.angles, Floats)
 
 
 def test_models_of_residuals() -> None:
@@ -93,6 +97,8 @@ def test_one_call(tmp_path: Path) -> None:
     assert_type(learned.helps, bool)
     assert_type(learned.correct(test.data), Pair)
     assert_type(learned.calibration, CalibrationResult | None)
+    assert_type(learned.scores, CorrectionScores | None)
+    assert_type(learned.findings, tuple[Finding, ...])
     learned.save(tmp_path / "arm")
     again = assert_type(Correction.load(tmp_path / "arm"), Correction)
     points, _ = again.correct(test.data)
@@ -104,4 +110,5 @@ def test_one_call(tmp_path: Path) -> None:
     result = calibrate(test.nominal_arm, test.data, test.groups)
     assert_type(result, CalibrationResult)
     assert_type(result.arm, Arm)
+    assert_type(search_table(result.arm, test.data, test.groups), TableChange | None)
     assert_type(result.residuals(test.data, groups=test.groups), Floats)

@@ -11,10 +11,10 @@ import numpy as np
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
 
 # What machining leaves of a length, mm, and the matching angle, rad, where few rows say little
-# (benchmarks/bench_speed.py calibrate).
+# (``benchmarks/bench_speed.py calibrate``).
 LENGTH_MM, ANGLE_RAD = 0.3, 0.003
 # What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
-# Of long lengths, of short ones, and of angles (benchmarks/bench_lengths.py scale).
+# Of long lengths, of short ones, and of angles (``benchmarks/bench_lengths.py scale``).
 LONG_MM, SHORT_MM, ANGLES_RAD = (
     (0.4, 1.0, 0.01, 10.0),
     (0.3, 4.0, 0.01, 100.0),
@@ -26,7 +26,7 @@ _LONG_SHARE = 0.25
 # gives the same: nine freedoms that a few poses determine.
 UNKNOWN_PLACE_MM = 1000.0
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in benchmarks/bench_after_the_lab.py series.
+# worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
 REGISTERED_PLACE_MM = 5.0
 
 

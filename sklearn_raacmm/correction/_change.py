@@ -22,7 +22,7 @@ _LOG_NOISE = (0.0, 4.0)
 LEAST_NOISE_MM = 1e-4
 # Up to this order a harmonic changes by as much as harmonics were expected to be. When all orders
 # did, and the update faded, 60 poses left 0.277 mm where both rules leave 0.162
-# (benchmarks/bench_after_the_lab.py series).
+# (``benchmarks/bench_after_the_lab.py series``).
 _LOW_ORDERS = 8
 # Orders that every joint may show after a change, whether or not it did before; see
 # `with_low_orders`.
@@ -184,7 +184,7 @@ def with_low_orders(linear):
     """The same model with the orders 1 and 2 of every joint among its columns.
 
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
-    free orders cost more than they find (benchmarks/bench_after_the_lab.py months).
+    free orders cost more than they find (``benchmarks/bench_after_the_lab.py months``).
     """
     if "harmonics" not in linear.prior_sd:
         return linear

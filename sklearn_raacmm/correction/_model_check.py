@@ -43,12 +43,12 @@ _FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
 # Poses farther off than this share of all, if errors were normal, count as though they were there:
 # those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
 # this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
-# (benchmarks/bench_check.py changes --real). With 0.9 fewer knocks were found.
+# (``benchmarks/bench_check.py changes --real``). With 0.9 fewer knocks were found.
 _USUAL = 0.95
 # What arms have in common of how far new positions exceed what a model expects of them: the mean
 # factor of the variance, and the number of positions that it is worth. Chosen on ten arms of each
-# of the kinds of benchmarks/bench_check.py, with 8 and 12 positions; by the own positions alone no
-# p-value is small.
+# of the kinds of ``benchmarks/bench_check.py``, with 8 and 12 positions; by the own positions alone
+# no p-value is small.
 _FACTOR_OF_ARMS, _POSITIONS_OF_ARMS = 1.5, 20
 # Sets of poses drawn for the freedoms of a mean.
 _DRAWS = 1000
@@ -411,7 +411,7 @@ class _Poses:
         if self.codes is None:  # of a single-point test the base shows nothing
             # Together they are six numbers, too many for what three explain: of 40 bases of the
             # UR10 that settled by 40 um none was named, apart 27 are
-            # (benchmarks/bench_check.py kinds --real). About z it is an offset of joint 1.
+            # (``benchmarks/bench_check.py kinds --real``). About z it is an offset of joint 1.
             causes |= {"base": place[:, 3:6], "base turned": place[:, 6:8]}
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale

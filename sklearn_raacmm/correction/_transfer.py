@@ -43,7 +43,7 @@ from sklearn_raacmm.utils import (
 
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
-# benchmarks/bench_after_the_lab.py transfer judges: it does not choose.
+# ``benchmarks/bench_after_the_lab.py transfer`` judges: it does not choose.
 _OWN_SHARE, _GUESSED_ARMS = 0.5, 1.0
 # Nats of evidence for the earlier arms from which on they are believed where too few positions can
 # be left out for a share: one draw of a Panda lost a third at 0.5, the sixteen draws with at least

@@ -26,7 +26,7 @@ from sklearn_raacmm.utils import (
 )
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
-# benchmarks/bench_after_the_lab.py series have 1.0 to 1.9.
+# ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
 _STRANGE = 10.0
 
 

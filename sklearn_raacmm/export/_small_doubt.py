@@ -20,8 +20,7 @@ from sklearn_raacmm.export._steps import typical_rows
 
 # Waves of one joint about one axis that are taken for themselves, if there are so many.
 _MANY = 24
-# Orders of the series of a joint. UR10, 2000 poses, orders up to 400: shares off by at most 0.205
-# with 16, 0.060 with 40, 0.042 with 100 and with all (``benchmarks/bench_export.py --orders``).
+# Orders of the series of a joint, of which models have up to 400.
 _ORDERS = 100
 # By how much a share may be off at the poses that choose the rank.
 _OFF = 0.006

@@ -14,7 +14,7 @@ from sklearn_raacmm.utils import tukey_weights
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what wears; a
 # factor of 4.5 either way leaves room for nothing at all and for an exchanged joint. Chosen on two
 # regions of series A of the UR10 with planted changes and on robots as those of
-# benchmarks/bench_after_the_lab.py months; its part series judges them on series B.
+# ``benchmarks/bench_after_the_lab.py months``; its part series judges them on series B.
 _TAU, _TAU_LOG_SD = 0.1, 1.5
 # Bounds of log tau: a part changes by as much as its size at most. The standard deviation of the
 # logarithm of the noise about that of the prior. Chosen as tau.

@@ -15,7 +15,7 @@ from scipy.stats import f as fisher
 # the strongest direction is rounding, as is a nuisance that much smaller than the largest one.
 _TAKEN_UP, _UNSEEN, _ROUNDING = 1e-2, 1e-8, 1e-10
 # A cause that explains less than this share of what is too much leaves the most of it unexplained.
-# Judged by benchmarks/bench_check.py, which counts the causes that are named rightly.
+# Judged by ``benchmarks/bench_check.py``, which counts the causes that are named rightly.
 _LEAST_SHARE = 0.3
 
 

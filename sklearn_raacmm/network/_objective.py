@@ -37,7 +37,7 @@ GIVEN_TO = 0.05
 # of a spread for 20 features, whose noise is not followed, and 0.9 for three, whose function is.
 # The likelihood weighs the size of the data by itself; what it does not know is from how many
 # features one was picked. A price that grows with the rows gave up a weak interaction
-# (benchmarks/bench_noise.py).
+# (``benchmarks/bench_noise.py``).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 
 

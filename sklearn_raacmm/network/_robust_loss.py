@@ -22,9 +22,8 @@ CUT = 5.5
 # Fits at most: slips are clear after the second, and what comes and goes near the limit is not.
 MAX_FITS = 4
 # Nats for each target by which the robust loss has to lead, of the other rows and of far ones with
-# a variance of their own: tails, whose mean far rows are a part of, lead by 0.1 to 0.9, and slips
-# of 1 mm by 1.8 to 2.4. And the share of far rows above which they are no slips
-# (benchmarks/bench_constants.py).
+# a variance of their own: tails, whose mean far rows are a part of, lead by less, and slips of
+# 1 mm by more. And the share of far rows above which they are no slips.
 LEAD, MOST_FAR = 1.0, 0.125
 # Mean change of the weights at which they have settled.
 SETTLED = 5e-3

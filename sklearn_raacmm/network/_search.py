@@ -44,7 +44,7 @@ from sklearn_raacmm.utils import stage
 # Kernels that `kernel="auto"` chooses from.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 # Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
-# all: there the second would take as long as that costs (benchmarks/bench_rows.py --cliffs).
+# all: there the second would take as long as that costs (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
 # Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
@@ -62,7 +62,7 @@ REVIVED = 3.0
 TRAILING = 20.0
 # Nats by which a kernel other than the first has to lead in the end, lest noise be followed: with
 # none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
-# than 2 % (benchmarks/bench_noise.py --margins).
+# than 2 % (``benchmarks/bench_noise.py --margins``).
 KERNEL_MARGIN = 10.0
 # And for each observation: rougher kernels take centres by the hundred, which 1 % of the error in
 # evidence and in what is left out, 0.02 nats, is not worth.

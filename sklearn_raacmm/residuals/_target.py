@@ -241,7 +241,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         self.by_position_ = are_deviations(y, codes, weights)
         # With no more positions than features a linear function of these imitates any constants:
         # what is learnt besides them went wrong by up to a third at places far from all positions
-        # (benchmarks/bench_chain.py, ten positions, all joints).
+        # (``benchmarks/bench_chain.py``, ten positions, all joints).
         known = self.by_position_ and knows
         if takes and not (known and codes.max() < n_features_of(self.regressor_, features, y)):
             fit_params = {f"{prefix}groups": groups} | fit_params

