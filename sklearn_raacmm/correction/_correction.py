@@ -107,7 +107,7 @@ class Correction:
     def scale_sd(self) -> float:
         """Standard deviation of the arm's common scale, as a share of it, beside the model's own.
 
-        Both together are that of the calibration: the same known lengths show both of them the scale.
+        Both together are that of the calibration: the same lengths show both of them the scale.
         """
         linear = linear_in_use(self.model)
         own = 0.0 if linear is None else linear.scale_sd

@@ -14,7 +14,8 @@ from sklearn_raacmm.utils import Finding, centred, group_means, report_findings
 # simulated errors at poses of real arms leave 3 % and 11 % more.
 _OF_TRACKER = 1.0
 # In single-point tests: so many times the factor by which errors at positions left out have widened
-# the standard deviation; 1 where too few positions can be left out, and at most 1.
+# the standard deviation; 1 where too few positions can be left out, and at most 1
+# (``benchmarks/bench_few_poses.py``).
 _OF_WIDENED, _MOST = 0.3, 1.0
 # The fewest positions at which a share is found: of three the rest is hardly the model that is
 # judged. With fewer a correction is used as a whole, if it helped at each of them.

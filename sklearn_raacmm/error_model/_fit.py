@@ -52,7 +52,8 @@ _POSES = 256
 
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
-# Steps of the other variances at each, and rounds with a fit at what was found.
+# Steps of the other variances at each, and rounds with a fit at what was found
+# (``benchmarks/bench_few_poses.py --constants``).
 _KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-4.0, 0.5, 0.5), 3, 2
 # Variance of means that are 0 but for rounding, in parts of that of the residuals. What it costs,
 # in nats, that means say nothing of the arm: of four to seven positions that a calibration has

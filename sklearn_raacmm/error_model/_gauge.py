@@ -39,7 +39,7 @@ _POSES = 150
 # joint's axis is one only nearly.
 _LEFT = 0.01
 # A combination of fields that moves the positions by less than this share of what the one that is
-# shown best does stays in the standard deviations.
+# shown best does stays in the standard deviations (``benchmarks/bench_few_poses.py``).
 _LEAST_SHOWN = 0.05
 # Size of a column, relative to the largest, that moves nothing.
 _NOTHING = 1e-6

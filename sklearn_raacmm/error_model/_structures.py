@@ -18,7 +18,8 @@ from sklearn_raacmm.inference import Structures
 # What a harmonic costs per logarithm of its order.
 _PRICE_PER_LOG_ORDER = 2.0
 # Orders up to this may be there all together, smaller the higher they are: a smooth function of the
-# joint's angle. Order at which the decay begins; price in nats.
+# joint's angle. Order at which the decay begins; price in nats (``benchmarks/bench_prices.py
+# --field``).
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
 # Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
 # cause that helped to 22 or more (``benchmarks/bench_extra.py``).
@@ -28,13 +29,13 @@ UNUSED_SD = 1e-6
 # One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
 # data do not show would carry the variance beyond all bounds by their rounding.
 _LARGEST_VARIANCE = 3600.0**2
-# Standard deviation of the families, in arc seconds, at which a second search begins: one that
-# begins near zero can stay there.
+# Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
+# leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
 WIDE_SD = 30.0
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
 # Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
-# are at least half as many as the poses.
+# are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
 
@@ -108,7 +109,8 @@ def structures_of(arm, terms, with_field, unused=frozenset()):
 def order_price(order: Any) -> Any:
     """Price in nats of harmonics of the orders k: ``2 log(k)``, for the odds fall with its square.
 
-    Every encoder is a little eccentric, so that order 1 is free.
+    Every encoder is a little eccentric, so that order 1 is free. On simulated arms factors from 1.5
+    to 2.5 leave the same within 0.5 % (``benchmarks/bench_prices.py``).
     """
     return _PRICE_PER_LOG_ORDER * np.log(order)
 
