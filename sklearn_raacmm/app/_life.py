@@ -376,21 +376,25 @@ def step_of(what, today, facts, measure=None, before_mm=np.nan, after_mm=np.nan)
     """What was done, with which poses, and what it was worth, as plain values."""
     step = {"what": what}
     if today is not None:
-        step |= {"n_poses": len(today.angles), "poses": fingerprint_of(today.angles)}
+        step |= {"n_poses": len(today.angles), "poses": fingerprint_of(today)}
     if measure is not None:
         step |= {"measure": measure, "before_mm": float(before_mm), "after_mm": float(after_mm)}
     return step | facts
 
 
-def fingerprint_of(angles):
-    """Of poses in rad: the same in any order, and written with any further digits."""
-    return digest_of(np.unique(angles.round(6) + 0.0, axis=0).tobytes())
+def fingerprint_of(today):
+    """Of poses in rad: the same in any order, and written with any further digits.
+
+    A robot can repeat its poses: what a tracker saw of them belongs to them.
+    """
+    values = [today.angles] if today.points is None else [today.angles, today.points]
+    return digest_of(np.unique(np.hstack(values).round(6) + 0.0, axis=0).tobytes())
 
 
 def _refuse_used_poses(saved, today):
     """Refuse poses that this correction has been learnt from or updated with: they count once."""
     for step in saved.facts.get("history", []):
-        if step["what"] in _LEARNT and step.get("poses") == fingerprint_of(today.angles):
+        if step["what"] in _LEARNT and step.get("poses") == fingerprint_of(today):
             raise TableError(
                 f"these {len(today.angles)} poses have {_LEARNT[step['what']]} this correction on "
                 f"{step['date']}: measure new ones."

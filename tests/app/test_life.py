@@ -209,6 +209,22 @@ def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
     assert (tmp_path / "out" / "correction.json").read_text() == before
 
 
+def test_a_robot_may_repeat_its_poses(folder, tmp_path, capsys):
+    """A tracker has seen them anew: other measurements of the same angles."""
+    out = tmp_path / "out"
+    words = [*POINTS, "--model", folder / "tracker", "--out", out]
+    assert run(capsys, "update", folder / "more_points.csv", *words)[0] == 0
+    head, *rows = (folder / "more_points.csv").read_text().splitlines()
+    noise = np.random.default_rng(1).normal(0, 0.01, len(rows))
+    cells = [row.split(";") for row in rows]
+    rows = [";".join([*c[:-1], str(float(c[-1]) + e)]) for c, e in zip(cells, noise, strict=True)]
+    again = tmp_path / "again.csv"
+    again.write_text("\n".join([head, *rows]) + "\n")
+    assert run(capsys, "update", again, *POINTS, "--model", out)[0] == 0
+    code, printed = run(capsys, "update", again, *POINTS, "--model", out)
+    assert (code, "have updated this correction on 20" in printed) == (2, True)
+
+
 def test_two_that_update_at_once_lose_nothing(folder, tmp_path, capsys, monkeypatch):
     """Whoever read what another has replaced meanwhile writes nothing."""
     out = tmp_path / "out"
