@@ -175,7 +175,7 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
         columns = model.columns(X[rows])
         columns = columns.reshape(3 * len(columns), len(unseen))
         variance[rows] = ((columns @ basis) * (columns @ other)).sum(axis=1).reshape(-1, 3)
-    return variance
+    return np.maximum(variance, 0.0)  # both together may be known better than what is shown alone
 
 
 def place_fields(arm, terms):
