@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import sys
 from copy import copy
 from dataclasses import replace
@@ -52,7 +53,7 @@ def write(path, test, points=None):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def made(tmp_path_factory):
     """Corrections learnt from cones and from a tracker, and tables of a probe of 250 mm."""
     folder = tmp_path_factory.mktemp("life")
     test = make_single_point(8, 16, machine=MACHINE, random_state=1)
@@ -79,6 +80,12 @@ def folder(tmp_path_factory):
     write(folder / "more_points.csv", more, seen(more))
     write(folder / "settled.csv", more, seen(more, (0.3, 0.2, 0.0)))
     return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path_factory):
+    """The same for one test: every check adds a step to the history of the folder it looks at."""
+    return shutil.copytree(made, tmp_path_factory.mktemp("life") / "own")
 
 
 def run(capsys, *words):
@@ -342,7 +349,7 @@ def test_a_plan_that_the_arm_reaches(tmp_path, capsys):
     assert "<svg" in page
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def in_radians(folder):
     """A table of radians under the header of degrees."""
     header, *rows = (folder / "more.csv").read_text().splitlines()
