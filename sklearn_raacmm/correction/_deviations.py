@@ -26,6 +26,8 @@ def predict_with_std(model, X, noise):
     except (TypeError, ValueError):  # a regressor without standard deviations of this form
         mean = model.predict(X)
         std = np.zeros_like(mean)
+    if (linear := linear_in_use(model)) is not None:
+        noise = noise * linear.noise_ratio(X)
     return mean, np.hypot(std, noise)
 
 
@@ -63,7 +65,9 @@ def distances(correction, first, second):
     variance = np.sum(along**2 * (one[1] ** 2 + other[1] ** 2), axis=1)
     if (linear := linear_in_use(correction.model)) is not None:
         noise = correction.facts["std_factor"] * correction.noise
-        variance = 2 * noise**2 + linear.distance_std(first, second) ** 2
+        ratio = (np.square(linear.noise_ratio(X)) for X in (first, second))
+        variance = np.sum(noise**2 * along**2 * sum(ratio), axis=1)
+        variance += linear.distance_std(first, second) ** 2
     return lengths, np.sqrt(variance + (correction.scale_sd * lengths) ** 2)
 
 

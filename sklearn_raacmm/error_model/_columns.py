@@ -400,6 +400,13 @@ def _torques(plan, vectors, places):
     return torques
 
 
+def levers(arm, terms, rows):
+    """What each joint's angle does to the probe at rows as of `term_columns`, (n, 3, n_joints)."""
+    angles, _, probes = _parts_of_rows(arm.n_joints, terms, rows)
+    z = 3 * (np.arange(arm.n_joints) + _first_frame(arm)) + 2
+    return axis_vectors(arm, angles, probes)[0][:, :, z]
+
+
 def scale_direction(arm, terms):
     """Coefficients that make the whole arm larger: the column of the probe's position itself."""
     lengths, others = _lengths(arm), other_columns(arm, terms)

@@ -12,6 +12,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     factored_columns,
+    levers,
     term_names,
 )
 from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
@@ -49,6 +50,8 @@ _REFIT_STEPS = 5
 _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
+# Shares of the noise that may come through the angles: never all, for J J' has rank 2 at some poses.
+_SHARES = np.arange(0.0, 0.99, 0.02)
 
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
@@ -241,7 +244,31 @@ def fit_linear_model(rows, terms, with_field) -> Any:
     if np.any(factor < 1):
         noise = model.noise_variance / _share_of_noise(rows.y.shape[1])
         model = replace(model, noise_variance=noise)
-    return Fitted(model, state, factor, rows)
+    return Fitted(_with_noise_of_angles(model, rows.weighted(factor)), state, factor, rows)
+
+
+def _with_noise_of_angles(model, rows):
+    """Model with the share of the noise that comes through the joints' angles.
+
+    With J what the angles do to the probe, the noise of a pose is ``(1 - q) I + q J J' / l^2`` of
+    the usual, with l^2 the mean square of J. Its likelihood over a grid of shares q, the size of
+    the noise being the likeliest for each, gives the mean of q: there is nothing to decide.
+    """
+    J = levers(rows.arm, model.terms, rows.X)
+    squares = J @ J.swapaxes(1, 2)
+    lever = np.average(np.einsum("nii->n", squares), weights=rows.weights) / 3
+    if not lever > 0:
+        return model
+    size, axes = np.linalg.eigh(squares / lever)
+    left = centred(rows.y - model.predict(rows.X)[0], rows.codes, rows.weights)
+    left = np.square(np.einsum("ncd,nc->nd", axes, left))
+    variance = 1 - _SHARES[:, None, None] * (1 - size)
+    total = 3 * rows.weights.sum()
+    fit = np.einsum("n,qnd->q", rows.weights, left / variance) / total
+    logs = -0.5 * (total * np.log(fit) + np.einsum("n,qnd->q", rows.weights, np.log(variance)))
+    odds = np.exp(logs - logs.max())
+    share = float(odds @ _SHARES / odds.sum())
+    return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))
 
 
 def _share_of_noise(n):

@@ -186,7 +186,9 @@ class FittedArmModel(PointCorrectionMixin):
             return mean, model.joint_covariance(X, with_noise, with_unseen)
         # Without a correction the errors are at least those that the residuals had.
         least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
-        return (mean, np.maximum(model.widened(std, with_noise), least)) if return_std else mean
+        if return_std:
+            std = model.widened(std, X if with_noise else None)
+        return (mean, np.maximum(std, least)) if return_std else mean
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm."""
@@ -288,10 +290,13 @@ class FittedArmModel(PointCorrectionMixin):
         check_flags(with_noise=with_noise, with_unseen=with_unseen)
         check_scalar(n_samples, "n_samples", Integral, min_val=1)
         linear, rng = self.linear_model_, check_random_state(random_state)
-        root = linear.root_at(check_poses(self, X), with_unseen)
+        X = check_poses(self, X)
+        root = linear.root_at(X, with_unseen)
         draws = root @ rng.normal(size=(root.shape[1], n_samples))
         if with_noise:
-            draws += linear.noise_scale * linear.noise_sd * rng.normal(size=draws.shape)
+            noise = linear.noise_root(X)
+            noise = noise @ rng.normal(size=(len(X), noise.shape[2], n_samples))
+            draws += linear.noise_scale * linear.noise_sd * noise.reshape(draws.shape)
         return self.predict(X)[:, :, None] + draws.reshape(-1, 3, n_samples)
 
     def angles_for(

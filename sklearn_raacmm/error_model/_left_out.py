@@ -118,7 +118,7 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
         return replace(model, noise_scale=wider, std_scale=wider)
     correction, _, spread = left_out
     errors = centred(rows.y - share * correction, codes, weights)
-    noise = np.full(errors.shape, model.noise_sd)
+    noise = model.noise_sd * model.noise_ratio(rows.X)
     if codes is not None:  # the position's own mean has taken its share of the noise
         taken = 1 / np.maximum(np.bincount(codes, weights)[codes], 1.0)
         noise *= np.sqrt(1 - taken)[:, None]

@@ -17,6 +17,7 @@ from sklearn_raacmm.error_model._columns import (
     OF_END,
     Terms,
     factored_columns,
+    levers,
     other_columns,
     term_columns,
     term_names,
@@ -63,7 +64,7 @@ class LinearModel:
     half : ndarray of shape (n_columns, r)
         Root of their covariance, which is ``half @ half.T``.
     noise_variance : float
-        Variance of a coordinate about the model, mm^2.
+        Variance of a coordinate about the model, mm^2, the mean over the poses of the fit.
     prior_sd : dict
         Standard deviation before any data of the coefficients of each family.
     offsets : bool
@@ -84,6 +85,12 @@ class LinearModel:
         positions that were left out; 1 where that is not known.
     scale_sd : float
         Standard deviation of the common scale of all lengths that it holds: 0 without known ones.
+    noise_of_angles : float
+        Share of `noise_variance` that comes through the joints' angles, and so grows with the
+        square of the distance from the joints to the probe.
+    lever_mm : float
+        Root mean square over the poses of the fit of what one radian of every joint, together as
+        independent errors, moves a coordinate by.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
     """
@@ -103,6 +110,8 @@ class LinearModel:
     noise_scale: float = 1.0
     n_positions: float = float("inf")
     scale_sd: float = 0.0
+    noise_of_angles: float = 0.0
+    lever_mm: float = 1.0
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(vars(self))
@@ -203,10 +212,31 @@ class LinearModel:
             return self._std_root
         return _triangle(self.fading_half, len(self.terms.harmonics))
 
-    def widened(self, std: np.ndarray, with_noise: bool = False) -> np.ndarray:
-        """Standard deviations whose intervals hold at positions that were left out of the fit."""
-        noise = self.noise_scale * self.noise_sd if with_noise else 0.0
+    def widened(self, std: np.ndarray, noisy: np.ndarray | None = None) -> np.ndarray:
+        """Standard deviations whose intervals hold at positions that were left out of the fit.
+
+        With the noise at the poses `noisy`, or of the model alone.
+        """
+        noise: Any = 0.0
+        if noisy is not None:
+            noise = self.noise_scale * self.noise_sd * self.noise_ratio(noisy)
         return np.hypot(self.std_scale * std, noise)
+
+    def noise_root(self, angles: np.ndarray) -> np.ndarray:
+        """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
+        n, share = self.arm.n_joints, self.noise_of_angles
+        root = np.zeros((len(angles), 3, 3 + n))
+        root[:, range(3), range(3)] = np.sqrt(1 - share)
+        root[:, :, 3:] = np.sqrt(share) / self.lever_mm * levers(self.arm, self.terms, angles)
+        return root
+
+    def noise_ratio(self, angles: np.ndarray) -> np.ndarray:
+        """Standard deviation of each coordinate's noise at poses over `noise_sd`, (n, 3)."""
+        ratio = np.ones((len(angles), 3))
+        if self.noise_of_angles:
+            for rows in chunks(len(angles), _CHUNK // 32):
+                ratio[rows] = np.linalg.norm(self.noise_root(angles[rows]), axis=2)
+        return ratio
 
     def root_at(self, angles: np.ndarray, with_unseen: bool = True) -> np.ndarray:
         """Root (3 n, r) of the posterior covariance of the coordinates of some poses, mm.
@@ -233,8 +263,9 @@ class LinearModel:
         root = self.root_at(angles, with_unseen)
         covariance = root @ root.T
         if with_noise:
-            noise = self.noise_scale**2 * self.noise_variance
-            covariance[np.diag_indices(len(covariance))] += noise
+            noise = self.noise_scale * self.noise_sd * self.noise_root(angles)
+            place = np.arange(len(covariance)).reshape(-1, 3)
+            covariance[place[:, :, None], place[:, None]] += noise @ noise.swapaxes(1, 2)
         return covariance
 
     def distance_std(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
