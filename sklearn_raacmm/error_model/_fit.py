@@ -265,6 +265,8 @@ def _with_noise_of_angles(model, rows):
     variance = 1 - _SHARES[:, None, None] * (1 - size)
     total = 3 * rows.weights.sum()
     fit = np.einsum("n,qnd->q", rows.weights, left / variance) / total
+    if not fit.all():  # no noise
+        return model
     logs = -0.5 * (total * np.log(fit) + np.einsum("n,qnd->q", rows.weights, np.log(variance)))
     odds = np.exp(logs - logs.max())
     share = float(odds @ _SHARES / odds.sum())
