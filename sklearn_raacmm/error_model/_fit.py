@@ -50,7 +50,7 @@ _REFIT_STEPS = 5
 _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
-# Shares of the noise that may come through the angles: never all, for J J' has rank 2 at some poses.
+# Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
 _SHARES = np.arange(0.0, 0.99, 0.02)
 
 # Noise variances over those of constants of positions that are compared: smaller constants than the
