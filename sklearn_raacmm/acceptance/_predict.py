@@ -57,11 +57,9 @@ def predict_acceptance(
     -----
     Each draw of :meth:`~sklearn_raacmm.ArmResidualRegressor.sample_y` with noise, less the
     correction, is an error of every reading. What is common to a position is common to its rows, so
-    that no factor of intervals within positions applies. Of what cones do not show, a correction
-    has the scale drawn as its calibration left it, which made more of the intervals right than all
-    that is unseen (``benchmarks/bench_acceptance.py predict``); a regressor draws all that it holds
-    possible. The error is added to where the corrected probe would be on perfect artefacts, whose
-    sizes are off as it is stated; form and fixture are not drawn.
+    that no factor of intervals within positions applies. Of a correction the scale is drawn, too,
+    as far as its calibration left it open. The error is added to where the corrected probe would be
+    on perfect artefacts, whose sizes are off as it is stated; form and fixture are not drawn.
 
     Examples
     --------
@@ -90,10 +88,10 @@ def predict_acceptance(
     points = arm.forward(X)
     X = known.inputs(X) if known else X
     rng, mean = check_random_state(random_state), regressor.predict(X)
-    draws = regressor.sample_y(X, n_draws, rng, with_noise=True, with_unseen=not known)
+    draws = regressor.sample_y(X, n_draws, rng, with_noise=True)
     draws -= mean[:, :, None]
     if known:
-        draws += points[:, :, None] * (known.facts["scale_sd"] * rng.normal(size=n_draws))
+        draws += points[:, :, None] * (known.scale_sd * rng.normal(size=n_draws))
     found: dict[str, Any] = {}
     tests = [test for test in LAYOUTS if test != "pose" and np.any(plan.test == test)]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}

@@ -159,6 +159,7 @@ def _pooled(linears, arm):
         noise_variance=float(np.median([one.noise_variance for one in linears])),
         noise_scale=1.0,
         std_scale=1.0,
+        scale_sd=0.0,  # that is of known lengths of another arm
     )
 
     def of_pairs(squares):  # cosine and sine of a harmonic share one variance

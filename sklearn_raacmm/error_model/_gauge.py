@@ -17,7 +17,9 @@ from scipy.linalg import qr
 
 from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
+    LOAD,
     Terms,
+    other_columns,
     points_of_rows,
     scale_direction,
     term_columns,
@@ -41,6 +43,9 @@ _LEFT = 0.01
 # A combination of fields that moves the positions by less than this share of what the one that is
 # shown best does stays in the standard deviations (``benchmarks/bench_few_poses.py``).
 _LEAST_SHOWN = 0.05
+# Standard deviation of how much the base gives way over that of joints and links, where positions
+# do not show it (``benchmarks/bench_acceptance.py predict --first 200 --arms 46``).
+_BASE = 0.3
 # Size of a column, relative to the largest, that moves nothing.
 _NOTHING = 1e-6
 
@@ -151,10 +156,14 @@ def unseen_half(model: Any) -> np.ndarray:
     What the posterior has beside it, without the motions of the base: the frame is the arm's own.
     What is left is how the arm gives way as a function of the place.
     """
-    names, half = term_names(model.arm, model.terms)[0], model.half.copy()
+    unseen, others = model.half - model.gauge_free_half, other_columns(model.arm, model.terms)
     if model.offsets:
-        half[[i - len(names) for i, name in enumerate(names) if name in _BASE_MOTIONS]] = 0
-    return half - model.gauge_free_half
+        for i, column in enumerate(others):
+            if column.name in _BASE_MOTIONS:
+                unseen[i - len(others)] = -model.gauge_free_half[i - len(others)]
+            elif column.kind == LOAD and column.frame == 0:
+                unseen[i - len(others)] *= _BASE
+    return unseen
 
 
 def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
