@@ -18,9 +18,8 @@ class White:
     def predict(self, X):
         return np.zeros((len(X), 3))
 
-    def sample_y(self, X, n, random_state, *, with_noise, with_unseen):
+    def sample_y(self, X, n, random_state, *, with_noise):
         assert with_noise
-        assert with_unseen
         return self.sd * random_state.normal(size=(len(X), 3, n))
 
 
