@@ -212,7 +212,14 @@ def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
     again.write_text("\n".join([head, *(f"{row}01" for row in rows[::-1])]) + "\n")
     before = (tmp_path / "out" / "correction.json").read_text()
     code, printed = run(capsys, "update", again, "--model", tmp_path / "out")
-    assert (code, "these 40 poses have updated this correction on 20" in printed) == (2, True)
+    assert (code, "40 of these 40 poses have updated this correction on 20" in printed) == (2, True)
+    # A file to which the logger has added poses: the first ones count once.
+    new = (folder / "new.csv").read_text().splitlines()[1:]
+    again.write_text("\n".join([head, *rows[:15], *new]) + "\n")
+    code, printed = run(capsys, "update", again, "--model", tmp_path / "out")
+    said = f"15 of these {15 + len(new)} poses have updated this correction on 20"
+    assert (code, said in printed) == (2, True)
+    assert (tmp_path / "out" / "correction.json").read_text() == before
     assert (tmp_path / "out" / "correction.json").read_text() == before
 
 
