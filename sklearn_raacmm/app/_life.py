@@ -76,7 +76,8 @@ def update(options):
     """Register, and bring the correction up to date with the same poses."""
     saved = _open_correction(options)
     layout, today, lengths = _read_today(options, saved.arm)
-    _refuse_used_poses(saved, today)
+    if used := _used_poses(saved, today):  # they count once
+        raise TableError(used)
     measured = today.angles, today.positions, today.points, lengths
     today_is = options.date or date.today().isoformat()
     new = saved.update(*measured, date=today_is, accept=options.accept or ())
@@ -141,6 +142,8 @@ def check(options):
     if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: check with this one."])
     _, today, lengths = _read_today(options, saved.arm)
+    if used := _used_poses(saved, today):
+        print_notes([f"{used} A check by them says that the correction holds, whatever happened."])
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
     changed, facts, slipped, advice = False, {}, (), ""
     if has_causes:
@@ -395,16 +398,15 @@ def digests_of(today):
     return sorted(digest_of(row.tobytes())[:8] for row in rows)
 
 
-def _refuse_used_poses(saved, today):
-    """Refuse poses that this correction has been learnt from or updated with: they count once."""
+def _used_poses(saved, today):
+    """In one sentence, that poses have had a part in this correction already; else empty."""
     mine = digests_of(today)
     for step in saved.facts.get("history", []):
-        if step["what"] not in _LEARNT:
-            continue
-        known = step.get("rows", "")
+        known = step.get("rows", "") if step["what"] in _LEARNT else ""
         used = len({known[i : i + 8] for i in range(0, len(known), 8)}.intersection(mine))
         if used >= _REPEATED:
-            raise TableError(
+            return (
                 f"{used} of these {len(today.angles)} poses have {_LEARNT[step['what']]} this "
                 f"correction on {step['date']}: leave them out, and measure new ones."
             )
+    return ""

@@ -220,7 +220,8 @@ def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
     said = f"15 of these {15 + len(new)} poses have updated this correction on 20"
     assert (code, said in printed) == (2, True)
     assert (tmp_path / "out" / "correction.json").read_text() == before
-    assert (tmp_path / "out" / "correction.json").read_text() == before
+    printed = run(capsys, "check", folder / "more.csv", "--model", tmp_path / "out")[1]
+    assert "40 of these 40 poses have updated" in printed
 
 
 def test_a_robot_may_repeat_its_poses(folder, tmp_path, capsys):
