@@ -9,6 +9,7 @@ import itertools
 import json
 import re
 import webbrowser
+from collections import Counter
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -87,6 +88,7 @@ def accept(options):
         software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
     shown = {"result": result, "artefacts": run.artefacts, "entries": entries}
     shown |= {"expected": expected, "software": software, "left": saved is not None}
+    shown |= {"counts": Counter(run.test.tolist()), "tip_mm": run.tip_mm}
     write_whole({out: _page(shown, limits, options.language)})
     print(result)
     print(f"Written to {out}")

@@ -170,6 +170,18 @@ def test_what_nobody_stated_is_a_visible_blank(judged):
         assert text in judged[2]["en"]
 
 
+def test_the_sheet_shows_what_its_uncertainties_are_made_of(judged, data):
+    rows = {row[0]: row for row in Cells(judged[2]["de"]).rows}
+    (bar,) = (one for one in data.run.artefacts if one.name == "bar 600")
+    assert [bar.expansion_per_k, bar.u_expansion_per_k, bar.u_temperature_k] == [11.5e-6, 1e-6, 0.3]
+    assert rows["bar 600"][4:] == ["4,0", "0,0", "11,5 (1,0)", "21,0 (0,3)", "1,0"]
+    methods = [row for row in Cells(judged[2]["en"]).rows if len(row) == 6]
+    assert {row[0]: int(row[1]) for row in methods[1:]} == {
+        test: np.sum(data.run.test == test) for test in dict.fromkeys(data.run.test.tolist())
+    }
+    assert "<dd>6.0000</dd>" in judged[2]["en"]  # the probe's ball
+
+
 def test_text_of_the_user_is_no_code_of_the_page(judged):
     for page in judged[2].values():
         style = page[: page.index("</head>")]
