@@ -1,4 +1,4 @@
-"""The Digital Calibration Certificate of a run: XML for PTB's schema, 3.2 or 3.3.
+"""The Digital Calibration Certificate of a run: XML for PTB's schema, 3.2.1 or 3.3.0.
 
 A sheet may have blanks, a certificate has none: what the schema asks for has to be stated.
 """
@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
 from sklearn_raacmm.app._report import render
 
-_VERSION = "3.2.1"  # where no schema says its own
+_VERSION = "3.3.0"  # where no schema says its own
 _NEEDED = (
     "number", "laboratory", "country", "customer", "place", "item", "serial", "tested",
     "temperature", "authorised",
