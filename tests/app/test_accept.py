@@ -291,7 +291,7 @@ STATED = ENTRY | {
     "serial": "7", "probe": "6 mm", "tested": "2026-11-20/2026-11-23", "temperature": "20,4",
     "humidity": "40 to 50", "authorised": "Dr. <K>", "received": "2026-11-19",
 }  # fmt: skip
-# What may stand in an element, in this order, as dcc.xsd 3.2.1 and 3.3.0 have it; ! has to be there.
+# What may stand in an element, in order, by dcc.xsd 3.2.1 and 3.3.0; ! has to be there.
 ORDERS = {
     "digitalCalibrationCertificate": "administrativeData! measurementResults!",
     "administrativeData": "dccSoftware! coreData! items! calibrationLaboratory! respPersons! "
