@@ -132,7 +132,8 @@ def evaluate_acceptance(
         ``(0.02, 1 / 50_000, 0.05)`` for 20 um + L / 50 with L in mm.
     rule : {"guarded", "simple"}, default="guarded"
         Decision rule of ISO 14253-1: the uncertainty is the tester's, who has to prove with 95 %,
-        by a guard of 1.645 u; or simple acceptance, without guard.
+        by a guard of 1.645 u, and cannot where u is not stated; or simple acceptance, without
+        guard.
 
     Returns
     -------
@@ -167,7 +168,8 @@ def evaluate_acceptance(
     The standard uncertainty u holds what ISO 14253-5 leaves to the tester: calibration, temperature
     and expansion of the artefact, its form and its fixture, not how the arm repeats. An oval form F
     moves the diameter of half a sphere by 0.46 F, and L_Dia by 0.92 F (rms, simulated); to P_Form
-    it adds F / 2 (after ISO/TS 23165). Of a size A + s L every single length has its own limit and
+    it adds F / 2 (after ISO/TS 23165). That of places and poses is the `fixture_mm` of the seat or
+    the tracker. Of a size A + s L every single length has its own limit and
     decision; the value is the one with the least room.
 
     A 2S has an interval by :func:`~sklearn_raacmm.metrics.repeatability_interval`, 2 rms of n
@@ -282,7 +284,8 @@ def _judged(sets, limit, rule):
         found |= {f"interval_{side}": one.interval, "size": float(sizes[worst])}
         if limit is not None:
             found["limit"] = float(limits[worst])
-            guard = _GUARD * u * (rule == "guarded")
+            # What nobody has stated the uncertainty of proves nothing.
+            guard = np.where(u > 0, _GUARD * u, np.inf) if rule == "guarded" else 0 * u
             # Of every single length; the whole is as good as its worst.
             level = np.where(
                 room >= guard, 0, np.where(room >= 0, 1, np.where(room > -guard, 2, 3))

@@ -86,13 +86,32 @@ def test_decisions_by_hand(error, guarded, simple):
         assert value.limit == 0.1
 
 
+def test_what_is_not_stated_proves_nothing():
+    points = np.random.default_rng(0).normal(scale=0.01, size=(30, 3))
+    run = AcceptanceRun(
+        test=["single-point"] * 30, artefact=["seat"] * 30, points=points,
+        position=np.repeat(["near", "middle", "far"], 10),
+    )  # fmt: skip
+    limits = {"2S far": 0.1, "2S near": 0.01}
+    for rule, decisions in (
+        ("guarded", ("conditional pass", "conditional fail")),
+        ("simple", ("pass", "fail")),
+    ):
+        result = evaluate_acceptance(run, limits=limits, rule=rule)
+        assert tuple(result[name].decision_before for name in limits) == decisions
+    stated = run.with_artefacts([Artefact(name="seat", fixture_mm=0.001)])
+    result = evaluate_acceptance(stated, limits=limits)
+    assert [result[name].decision_before for name in limits] == ["pass", "fail"]
+    assert result["2S far"].u_before == 0.001
+
+
 def lengths_run(errors):
     """105 lengths of 100 to 500 mm with these errors (5,) of all that are of one bar."""
     artefacts, rows = [], []
     for i, error in enumerate(errors):
         size = 100.0 * (i + 1)
         artefacts.append(replace(
-            BAR, name=f"{size:.0f}", size_mm=size, expanded_mm=0.0, expansion_per_k=0.0,
+            BAR, name=f"{size:.0f}", size_mm=size, expanded_mm=1e-9, expansion_per_k=0.0,
             u_expansion_per_k=0.0, fixture_mm=0.0,
         ))  # fmt: skip
         for position in range(7):
