@@ -90,14 +90,14 @@ class AcceptanceResult:
         lines = [f"{finding.weight}: {finding}" for finding in self.findings]
         for one in self.values:
             parts = [
-                f"{1e3 * value:.1f} um (U = {2e3 * u:.1f} um) {decision}".rstrip()
-                for value, u, decision in (
+                f"{1e3 * value:.1f} um (U{f' = {2e3 * u:.1f} um' if u else ' not stated'}) {what}"
+                for value, u, what in (
                     (one.before, one.u_before, one.decision_before),
                     (one.after, one.u_after, one.decision_after),
                 )
                 if value is not None
             ]
-            lines.append(f"{one.name}: {' -> '.join(parts) or 'no value'}")
+            lines.append(f"{one.name}: {' -> '.join(map(str.rstrip, parts)) or 'no value'}")
         return "\n".join(lines)
 
 

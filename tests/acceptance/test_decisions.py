@@ -99,6 +99,7 @@ def test_what_is_not_stated_proves_nothing():
     ):
         result = evaluate_acceptance(run, limits=limits, rule=rule)
         assert tuple(result[name].decision_before for name in limits) == decisions
+    assert "um (U not stated) fail" in str(result)
     stated = run.with_artefacts([Artefact(name="seat", fixture_mm=0.001)])
     result = evaluate_acceptance(stated, limits=limits)
     assert [result[name].decision_before for name in limits] == ["pass", "fail"]
