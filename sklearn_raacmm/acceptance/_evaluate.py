@@ -38,9 +38,9 @@ class AcceptanceValue:
         As found and as left, with their signs; None where the test was bad, or without correction.
     u_before, u_after : float
         The tester's standard uncertainty; U is twice that (k = 2).
-    size : float
-        Length or diameter that the last of both was found at; 0 for a place.
-    limit : float or None
+    size_before, size_after : float
+        Length or diameter that it was found at; 0 for a place.
+    limit_before, limit_after : float or None
         At this size.
     decision_before, decision_after : str
         "pass", "conditional pass", "conditional fail", "fail"; "" without a limit or a value.
@@ -57,8 +57,10 @@ class AcceptanceValue:
     after: float | None = None
     u_before: float = 0.0
     u_after: float = 0.0
-    size: float = 0.0
-    limit: float | None = None
+    size_before: float = 0.0
+    size_after: float = 0.0
+    limit_before: float | None = None
+    limit_after: float | None = None
     decision_before: str = ""
     decision_after: str = ""
     interval_before: Any = None
@@ -281,9 +283,9 @@ def _judged(sets, limit, rule):
         room = limits - np.abs(errors) if limit is not None else -np.abs(errors)
         worst = int(np.argmin(room))
         found |= {side: float(errors[worst]), f"u_{side}": float(u[worst])}
-        found |= {f"interval_{side}": one.interval, "size": float(sizes[worst])}
+        found |= {f"interval_{side}": one.interval, f"size_{side}": float(sizes[worst])}
         if limit is not None:
-            found["limit"] = float(limits[worst])
+            found[f"limit_{side}"] = float(limits[worst])
             # What nobody has stated the uncertainty of proves nothing.
             guard = np.where(u > 0, _GUARD * u, np.inf) if rule == "guarded" else 0 * u
             # Of every single length; the whole is as good as its worst.

@@ -83,7 +83,7 @@ def test_decisions_by_hand(error, guarded, simple):
         value = evaluate_acceptance(run, limits=limits, rule=rule)["volumetric largest"]
         assert value.u_before == pytest.approx(0.01)
         assert value.decision_before == decision
-        assert value.limit == 0.1
+        assert value.limit_before == 0.1
 
 
 def test_what_is_not_stated_proves_nothing():
@@ -133,12 +133,13 @@ def test_every_single_length_has_its_own_limit():
     run = lengths_run([0.029, 0.031, -0.031, 0.031, 0.055])
     value = evaluate_acceptance(run, limits=limits)["E_Uni"]
     # The least room is at 100 mm, though the largest error is at 500 mm.
-    assert (value.before, value.size, value.limit) == pytest.approx((0.029, 100.0, 0.03))
+    assert (value.before, value.size_before) == pytest.approx((0.029, 100.0))
+    assert value.limit_before == pytest.approx(0.03)
     assert value.decision_before == "pass"
     value = evaluate_acceptance(lengths_run([0.031, 0, 0, 0, 0.055]), limits=limits)["E_Uni"]
     assert (value.before, value.decision_before) == (pytest.approx(0.031), "fail")
     value = evaluate_acceptance(lengths_run([0, 0, 0, 0, 0.061]), limits=limits)["E_Uni"]
-    assert (value.limit, value.decision_before) == (pytest.approx(0.06), "fail")
+    assert (value.limit_before, value.decision_before) == (pytest.approx(0.06), "fail")
     # Without a limit it is the largest one.
     assert evaluate_acceptance(run)["E_Uni"].before == pytest.approx(0.055)
 

@@ -348,6 +348,7 @@ def certified(learned, data, tmp_path_factory):
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_a_certificate_says_what_the_sheet_says(judged, certified, language):
     result, _, _ = judged
+    assert result["E_Uni"].limit_before != result["E_Uni"].limit_after  # of other lengths
     root = ElementTree.parse(certified / f"{language}.xml").getroot()
     check_orders(root)
     page = Cells((certified / f"{language}.html").read_text(encoding="utf-8"))
@@ -370,11 +371,12 @@ def test_a_certificate_says_what_the_sheet_says(judged, certified, language):
             one = quantities[names.index(WORDS[language].get(value.name, value.name))]
             said = one.find(".//dcc:conformity", SPACES)
             decision = getattr(value, f"decision_{side}")
-            assert (said is None) == (value.limit is None)
+            at = getattr(value, f"limit_{side}")
+            assert (said is None) == (at is None)
             if said is not None:
                 assert re.sub("([A-Z])", lambda m: " " + m[1].lower(), said.text) == decision
                 limit = one.find(".//dcc:metaData/dcc:data/dcc:quantity/si:real/si:value", SPACES)
-                assert limit.text == f"{1000 * value.limit:.1f}"
+                assert limit.text == f"{1000 * at:.1f}"
     core = {
         child.tag.rpartition("}")[2]: child.text for child in root.find(".//dcc:coreData", SPACES)
     }
