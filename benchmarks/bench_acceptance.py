@@ -50,7 +50,13 @@ def coverage(options):
 
 
 def intervals(options):
-    """How often intervals hold the value of many poses, or of the normal errors they are of."""
+    """How often intervals hold the value of many poses, or of the normal errors they are of.
+
+    Tried on other arms: Miller's jackknife of log 2S with Student's t, alone, or mixed with
+    Satterthwaite's variance. Of random poses the worst mean rises from .85 to .92, the worst
+    position from .85 to .87; of spread poses, where more than .95 is held already, intervals grow
+    longer by a third to a half.
+    """
     rng = np.random.default_rng(0)
     shapes = {"as round": (1, 1, 1), "2 : 1 : 1": (2, 1, 1), "5 : 1 : 1": (5, 1, 1)}
     print("2S: share of intervals of 95 % that hold it, of positions and of their mean")

@@ -38,9 +38,9 @@ class AcceptanceValue:
         As found and as left, with their signs; None where the test was bad, or without correction.
     u_before, u_after : float
         The tester's standard uncertainty; U is twice that (k = 2).
-    size : float
-        Length or diameter that the last of both was found at; 0 for a place.
-    limit : float or None
+    size_before, size_after : float
+        Length or diameter that it was found at; 0 for a place.
+    limit_before, limit_after : float or None
         At this size.
     decision_before, decision_after : str
         "pass", "conditional pass", "conditional fail", "fail"; "" without a limit or a value.
@@ -57,8 +57,10 @@ class AcceptanceValue:
     after: float | None = None
     u_before: float = 0.0
     u_after: float = 0.0
-    size: float = 0.0
-    limit: float | None = None
+    size_before: float = 0.0
+    size_after: float = 0.0
+    limit_before: float | None = None
+    limit_after: float | None = None
     decision_before: str = ""
     decision_after: str = ""
     interval_before: Any = None
@@ -90,14 +92,14 @@ class AcceptanceResult:
         lines = [f"{finding.weight}: {finding}" for finding in self.findings]
         for one in self.values:
             parts = [
-                f"{1e3 * value:.1f} um (U = {2e3 * u:.1f} um) {decision}".rstrip()
-                for value, u, decision in (
+                f"{1e3 * value:.1f} um (U{f' = {2e3 * u:.1f} um' if u else ' not stated'}) {what}"
+                for value, u, what in (
                     (one.before, one.u_before, one.decision_before),
                     (one.after, one.u_after, one.decision_after),
                 )
                 if value is not None
             ]
-            lines.append(f"{one.name}: {' -> '.join(parts) or 'no value'}")
+            lines.append(f"{one.name}: {' -> '.join(map(str.rstrip, parts)) or 'no value'}")
         return "\n".join(lines)
 
 
@@ -132,7 +134,8 @@ def evaluate_acceptance(
         ``(0.02, 1 / 50_000, 0.05)`` for 20 um + L / 50 with L in mm.
     rule : {"guarded", "simple"}, default="guarded"
         Decision rule of ISO 14253-1: the uncertainty is the tester's, who has to prove with 95 %,
-        by a guard of 1.645 u; or simple acceptance, without guard.
+        by a guard of 1.645 u, and cannot where u is not stated; or simple acceptance, without
+        guard.
 
     Returns
     -------
@@ -167,7 +170,8 @@ def evaluate_acceptance(
     The standard uncertainty u holds what ISO 14253-5 leaves to the tester: calibration, temperature
     and expansion of the artefact, its form and its fixture, not how the arm repeats. An oval form F
     moves the diameter of half a sphere by 0.46 F, and L_Dia by 0.92 F (rms, simulated); to P_Form
-    it adds F / 2 (after ISO/TS 23165). Of a size A + s L every single length has its own limit and
+    it adds F / 2 (after ISO/TS 23165). That of places and poses is the `fixture_mm` of the seat or
+    the tracker. Of a size A + s L every single length has its own limit and
     decision; the value is the one with the least room.
 
     A 2S has an interval by :func:`~sklearn_raacmm.metrics.repeatability_interval`, 2 rms of n
@@ -279,10 +283,11 @@ def _judged(sets, limit, rule):
         room = limits - np.abs(errors) if limit is not None else -np.abs(errors)
         worst = int(np.argmin(room))
         found |= {side: float(errors[worst]), f"u_{side}": float(u[worst])}
-        found |= {f"interval_{side}": one.interval, "size": float(sizes[worst])}
+        found |= {f"interval_{side}": one.interval, f"size_{side}": float(sizes[worst])}
         if limit is not None:
-            found["limit"] = float(limits[worst])
-            guard = _GUARD * u * (rule == "guarded")
+            found[f"limit_{side}"] = float(limits[worst])
+            # What nobody has stated the uncertainty of proves nothing.
+            guard = np.where(u > 0, _GUARD * u, np.inf) if rule == "guarded" else 0 * u
             # Of every single length; the whole is as good as its worst.
             level = np.where(
                 room >= guard, 0, np.where(room >= 0, 1, np.where(room > -guard, 2, 3))

@@ -46,7 +46,8 @@ class Artefact:
     u_temperature_k : float, default=0.3
         Standard uncertainty of it.
     fixture_mm : float, default=0.0
-        Standard uncertainty of a length or a place by how the artefact is held.
+        Standard uncertainty of a length or a place by how the artefact is held; in a pose test
+        that of the tracker's points.
     serial, certificate : str, default=""
         Numbers, for the sheet. Without a certificate nothing is judged by the artefact.
 
@@ -124,7 +125,7 @@ class AcceptanceRun:
         "probing", "articulation", "length", "bidirectional", "diameter", "single-point",
         "volumetric" or "pose", see :func:`evaluate_acceptance`.
     artefact : array-like of shape (n_rows,)
-        Name of the artefact, one of `artefacts`; not looked at in a single-point or pose test.
+        Name of the artefact, one of `artefacts`; a single-point or pose test does without one.
     position, articulation, repeat, end : array-like of shape (n_rows,), default=None
         Labels, as far as the test has them; ends of a length are "a" and "b".
     angles : array-like of shape (n_rows, n_joints), default=None

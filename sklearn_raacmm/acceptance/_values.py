@@ -86,6 +86,11 @@ class Readings:
         """The artefact of some rows, None if it is none of the run's."""
         return self.run.by_name.get(self.run.artefact[self.rows][rows[0]])
 
+    def u_place(self, rows):
+        """Standard uncertainty of a place, mm: that of the seat or tracker; 0 if not stated."""
+        artefact = self.artefact(rows)
+        return artefact.fixture_mm if artefact else 0.0
+
     def lengths(self):
         """Keys (artefact, position, repeat), measured lengths (k,) mm, artefacts, last rows."""
         end = np.char.lower(self.run.end[self.rows])
@@ -138,8 +143,7 @@ def _lengths(readings, name, has_tip=False):
 def _single_point(readings):
     found = {}
     for (zone,), rows in readings.groups("position").items():
-        artefact, points = readings.artefact(rows), readings.points[rows]
-        more = [0.0], [artefact.fixture_mm if artefact else 0.0]
+        points, more = readings.points[rows], ([0.0], [readings.u_place(rows)])
         twice = single_point_repeatability(points)
         interval = tuple(repeatability_interval(points).tolist())
         largest = single_point_repeatability(points, statistic="max")
@@ -169,14 +173,15 @@ def _volumetric(readings):
 
 
 def _pose(readings):
-    accuracy, repeatability = [], []
+    accuracy, repeatability, u = [], [], []
     for rows in readings.groups("position").values():
         points, mean = readings.points[rows], readings.points[rows].mean(axis=0)
+        u.append(readings.u_place(rows))
         off = np.linalg.norm(points - mean, axis=1)
         repeatability.append(off.mean() + 3 * off.std(ddof=1))
         accuracy.append(np.linalg.norm(mean - readings.believed[rows].mean(axis=0)))
-    none = [0.0] * len(accuracy)
-    return {n: Candidates(v, none, none) for n, v in (("AP", accuracy), ("RP", repeatability))}
+    sizes = [0.0] * len(u)
+    return {n: Candidates(v, sizes, u) for n, v in (("AP", accuracy), ("RP", repeatability))}
 
 
 _FUNCTIONS: dict[str, Any] = {

@@ -9,6 +9,7 @@ import itertools
 import json
 import re
 import webbrowser
+from collections import Counter
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from sklearn_raacmm.acceptance import (
 )
 from sklearn_raacmm.app._cells import TableError, check_installed, find_encoding, parse_number
 from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._dcc import certificate
 from sklearn_raacmm.app._files import (
     correction_files,
     in_rad,
@@ -69,10 +71,13 @@ def accept(options):
     if options.template:
         return _write_template(run_path, arm or getattr(saved, "arm", None), options.language)
     check_installed("jinja2")
+    if options.dcc_schema and not options.dcc:
+        raise TableError("--dcc-schema validates what --dcc writes: name a file by --dcc.")
     out = Path(options.out)
     read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
     models = correction_files(options.model) if options.model else []
-    check_places([out], [*read, *models, *filter(None, [options.arm])])
+    named = filter(None, [options.arm, options.dcc_schema])
+    check_places([out, *filter(None, [options.dcc])], [*read, *models, *named])
     any_arm, any_model = (saved.arm, saved.model) if saved else (arm, None)
     run, rows, entries, limits, digest = _read_run(run_path, any_arm)
     with numbered_rows(rows):
@@ -87,9 +92,16 @@ def accept(options):
         software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
     shown = {"result": result, "artefacts": run.artefacts, "entries": entries}
     shown |= {"expected": expected, "software": software, "left": saved is not None}
-    write_whole({out: _page(shown, limits, options.language)})
+    shown |= {"counts": Counter(run.test.tolist()), "tip_mm": run.tip_mm}
+    words = WORDS[options.language]
+    made = {out: _page(shown, limits, words, options.language)}
+    if options.dcc:
+        made[Path(options.dcc)] = certificate(
+            shown, lambda text: words.get(text, text), ENTRIES, options.language, options.dcc_schema
+        )
+    write_whole(made)
     print(result)
-    print(f"Written to {out}")
+    print(f"Written to {', '.join(map(str, made))}")
     if options.open:
         webbrowser.open(out.resolve().as_uri())
     findings = [finding.facts() for finding in result.findings]
@@ -99,9 +111,8 @@ def accept(options):
     return (NOT_JUDGED if findings else failed), facts
 
 
-def _page(shown, limits, language):
+def _page(shown, limits, words, language):
     """The sheet."""
-    words = WORDS[language]
 
     def number(value, digits, factor=1.0):
         text = "-" if value is None else f"{factor * value:.{digits}f}"

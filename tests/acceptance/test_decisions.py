@@ -83,7 +83,27 @@ def test_decisions_by_hand(error, guarded, simple):
         value = evaluate_acceptance(run, limits=limits, rule=rule)["volumetric largest"]
         assert value.u_before == pytest.approx(0.01)
         assert value.decision_before == decision
-        assert value.limit == 0.1
+        assert value.limit_before == 0.1
+
+
+def test_what_is_not_stated_proves_nothing():
+    points = np.random.default_rng(0).normal(scale=0.01, size=(30, 3))
+    run = AcceptanceRun(
+        test=["single-point"] * 30, artefact=["seat"] * 30, points=points,
+        position=np.repeat(["near", "middle", "far"], 10),
+    )  # fmt: skip
+    limits = {"2S far": 0.1, "2S near": 0.01}
+    for rule, decisions in (
+        ("guarded", ("conditional pass", "conditional fail")),
+        ("simple", ("pass", "fail")),
+    ):
+        result = evaluate_acceptance(run, limits=limits, rule=rule)
+        assert tuple(result[name].decision_before for name in limits) == decisions
+    assert "um (U not stated) fail" in str(result)
+    stated = run.with_artefacts([Artefact(name="seat", fixture_mm=0.001)])
+    result = evaluate_acceptance(stated, limits=limits)
+    assert [result[name].decision_before for name in limits] == ["pass", "fail"]
+    assert result["2S far"].u_before == 0.001
 
 
 def lengths_run(errors):
@@ -92,7 +112,7 @@ def lengths_run(errors):
     for i, error in enumerate(errors):
         size = 100.0 * (i + 1)
         artefacts.append(replace(
-            BAR, name=f"{size:.0f}", size_mm=size, expanded_mm=0.0, expansion_per_k=0.0,
+            BAR, name=f"{size:.0f}", size_mm=size, expanded_mm=1e-9, expansion_per_k=0.0,
             u_expansion_per_k=0.0, fixture_mm=0.0,
         ))  # fmt: skip
         for position in range(7):
@@ -113,12 +133,13 @@ def test_every_single_length_has_its_own_limit():
     run = lengths_run([0.029, 0.031, -0.031, 0.031, 0.055])
     value = evaluate_acceptance(run, limits=limits)["E_Uni"]
     # The least room is at 100 mm, though the largest error is at 500 mm.
-    assert (value.before, value.size, value.limit) == pytest.approx((0.029, 100.0, 0.03))
+    assert (value.before, value.size_before) == pytest.approx((0.029, 100.0))
+    assert value.limit_before == pytest.approx(0.03)
     assert value.decision_before == "pass"
     value = evaluate_acceptance(lengths_run([0.031, 0, 0, 0, 0.055]), limits=limits)["E_Uni"]
     assert (value.before, value.decision_before) == (pytest.approx(0.031), "fail")
     value = evaluate_acceptance(lengths_run([0, 0, 0, 0, 0.061]), limits=limits)["E_Uni"]
-    assert (value.limit, value.decision_before) == (pytest.approx(0.06), "fail")
+    assert (value.limit_before, value.decision_before) == (pytest.approx(0.06), "fail")
     # Without a limit it is the largest one.
     assert evaluate_acceptance(run)["E_Uni"].before == pytest.approx(0.055)
 

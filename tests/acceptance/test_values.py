@@ -173,6 +173,10 @@ def test_a_pose_test_by_hand(data):
         repeatability.append(mean + 3 * spread)
     assert_allclose(result["AP"].before, max(accuracy), **EXACT)
     assert_allclose(result["RP"].before, max(repeatability), **EXACT)
+    tracker = Artefact(name="", fixture_mm=0.004)
+    stated = evaluate_acceptance(run.with_artefacts([tracker]), data.arm)
+    assert [stated[name].u_before for name in ("AP", "RP")] == [0.004, 0.004]
+    assert result["AP"].u_before == 0.0
     with pytest.raises(ValueError, match="needs points of a tracker"):
         evaluate_acceptance(replace(run, points=None), data.arm)
 

@@ -3,8 +3,11 @@
 import csv
 import io
 import json
+import os
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -164,10 +167,22 @@ def test_every_number_of_the_sheet_is_one_of_the_result(judged, language):
 
 def test_what_nobody_stated_is_a_visible_blank(judged):
     page = Cells(judged[2]["en"])
-    # Entries without a number, the seat's two numbers, who authorises, and the signature.
-    assert page.blanks == len(ENTRIES) - len(ENTRY) - 1 + 2 + 1 + 1
+    # Entries without number and country, the seat's two numbers, who authorises, and the signature.
+    assert page.blanks == len(ENTRIES) - len(ENTRY) - 2 + 2 + 1 + 1
     for text in ("This is no statement of conformance", "k = 2", "this item only", "1.645 u"):
         assert text in judged[2]["en"]
+
+
+def test_the_sheet_shows_what_its_uncertainties_are_made_of(judged, data):
+    rows = {row[0]: row for row in Cells(judged[2]["de"]).rows}
+    (bar,) = (one for one in data.run.artefacts if one.name == "bar 600")
+    assert [bar.expansion_per_k, bar.u_expansion_per_k, bar.u_temperature_k] == [11.5e-6, 1e-6, 0.3]
+    assert rows["bar 600"][4:] == ["4,00", "0,0", "11,5 (1,0)", "21,0 (0,3)", "1,0"]
+    methods = [row for row in Cells(judged[2]["en"]).rows if len(row) == 6]
+    assert {row[0]: int(row[1]) for row in methods[1:]} == {
+        test: np.sum(data.run.test == test) for test in dict.fromkeys(data.run.test.tolist())
+    }
+    assert "<dd>6.0000</dd>" in judged[2]["en"]  # the probe's ball
 
 
 def test_text_of_the_user_is_no_code_of_the_page(judged):
@@ -207,8 +222,6 @@ def test_a_spreadsheet_says_the_same_as_json(learned, data, judged, tmp_path, ca
 
 
 def test_points_without_an_arm_and_a_limit_that_is_missed(data, tmp_path, capsys):
-    from dataclasses import replace
-
     run = replace(data.run, points=data.arm.forward(data.run.angles))
     path = write_folder(tmp_path / "run", tables_of(run, {"2S far": (1e-4, 0.0, np.inf)}))
     assert main(["accept", str(path), "--out", f"{tmp_path}/s.html", "--rule", "simple"]) == 3
@@ -268,6 +281,206 @@ def test_a_template_is_a_whole_run_but_for_its_numbers(learned, data, tmp_path, 
     assert "is not stated: size_mm, expanded_mm, expansion_per_k, temperature_degc, cert" in said
     assert "readings, " not in said
     assert re.search(r"2S far: [\d.]+ um", said)
+
+
+# -- the certificate --------------------------------------------------------------------------
+
+SPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+STATED = ENTRY | {
+    "number": "2026-117", "country": "DE", "customer": "A & B", "place": "customer", "item": "arm",
+    "serial": "7", "probe": "6 mm", "tested": "2026-11-20/2026-11-23", "temperature": "20,4",
+    "humidity": "40 to 50", "authorised": "Dr. <K>", "received": "2026-11-19",
+}  # fmt: skip
+# What may stand in an element, in order, by dcc.xsd 3.2.1 and 3.3.0; ! has to be there.
+ORDERS = {
+    "digitalCalibrationCertificate": "administrativeData! measurementResults!",
+    "administrativeData": "dccSoftware! coreData! items! calibrationLaboratory! respPersons! "
+    "customer! statements",
+    "software": "name! release! type description",
+    "coreData": "countryCodeISO3166_1! usedLangCodeISO639_1! mandatoryLangCodeISO639_1! "
+    "uniqueIdentifier! identifications receiptDate beginPerformanceDate! endPerformanceDate! "
+    "performanceLocation! issueDate",
+    "item": "name! description manufacturer model identifications!",
+    "identification": "issuer! value! name",
+    "contact": "name! eMail phone fax location!",
+    "customer": "name! eMail phone fax location!",
+    "respPerson": "person! description role mainSigner",
+    "statement": "name description norm reference declaration",
+    "measurementResult": "name! description usedMethods usedSoftware measuringEquipments "
+    "influenceConditions results! measurementMetaData",
+    "usedMethod": "name! description norm reference",
+    "measuringEquipment": "name! description identifications measuringEquipmentQuantities",
+    "influenceCondition": "name! description status certificate data!",
+    "result": "name! description data!",
+    "quantity": "name description noQuantity real measurementMetaData",
+    "metaData": "name description declaration conformity data",
+    "real": "label value! unit! expandedUnc",
+    "expandedUnc": "uncertainty! coverageFactor! coverageProbability! distribution",
+}
+
+
+def check_orders(element):
+    """Children are those of the schema, in its order; no element is empty."""
+    name = element.tag.rpartition("}")[2]
+    children = [child.tag.rpartition("}")[2] for child in element]
+    assert children or (element.text and element.text == element.text.strip()), name
+    if name in ORDERS:
+        order = ORDERS[name].split()
+        assert {one[:-1] for one in order if one.endswith("!")} <= set(children)
+        places = [[one.rstrip("!") for one in order].index(child) for child in children]
+        assert places == sorted(set(places)), name
+    for child in element:
+        check_orders(child)
+
+
+@pytest.fixture(scope="module")
+def certified(learned, data, tmp_path_factory):
+    """The folder of sheets and certificates."""
+    place = tmp_path_factory.mktemp("certified")
+    run = write_folder(place / "run", tables_of(data.run, entries=STATED))
+    words = ["accept", str(run), "--model", str(learned[1]), "--quiet"]
+    for language in ("en", "de"):
+        files = ["--out", f"{place}/{language}.html", "--dcc", f"{place}/{language}.xml"]
+        assert main([*words, "--language", language, *files]) in (0, 3)
+    return place
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_certificate_says_what_the_sheet_says(judged, certified, language):
+    result, _, _ = judged
+    assert result["E_Uni"].limit_before != result["E_Uni"].limit_after  # of other lengths
+    root = ElementTree.parse(certified / f"{language}.xml").getroot()
+    check_orders(root)
+    page = Cells((certified / f"{language}.html").read_text(encoding="utf-8"))
+    rows = {row[0]: row for row in page.rows if len(row) == 9 and row[0] != "sphere"}
+    sides = root.findall(".//dcc:measurementResult", SPACES)
+    for side, column, found in zip(("before", "after"), (2, 5), sides, strict=True):
+        status = found.find(".//dcc:influenceCondition/dcc:status", SPACES).text
+        assert status == f"{side}Adjustment"
+        quantities = found.findall("dcc:results/dcc:result/dcc:data/dcc:quantity", SPACES)
+        names = [one.find("dcc:name/dcc:content", SPACES).text for one in quantities]
+        assert sorted(names) == sorted(WORDS[language].get(v.name, v.name) for v in result.values)
+        for name, one in zip(names, quantities, strict=True):
+            real = one.find("si:real", SPACES)
+            shown = [cell.replace(",", ".") for cell in rows[name]]
+            assert real.find("si:value", SPACES).text == shown[column]
+            assert real.find("si:unit", SPACES).text == r"\micro\metre"
+            assert real.find("si:expandedUnc/si:uncertainty", SPACES).text == shown[column + 1]
+            assert real.find("si:expandedUnc/si:coverageFactor", SPACES).text == "2"
+        for value in result.values:
+            one = quantities[names.index(WORDS[language].get(value.name, value.name))]
+            said = one.find(".//dcc:conformity", SPACES)
+            decision = getattr(value, f"decision_{side}")
+            at = getattr(value, f"limit_{side}")
+            assert (said is None) == (at is None)
+            if said is not None:
+                assert re.sub("([A-Z])", lambda m: " " + m[1].lower(), said.text) == decision
+                limit = one.find(".//dcc:metaData/dcc:data/dcc:quantity/si:real/si:value", SPACES)
+                assert limit.text == f"{1000 * at:.1f}"
+    core = {
+        child.tag.rpartition("}")[2]: child.text for child in root.find(".//dcc:coreData", SPACES)
+    }
+    days = [core[name] for name in ("receiptDate", "beginPerformanceDate", "endPerformanceDate")]
+    assert days == ["2026-11-19", "2026-11-20", "2026-11-23"]
+    assert core["usedLangCodeISO639_1"] == language
+    assert core["performanceLocation"] == ("customer" if language == "en" else "other")
+    text = " ".join(root.itertext())
+    assert all(one in text for one in ("A & B", "Dr. <K>", "40 to 50", "bar 600", "600.00000"))
+    assert WORDS[language]["ONLY"] in text
+    celsius = [real for real in root.iterfind(".//si:real", SPACES) if "celsius" in real[1].text]
+    assert [real[0].text for real in celsius] == ["20.4", "20.4"]
+
+
+def words_for_points(data, folder, entries=STATED):
+    """The command for the same run as points: quicker, as there is no model."""
+    run = replace(data.run, points=data.arm.forward(data.run.angles))
+    path = write_folder(folder / "run", tables_of(run, entries=entries))
+    return ["accept", str(path), "--out", f"{folder}/s.html", "--dcc", f"{folder}/s.xml"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "text", "sentence"),
+    [
+        ("country", "", "needs of the table sheet: country of the laboratory, two letters."),
+        ("country", "Germany", "two capitals, such as DE, got Germany"),
+        ("tested", "23.11.2026", "tested: a day such as 2026-11-23, or two"),
+        ("tested", "2026-11-23/2026-11-20", "or two, 2026-11-20/2026-11-23, got '2026-11-23/"),
+        ("remarks", "\x01", "The certificate would be no XML"),
+    ],
+)
+def test_what_a_certificate_lacks_is_said_and_nothing_written(
+    data, tmp_path, capsys, entry, text, sentence
+):
+    assert main(words_for_points(data, tmp_path, STATED | {entry: text})) == 2
+    assert sentence in capsys.readouterr().err
+    assert not [*tmp_path.glob("s.*")]
+
+
+def test_a_test_that_is_not_whole_has_no_value_in_the_certificate(data, tmp_path, capsys):
+    words = words_for_points(data, tmp_path)
+    readings = tmp_path / "run" / "readings.csv"
+    lines = readings.read_text("utf-8-sig").splitlines()
+    del lines[next(i for i, line in enumerate(lines) if line.startswith("length"))]
+    readings.write_text("\n".join(lines), "utf-8-sig")
+    assert main(words) == 4
+    root = ElementTree.parse(tmp_path / "s.xml").getroot()
+    check_orders(root)
+    (lost,) = root.iterfind(".//dcc:noQuantity", SPACES)
+    assert "".join(lost.itertext()) == "no value"
+    assert "has 0 readings, 1 are needed" in " ".join(root.itertext())
+    assert main([*words[:4], "--dcc-schema", "dcc.xsd"]) == 2
+    assert "name a file by --dcc" in capsys.readouterr().err
+
+
+SCHEMA = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"
+  targetNamespace="https://ptb.de/dcc" version="3.3.0" elementFormDefault="qualified">
+  <xs:import namespace="https://ptb.de/si" schemaLocation="https://example.org/v1/SI_Format.xsd"/>
+  <xs:element name="digitalCalibrationCertificate"><xs:complexType><xs:sequence>
+    <xs:element name="administrativeData"/><xs:element name="measurementResults"/>
+    </xs:sequence><xs:attribute name="schemaVersion" fixed="3.3.0"/></xs:complexType></xs:element>
+  <xs:element name="other"><xs:complexType><xs:sequence><xs:element ref="si:real"/></xs:sequence>
+  </xs:complexType></xs:element></xs:schema>"""
+
+
+def test_a_certificate_that_is_not_valid_is_not_written(data, tmp_path, capsys):
+    pytest.importorskip("lxml")
+    words = [*words_for_points(data, tmp_path), "--dcc-schema", f"{tmp_path}/dcc.xsd"]
+
+    def said(schema):
+        (tmp_path / "dcc.xsd").write_text(schema)
+        assert main(words) == 2
+        assert not [*tmp_path.glob("s.*")]
+        return capsys.readouterr().err
+
+    assert "imports https://example.org/v1/SI_Format.xsd: save it as" in said(SCHEMA)
+    real = '<xs:element name="real"/>'
+    (tmp_path / "SI_Format.xsd").write_text(
+        f'<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" '
+        f'targetNamespace="https://ptb.de/si">{real}</xs:schema>'
+    )
+    assert "is no schema that can be read" in said(SCHEMA.replace("si:real", "si:unreal"))
+    other = SCHEMA.replace('"administrativeData"', '"administration"')
+    assert "dcc.xsd: Element 'administrativeData': This element is not expected" in said(other)
+    (tmp_path / "dcc.xsd").write_text(SCHEMA)
+    assert main(words) in (0, 3)
+    root = ElementTree.parse(tmp_path / "s.xml").getroot()
+    assert root.get("schemaVersion") == "3.3.0"
+
+
+def test_the_schema_of_the_ptb_takes_certificates(data, tmp_path):
+    schema = os.environ.get("SKLEARN_RAACMM_DCC_SCHEMA")
+    if not schema:
+        pytest.skip("SKLEARN_RAACMM_DCC_SCHEMA names no dcc.xsd")
+    assert main([*words_for_points(data, tmp_path), "--dcc-schema", schema]) in (0, 3)
+
+
+def test_the_rules_of_dcclib_find_no_error(certified):
+    schematron = pytest.importorskip("dcclib.validation.schematron")
+    for language in ("en", "de"):
+        text = (certified / f"{language}.xml").read_text(encoding="utf-8")
+        text = re.sub(r"(>v[\d.]+)\.dev\d+<", r"\1<", text)  # it knows no versions in work
+        found = schematron.SchematronValidator.for_dcc().validate_str(text).failed_assertions
+        assert [one for one in found if one.role == "error"] == []
 
 
 @pytest.mark.parametrize(
