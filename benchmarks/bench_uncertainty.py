@@ -39,7 +39,9 @@ def learnt(kind, machine, seed):
     angles, labels, known = cones.data, [f"cone {g}" for g in cones.groups], []
     if kind == "tracker":
         points = cones.simulation.true_points + rng.normal(0, TRACKER_MM, (len(angles), 3))
-        return learn_correction(cones.nominal_arm, angles, labels, points=points, cv=3)
+        return learn_correction(
+            cones.nominal_arm, angles, labels, points=points, cv=3, points_sd=TRACKER_MM
+        )
     places = {"cones": 0, "a bar": 1, "three bars": 3}[kind]
     if places:
         bars = make_gauge([500.0], places, 25, machine=machine, random_state=seed)

@@ -88,6 +88,7 @@ def learn(options):
             in_order=options.in_order,
             like=like,
             tools=read_tools(table, options),
+            points_sd=options.points_sd,
         )
     _progress(30, 30, "report")
     corrected = io.StringIO(newline="")

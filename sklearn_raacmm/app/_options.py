@@ -27,8 +27,8 @@ WORDS = {
     "learn": (
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
-        f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --length --lengths "
-        f"--places --length-sd {_CAUSES} --like --take --serial --operator",
+        f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
+        f"--lengths --places --length-sd {_CAUSES} --like --take --serial --operator",
     ),
     "correct": (
         "_commands", "correct a table of any length",
@@ -121,6 +121,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--sheet": {"metavar": "NAME", "help": "sheet of a spreadsheet, name or number"},
     "--points": {"metavar": "X,Y,Z", "help": "columns of a tracker's points, or a file of points"},
+    "--points-sd": {
+        "type": float, "metavar": "MM", "default": 0.0,
+        "help": "sd of a tracker's coordinate, which is not the arm's",
+    },
     "--length": {
         "action": "append", "metavar": "FROM:TO:MM:SD",
         "help": "a known distance in mm and its sd: of a bar in two cones, or of a cone plate "

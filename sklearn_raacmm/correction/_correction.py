@@ -24,6 +24,7 @@ from sklearn_raacmm.correction._deviations import (
     linear_in_use,
     of_coordinate,
     predict_with_std,
+    without_reference,
 )
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
@@ -535,7 +536,7 @@ class Correction:
         """Corrected points, and standard deviations of their coordinates within a position."""
         correction, std = predict_with_std(self.model, X, self.noise)
         points = self.arm.forward(X[:, : self.arm.n_joints]) - correction
-        return points, self.facts["std_factor"] * std
+        return points, without_reference(self.facts, std)
 
     def _of_angles(self, model):
         """The model as one of angles alone, to register by: of each cause counts what is usual."""

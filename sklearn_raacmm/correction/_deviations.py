@@ -14,6 +14,8 @@ import numpy as np
 from sklearn_raacmm.error_model import unseen_variance
 from sklearn_raacmm.utils import Finding
 
+# Share of a standard deviation that is the arm's at least, whatever a reference states.
+_LEAST_SHARE = 0.2
 # Coverage factor of uncertainties that are said in words.
 _K = 2.0
 
@@ -29,6 +31,12 @@ def predict_with_std(model, X, noise):
     if (linear := linear_in_use(model)) is not None:
         noise = noise * linear.noise_ratio(X)
     return mean, np.hypot(std, noise)
+
+
+def without_reference(facts, std):
+    """Standard deviations against a reference as intervals ask for, less the reference's own."""
+    variance = np.square(facts["std_factor"] * std) - facts.get("points_sd_mm", 0.0) ** 2
+    return np.sqrt(np.maximum(variance, np.square(_LEAST_SHARE * std)))
 
 
 def of_coordinate(correction, X, points, within):
@@ -64,10 +72,10 @@ def distances(correction, first, second):
     along = apart / np.maximum(lengths, 1e-300)[:, None]
     variance = np.sum(along**2 * (one[1] ** 2 + other[1] ** 2), axis=1)
     if (linear := linear_in_use(correction.model)) is not None:
-        noise = correction.facts["std_factor"] * correction.noise
-        ratio = (np.square(linear.noise_ratio(X)) for X in (first, second))
-        variance = np.sum(noise**2 * along**2 * sum(ratio), axis=1)
-        variance += linear.distance_std(first, second) ** 2
+        variance = linear.distance_std(first, second) ** 2
+        for X in (first, second):
+            noise = without_reference(correction.facts, correction.noise * linear.noise_ratio(X))
+            variance += np.sum(np.square(along * noise), axis=1)
     return lengths, np.sqrt(variance + (correction.scale_sd * lengths) ** 2)
 
 

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Iterable, Sequence
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -34,6 +34,7 @@ _CONSTRAINTS = {
     "cv": ["cv_object"],
     "n_jobs": [Integral, None],
     "progress": [callable, None],
+    "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
 }
 
 
@@ -53,6 +54,7 @@ def learn_correction(
     in_order: bool = False,
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
+    points_sd: float = 0.0,
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -106,6 +108,9 @@ def learn_correction(
         first, and ``learned.with_tool(label)`` those of another. Where balls of different
         sizes sit in one cone, it is a position for each. Only with an
         :class:`ArmResidualRegressor`.
+    points_sd : float, default=0.0
+        Standard deviation of a coordinate of `points` as the tracker states it, mm: the noise that
+        is not the arm's, which standard deviations of corrected points then leave out.
 
     Returns
     -------
@@ -118,7 +123,8 @@ def learn_correction(
         If shapes, labels or numbers do not fit together, a position has one row, there are fewer
         than three blocks of positions, or `cv` puts one position on both sides; if the points of
         the calibrated arm scatter by more than 2 % of its reach: labels, table or unit are then
-        wrong, and the sentence says what :func:`search_table` has found.
+        wrong, and the sentence says what :func:`search_table` has found; if
+        `points_sd` is more than twice what the points differ by from the corrected ones.
 
     Warns
     -----
@@ -150,8 +156,10 @@ def learn_correction(
     # `validate_params` would name this function where a parameter of the model is wrong.
     given = {"angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs}
     param_checks.validate_parameter_constraints(
-        _CONSTRAINTS, given | {"progress": progress}, caller_name="learn_correction"
+        _CONSTRAINTS, given | {"progress": progress, "points_sd": points_sd}, "learn_correction"
     )
+    if points_sd and points is None:
+        raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
     def inside():
         data = Data(
@@ -165,6 +173,12 @@ def learn_correction(
         _say_what_moved(data, calibration, fitted, noise, rows)
         if data.like and model is None:
             say_make(fitted)
+        # A fit would have to take three quarters of what is free to leave half of the noise.
+        if points_sd > 2 * noise:
+            raise ValueError(
+                f"points_sd is {points_sd:.3g} mm, and the tracker's points differ from the "
+                f"corrected ones by {noise:.3g} mm a coordinate only: the tracker is better."
+            )
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
@@ -176,7 +190,7 @@ def learn_correction(
         arm=calibration.arm,
         model=fitted,
         base=base,
-        facts=_facts(data, calibration, scores, noise),
+        facts=_facts(data, calibration, scores, noise) | {"points_sd_mm": points_sd},
         scores=scores,
         calibration=calibration,
         angles=data.angles,
@@ -196,6 +210,7 @@ class LearnOptions(TypedDict, total=False):
     in_order: bool
     like: Sequence[ArmResidualRegressor]
     tools: ArrayLike | None
+    points_sd: float
 
 
 def cross_validate_correction(

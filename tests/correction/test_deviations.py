@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
 from sklearn_raacmm.correction._deviations import _shoulder, distances
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 
@@ -98,3 +98,41 @@ def test_the_verdict_says_what_is_not_known_of_lengths(learned):
     assert alone.verdict.startswith("It repeats better at new positions")
     per_metre = 2000 * alone.calibration.scale_sd
     assert f"not known to better than {per_metre:.2g} mm per metre (k = 2)" in alone.verdict
+
+
+@pytest.fixture(scope="module")
+def by_tracker():
+    """Corrections of a robot by a tracker of 20 um, without and with that number."""
+    rng = np.random.default_rng(0)
+    arm = Arm.from_name("ur10", probe=(0, 0, 109))
+    angles = rng.uniform(-2, 2, (260, 6))
+    eccentric = angles + 1e-4 * np.cos(angles)
+    true = arm.forward(eccentric)
+    points = true + rng.normal(0, 0.02, true.shape)
+    given = (arm, angles[:200], None, points[:200])
+    model = ArmResidualRegressor(orders=2, causes=[])
+    of = {sd: learn_correction(*given, model=model, cv=3, points_sd=sd) for sd in (0.0, 0.02)}
+    return of, angles[200:], true[200:], points[200:], given, model
+
+
+def test_noise_of_a_tracker_is_not_the_arms(by_tracker):
+    """Corrected points are as far from the true ones as is said, and measured ones farther."""
+    of, angles, true, points, *_ = by_tracker
+    rotation, translation = of[0.02].base
+    found, std = of[0.02].correct(angles, std_of="position")
+    every = of[0.0].correct(angles, std_of="position")[1]
+    np.testing.assert_allclose(np.square(every) - np.square(std), 0.02**2, rtol=1e-9)
+    off = found @ rotation.T + translation
+    assert np.mean(np.abs(off - points) < 1.96 * every) > 0.9
+    assert np.sqrt(np.mean(np.square(off - true))) < 2 * np.sqrt(np.mean(np.square(std)))
+    one, other = (c.distances(angles[::2], angles[1::2])[1] for c in (of[0.0], of[0.02]))
+    np.testing.assert_allclose(np.square(one) - np.square(other), 2 * 0.02**2, rtol=1e-6)
+
+
+def test_a_tracker_cannot_be_worse_than_its_points_show(by_tracker):
+    """What is stated contradicts the data, or there is no tracker."""
+    *_, (arm, angles, _, points), model = by_tracker
+    with pytest.raises(ValueError, match=r"points_sd is 0\.2 mm, and the tracker's points differ"):
+        learn_correction(arm, angles, None, points, model=model, cv=3, points_sd=0.2)
+    with pytest.raises(ValueError, match="there are none"):
+        learn_correction(arm, angles, np.arange(200) // 10, model=model, points_sd=0.02)
