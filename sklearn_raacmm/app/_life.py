@@ -68,6 +68,8 @@ def register(options):
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
+    if hasattr(new.model, "linear_model_"):
+        _print_sizes(saved, new)
     _save(new, options, facts, layout)
     return (OK if holds else CHANGED), facts
 
@@ -112,18 +114,29 @@ def move(options):
     saved = _open_correction(options)
     new = saved.move(parse_vector(options.probe))
     facts = _print_moves(None, saved, new)
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints))
-    old_mm, new_mm = (
-        np.sqrt(np.square(one.model.linear_model_.predict(one.inputs(tried))[0]).sum(axis=1).mean())
-        for one in (saved, new)
-    )
-    print(
-        f"The corrections are now of {new_mm:.3f} mm (rms over all poses), before {old_mm:.3f} mm."
-    )
+    old_mm, new_mm = _print_sizes(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
     facts = step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
     _save(new, options, facts)
     return OK, facts
+
+
+def _print_sizes(saved, new):
+    """Print how large corrections and their deviations are with both probes; return the first."""
+    sizes = []
+    for one in (saved, new):
+        tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
+        parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
+        sizes += [float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in parts]
+    old, old_sd, now, now_sd = sizes
+    advice = " Learn with two probes: the first alone shows less of the last joints."
+    print(
+        f"The corrections are now of {now:.3f} mm (rms over all poses), before {old:.3f} mm; their "
+        f"standard deviation is {now_sd:.3f} mm, before {old_sd:.3f} mm."
+        + advice
+        * (now_sd * old > old_sd * now)
+    )
+    return old, now
 
 
 def check(options):

@@ -172,7 +172,13 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     assert (out / "corrected_before_update.csv").read_text() == "points of before"
     code, printed = run(capsys, "move", "--model", out, "--probe", "0,0,250")
     assert (code, "register the probe" in printed) == (0, True)
-    assert Correction.load(out).arm.probe.tolist() == [0, 0, 250]
+    moved = Correction.load(out)
+    assert moved.arm.probe.tolist() == [0, 0, 250]
+    tried = np.random.default_rng(3).uniform(-np.pi, np.pi, (2000, 6))
+    mean, std = moved.model.linear_model_.predict(moved.inputs(tried), True)
+    sizes = [np.sqrt(np.square(part).sum(axis=1).mean()) for part in (mean, std)]
+    pattern = r"now of (\S+) mm .* standard deviation is (\S+) mm, before"
+    assert_allclose([float(x) for x in re.search(pattern, printed).groups()], sizes, rtol=0.1)
     assert (out / "corrected_before_move.csv").exists()
     assert not (out / "corrected.csv").exists()
     code, printed = run(capsys, "check", folder / "new.csv", "--model", out, "--json")
