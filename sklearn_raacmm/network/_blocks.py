@@ -14,7 +14,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.utils import check_array
 
-from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
 from sklearn_raacmm.network._rows import block_rows, merge
 from sklearn_raacmm.utils import chunks, floats, one_blas_thread
 
@@ -173,9 +172,7 @@ def extend(sample, chunks, n_rows, weight, outputs):
         unit=weight / n_rows, n_total=n_rows, within=np.zeros(q), chunks=chunks,
         n_elsewhere=n_rows, outputs=outputs,
     )  # fmt: skip
-    R = triangle_of_all(whole, _tail_and_targets, p + q)
-    if sample.tail_ridge:
-        R = stack_triangles(R, np.pad(sample.tail_rows, ((0, 0), (0, q))))
+    R = whole.triangle(lambda block: np.hstack([block.tail, block.targets]), p + q)
     basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
     spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / n_rows)
     # What is left of a constant by rounding is not variation.
@@ -187,7 +184,3 @@ def extend(sample, chunks, n_rows, weight, outputs):
         tail_dof=p - np.square(basis_rows).sum(),
         tail_root=R[:p, :p],
     )
-
-
-def _tail_and_targets(block):
-    return np.hstack([block.tail, block.targets])

@@ -14,7 +14,6 @@ References
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,6 @@ from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._least_squares import (
     first_weights,
     nested_least_squares,
-    stack_triangles,
-    triangle_of_all,
     triangular_factor,
 )
 from sklearn_raacmm.network._likelihood import LEAST_RIDGE
@@ -60,8 +57,8 @@ ALL_ROWS = 0.25
 # Centres of a network for each effective parameter: where they are more than may be tried, all rows
 # become centres, too.
 CENTERS_PER_PARAMETER = 1.5
-# Rows of the first and of the largest sample from which their number is estimated.
-FIRST_SAMPLE, LARGEST_SAMPLE = 500, 2000
+# Rows of the largest sample from which their number is estimated.
+LARGEST_SAMPLE = 2000
 # Parameters of the process below which its function is none.
 NO_FUNCTION = 0.5
 # Degrees of freedom at the least by which the sum of squares is divided: with 1 instead 85 % of new
@@ -116,32 +113,26 @@ def takes_all_rows(problem, structure):
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))
-    return share_of_parameters(problem, alpha[varying].min(), structure, n, limit) > limit
+    return share_of_parameters(problem, alpha[varying].min(), structure, n) > limit
 
 
-def share_of_parameters(problem, alpha, structure, n, enough=0.0):
+def share_of_parameters(problem, alpha, structure, n):
     """Effective number of parameters of a process of n of a problem's rows, over their number.
 
-    It falls with every row that comes in. So a sample whose share is not above `enough` decides
-    already: then it is an upper bound. Where it is large in a sample of 2000 rows, the last
-    doubling is continued as a power of the number: with 6000 rows of three rough functions 6 to 14
-    % too many.
+    Of more than 2000 the last doubling of a sample is continued as a power of the number: with 6000
+    rows of three rough functions 6 to 14 % too many.
     """
     X, weights = problem.rows.X, np.square(problem.root[:, 0])
     Z = (X - X.mean(axis=0)) / structure.length_scale
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
-    order = np.random.RandomState(0).permutation(len(Z))
-    size, last = min(n, FIRST_SAMPLE), None
-    while True:
+    order, shares = np.random.RandomState(0).permutation(len(Z)), []
+    for size in (LARGEST_SAMPLE // 2, LARGEST_SAMPLE) if n > LARGEST_SAMPLE else (n,):
         rows = np.sort(order[:size])
         factor = covariance_factor(Z[rows], structure.kernel, weights[rows], alpha)
         factor = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        share = 1 - alpha * np.square(factor).sum() / size
-        if share <= enough or size == n:
-            return share
-        if size >= LARGEST_SAMPLE:
-            return share * (share / last) ** np.log2(n / size)
-        size, last = min(n, 2 * size), share
+        shares.append(1 - alpha * np.square(factor).sum() / size)
+    growth = shares[-1] / shares[0]
+    return shares[-1] * growth ** np.log2(n / LARGEST_SAMPLE) if shares[1:] else shares[0]
 
 
 def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
@@ -236,30 +227,39 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
     return rows[order], reasons[why]
 
 
-def variances(problem, structure, objective, plain=None):
-    """Variances (q,) of the noise and of the signal, by the likelihood.
+def _network(problem, outputs, structure, centers, solution, objective, plain=None, **rest):
+    """The network of a solution (p + k, q), with variances by the likelihood.
 
     `objective` (q,) is the sum of squares with the penalty; `plain` (q,) the variance of the noise
     where there is no ridge.
     """
-    # Without a ridge the residual, and the targets' own variance.
-    alpha, n_found = structure.alpha, structure.n_found
+    alpha, n_found, p = structure.alpha, structure.n_found, problem.n_tail
     ridged = alpha > 0
     # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
-    free = problem.n_total - problem.n_tail + len(problem.tail_rows)
+    free = problem.n_total - p + len(problem.tail_rows)
     # What was found fits these rows better than others: the mean of an inverse gamma variable.
     fewest = FEWEST_DEGREES if free > 1 else OF_TWO
     degrees = max(free - n_found - 2, fewest) if n_found else max(free, 1)
     noise = objective / degrees if plain is None else np.where(ridged, objective / degrees, plain)
     known = free > 0  # one observation says nothing of its error
     noise = noise if known else np.full(len(noise), np.inf)
-    signal = np.where(ridged & known, noise / np.where(ridged, alpha, 1.0), problem.spread**2)
-    return noise, signal
-
-
-def beside_centers(columns, block):
-    """The tail, the centres' columns and the targets on some rows, side by side."""
-    return np.hstack([block.tail, columns(block), block.targets])
+    return Network(
+        outputs=outputs,
+        kernel=structure.kernel,
+        length_scale=structure.length_scale,
+        centers=centers,
+        coef=np.ascontiguousarray(solution[p:]),
+        polynomial=problem.polynomial.coefficients.T @ solution[:p],
+        alpha=alpha,
+        weight_unit=float(problem.unit),
+        noise_variance=noise,
+        signal_variance=np.where(
+            ridged & known, noise / np.where(ridged, alpha, 1.0), problem.spread**2
+        ),
+        tail_map=problem.polynomial.coefficients,
+        ratio=float(problem.ratio),
+        **rest,
+    )
 
 
 def network_of(problem, outputs, order, structure, n_centers, stop):
@@ -271,9 +271,9 @@ def network_of(problem, outputs, order, structure, n_centers, stop):
     Z = (problem.rows.X[order] - shift) / structure.length_scale
     columns = Features(Z, shift, structure.length_scale, structure.kernel)
     width = p + len(order) + len(problem.spread)
-    R = triangle_of_all(problem, partial(beside_centers, columns), width)
-    if len(problem.tail_rows):
-        R = stack_triangles(R, np.pad(problem.tail_rows, ((0, 0), (0, width - p))))
+    R = problem.triangle(
+        lambda block: np.hstack([block.tail, columns(block), block.targets]), width
+    )
     root = psd_root(kernel_matrix(Z, Z, structure.kernel))
     rss, objective, dof, rotated, triangles = nested_least_squares(
         R, p, root, structure.alpha, problem.within, problem.tail_dof
@@ -286,23 +286,12 @@ def network_of(problem, outputs, order, structure, n_centers, stop):
         k, stop = (int(reached[0]) + 1, "criterion") if len(reached) else (k, stop)
     solution = first_weights(rotated, triangles, p + k)
     plain = rss[k] / np.maximum(problem.n_total - dof[k], 1)
-    noise, signal = variances(problem, structure, objective[k], plain)
     rows = R[: p + k, : p + k]
-    network = Network(
-        outputs=outputs,
-        kernel=structure.kernel,
-        length_scale=structure.length_scale,
-        centers=problem.rows.X[order[:k]],
-        coef=np.ascontiguousarray(solution[p:]),
-        polynomial=problem.polynomial.coefficients.T @ solution[:p],
-        alpha=structure.alpha,
-        weight_unit=float(problem.unit),
-        noise_variance=noise,
-        signal_variance=signal,
-        tail_map=problem.polynomial.coefficients,
-        ratio=float(problem.ratio),
-        # One triangle, packed, from which those of all outputs follow.
-        triangle=rows[np.triu_indices(len(rows), m=p + k)],
+    # One triangle, packed, from which those of all outputs follow.
+    triangle = rows[np.triu_indices(len(rows), m=p + k)]
+    centers = problem.rows.X[order[:k]]
+    network = _network(
+        problem, outputs, structure, centers, solution, objective[k], plain, triangle=triangle
     )
     return network, order[:k], -np.diff(left)[:k], left[1:], stop
 
@@ -313,7 +302,7 @@ def process_of(problem, outputs, structure):
     Z = (rows.X - rows.X.mean(axis=0)) / structure.length_scale
     weights = np.square(problem.root[:, 0])
     (n, p), q = problem.tail.shape, problem.targets.shape[1]
-    coef, polynomial, objective = np.empty((n, q)), np.empty((p, q)), np.empty(q)
+    solution, objective = np.empty((p + n, q)), np.empty(q)
     for one in np.unique(alpha):
         of = np.flatnonzero(alpha == one)
         factor = covariance_factor(Z, structure.kernel, weights, one, rows.codes, problem.ratio)
@@ -323,29 +312,22 @@ def process_of(problem, outputs, structure):
         stacked = np.zeros((n + len(problem.tail_rows), p + len(of)))
         stacked[:n], stacked[n:, :p] = np.sqrt(one) * both, problem.tail_rows
         R = triangular_factor(stacked)
-        polynomial[:, of] = solve_triangular(R[:p, :p], R[:p, p:], check_finite=False)
+        solution[:p, of] = solve_triangular(R[:p, :p], R[:p, p:], check_finite=False)
         objective[of] = np.square(R[p:, p:]).sum(axis=0)
-        left = both[:, p:] - both[:, :p] @ polynomial[:, of]
+        left = both[:, p:] - both[:, :p] @ solution[:p, of]
         solved = solve_triangular(factor, left, lower=True, trans="T", check_finite=False)
         # The matrix that whitens rows times their root is symmetric.
-        coef[:, of] = weights[:, None] * without_constants(
+        solution[p:, of] = weights[:, None] * without_constants(
             solved / problem.root, rows.codes, weights, problem.ratio
         )
         del factor  # two would not fit
-    noise, signal = variances(problem, structure, objective + problem.within)
-    return Network(
-        outputs=outputs,
-        kernel=structure.kernel,
-        length_scale=structure.length_scale,
-        centers=rows.X,
-        coef=coef,
-        polynomial=problem.polynomial.coefficients.T @ polynomial,
-        alpha=alpha,
-        weight_unit=float(problem.unit),
-        noise_variance=noise,
-        signal_variance=signal,
-        tail_map=problem.polynomial.coefficients,
-        ratio=float(problem.ratio),
+    return _network(
+        problem,
+        outputs,
+        structure,
+        rows.X,
+        solution,
+        objective + problem.within,
         weights=weights,
         codes=rows.codes,
         tail_ridge=float(problem.tail_ridge),

@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
-
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
@@ -38,15 +36,6 @@ def stack_triangles(upper, lower):
     triangular = not np.any(np.tril(lower, -1))
     upper, lower = np.array(upper, order="F"), np.array(lower, order="F")
     return _stacked(upper, lower, len(lower) if triangular else 0)
-
-
-def triangle_of_all(problem, columns, width):
-    """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
-    return problem.reduce(partial(_triangle_of_block, columns), stack_triangles, width)
-
-
-def _triangle_of_block(columns, block):
-    return triangular_factor(columns(block))
 
 
 def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None):

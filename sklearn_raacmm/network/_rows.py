@@ -15,13 +15,14 @@ is no constants, an infinite one takes the whole mean out.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial, reduce
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
+from sklearn_raacmm.network._least_squares import stack_triangles, triangular_factor
 from sklearn_raacmm.network._linear import (
     Polynomial,
     linear_evidence,
@@ -40,25 +41,6 @@ def block_rows(width):
     """Rows of a block that holds `width` numbers a row."""
     width = max(1, width)
     return chunk_size(max(SMALL_BLOCK // width, min(4 * width, BLOCK // width)))
-
-
-class Block(NamedTuple):
-    """Some rows of a problem."""
-
-    X: np.ndarray  # (m, d) rows as given
-    root: np.ndarray  # (m, 1) root of their weights
-    tail: np.ndarray  # (m, p) polynomial times root
-    basis: np.ndarray  # (m, p) the same, orthonormal over all rows
-    targets: np.ndarray  # (m, q) targets times root
-    part: slice | None  # which of the problem's rows, where it holds them
-    codes: np.ndarray | None = None  # (m,) group of each row, where groups have constants
-    ratio: float = 0.0
-
-    def weigh(self, columns):
-        """Columns at these rows, less groups' constants, times root; may overwrite them."""
-        columns = without_constants(columns, self.codes, self.root[:, 0] ** 2, self.ratio)
-        columns *= self.root
-        return columns
 
 
 class Rows(NamedTuple):
@@ -109,6 +91,7 @@ class Problem(NamedTuple):
     n_elsewhere: int = 0
     outputs: np.ndarray | None = None
     tail_root: np.ndarray | None = None
+    part: slice | None = None  # which of a larger problem's rows these are
 
     @property
     def n_rows(self) -> int:
@@ -133,27 +116,52 @@ class Problem(NamedTuple):
         """What no model can explain of the targets that vary, in squares of their spreads."""
         return self.within[self.varying] / self.spread[self.varying] ** 2
 
-    def about_tail(self, block: Block) -> np.ndarray:
+    @property
+    def about_tail(self) -> np.ndarray:
         """Targets that vary, about the polynomial and in units of their spread."""
         of = self.varying
-        return (block.targets[:, of] - block.basis @ self.projection[:, of]) / self.spread[of]
+        return (self.targets[:, of] - self.basis @ self.projection[:, of]) / self.spread[of]
 
-    def block(self, part: slice) -> Block:
-        """Some rows, of whole groups."""
-        codes = self.rows.codes
-        codes = None if codes is None else codes[part] - codes[part][0]
-        arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
-        root, tail, basis, targets = arrays
-        return Block(self.rows.X[part], root, tail, basis, targets, part, codes, self.ratio)
+    def weigh(self, columns: np.ndarray) -> np.ndarray:
+        """Columns at these rows, less groups' constants, times root; may overwrite them."""
+        weights = np.square(self.root[:, 0])
+        columns = without_constants(columns, self.rows.codes, weights, self.ratio)
+        columns *= self.root
+        return columns
 
-    def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
-        """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.chunks is not None:
-            return self.chunks.reduce(partial(self._on_block, function), combine, width)
+    def parts(self, width: int) -> Iterator[Self]:
+        """Rows that are held as problems of their own, `width` numbers a row; whole groups."""
         parts = chunks(len(self.root), block_rows(width))
         if self.rows.codes is not None:
             parts = _whole_groups(parts, self.rows.codes)
-        return reduce(combine, (function(self.block(part)) for part in parts))
+        for part in parts:
+            arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
+            yield self._of(self.rows.some(part), *arrays, part)
+        yield from self._ridge()
+
+    def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
+        """Combine the function of every block of rows, which holds `width` numbers a row."""
+        if self.chunks is None:
+            return reduce(combine, map(function, self.parts(width)))
+        found = self.chunks.reduce(partial(self._on_block, function), combine, width)
+        return reduce(combine, map(function, self._ridge()), found)
+
+    def triangle(self, columns: Callable, width: int) -> np.ndarray:
+        """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
+        return self.reduce(lambda block: triangular_factor(columns(block)), stack_triangles, width)
+
+    def _of(self, rows, root, tail, basis, targets, part=None):
+        return self._replace(
+            rows=rows, root=root, tail=tail, basis=basis, targets=targets, part=part
+        )
+
+    def _ridge(self):
+        """The ridge of the polynomial as rows without weight, if it has one."""
+        m = len(self.basis_rows)
+        if m:
+            rows = self.rows._replace(X=np.zeros((m, self.rows.X.shape[1])), codes=None)
+            targets = np.zeros((m, len(self.spread)))
+            yield self._of(rows, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
 
     def _on_block(self, function, X, Y, weights, start):
         """The function of rows that are not held."""
@@ -163,7 +171,8 @@ class Problem(NamedTuple):
         basis = tail
         if tail.size and self.tail_root is not None:
             basis = solve_triangular(self.tail_root, tail.T, trans="T", check_finite=False).T
-        return function(Block(X, root, tail, basis, root * Y[kept][:, self.outputs], None))
+        rows = self.rows._replace(X=X, codes=None)
+        return function(self._of(rows, root, tail, basis, root * Y[kept][:, self.outputs]))
 
 
 def _whole_groups(parts, codes):
@@ -233,7 +242,7 @@ def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -
         ridge = linear_evidence(tail[:, 1:], about, within, n_total - 1, n_total)[0]
         if not ridge:
             return prepare(rows, degree, ratio=ratio)
-    basis = basis_rows = tail
+    basis, basis_rows = tail, tail[:0]
     if tail.size:
         stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
         basis = qr(stacked, mode="economic", check_finite=False)[0]

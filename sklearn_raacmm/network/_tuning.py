@@ -62,7 +62,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group
 def _search(estimator, sample, kernel, width, alpha, group_std, rng):
     """Structure by a problem in memory, in units of its observations."""
     weights, spread = np.square(sample.root[:, 0]), sample.spread[sample.varying]
-    Y = sample.about_tail(sample.block(slice(None))) / sample.root
+    Y = sample.about_tail / sample.root
     data = Data(sample.rows.X, Y, weights, sample.left_within, sample.rows.codes)
     if width is None:
         refuse_far(data.X, robust_spread(data.X, weights))
