@@ -1,8 +1,7 @@
 """Rows that are read block by block: too many to be sorted, or in the memory of other machines.
 
-A first pass draws a sample of distinct rows, by a hash of the rows' content, so that it depends
-neither on their order nor on how they are split into blocks nor on repeats. Everything else is a
-sum over blocks, or a triangular factor of them, like that of rows in memory.
+A first pass draws a sample of distinct rows, by a hash of the rows' content: it depends neither on
+their order nor on the blocks nor on repeats. All else is a sum over blocks, or a triangular factor.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -149,11 +148,7 @@ def _join(one, other, seed, size):
 
 
 def draw_rows(chunks, n_features, size, seed):
-    """Draw at most `size` distinct rows in one pass over all of them, by a hash with a seed.
-
-    Returns the number of all rows of positive weight, their weight, the sample, and whether it
-    holds all rows.
-    """
+    """Number and weight of all rows, at most `size` distinct ones, and whether these are all."""
     options = {"seed": np.uint64(seed), "size": size}
     join = partial(_join, **options)
     summary = chunks.reduce(partial(summarise, **options), join, 4 * n_features)
@@ -163,10 +158,7 @@ def draw_rows(chunks, n_features, size, seed):
 
 
 def extend(sample, chunks, n_rows, weight, outputs):
-    """The problem of all rows, of which a sample has its polynomial, and its ridge, already.
-
-    `outputs` are the columns of all targets that the sample has.
-    """
+    """The problem of all rows, of which a sample has its polynomial, and its ridge, already."""
     p, q = sample.n_tail, len(outputs)
     whole = sample._replace(
         unit=weight / n_rows, n_total=n_rows, within=np.zeros(q), chunks=chunks,

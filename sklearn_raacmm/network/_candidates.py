@@ -21,11 +21,10 @@ COARSE = 1e-5
 
 
 class Features:
-    """Columns that span the candidates' ones, on any rows: a function of a block.
+    """Columns that span the candidates' ones, on any rows: a function of a block, to be read only.
 
     The functions are centred at Z (m, d), in units of the widths, and multiplied by the inverse of
-    the lower triangular root (m, m). Where all rows are candidates these columns are known, as
-    `rows` (n, m). The result is to be read only: where no row has a weight, it is these themselves.
+    a lower triangular root (m, m). Where all rows are candidates the columns are known: `rows`.
     """
 
     def __init__(self, Z, shift, length_scale, kernel, root=None, rows=None):
@@ -57,16 +56,12 @@ def _projected_triangle(problem, features, rank):
 
 
 def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
-    """Coordinates of candidates, the sorted indices `rows` among the problem's.
+    """Coordinates of candidates, the sorted indices `rows` among the problem's, (n, rank).
 
-    The factor of a rough kernel is cut at `max_rank`. `n_select` is the number of steps, if known:
-    then plain least squares on rows in memory works with the columns themselves, where there is no
-    factor of that rank.
-
-    Returns coordinates (n_candidates, rank); the target (rank, n_outputs), the targets' projection
-    onto the candidates' span; the part of a candidate's length below which coordinates are not to
-    be trusted; the trace of the smoother that uses all candidates; and the mean part of the prior
-    variance that is outside the factor, if its rank was limited.
+    A rough kernel's factor is cut at `max_rank`; plain least squares of `n_select` steps on rows in
+    memory then works with the columns themselves. Returns besides them the projection of the
+    targets (rank, q); the part of a candidate's length that is not to be trusted; the trace of the
+    smoother with all candidates; and the mean part of the prior variance outside of a cut factor.
     """
     kernel, length_scale = structure.kernel, structure.length_scale
     shift = problem.rows.X.mean(axis=0)
@@ -103,11 +98,7 @@ def _columns(problem, features):
 
 
 def _whiten(problem, rows, features, alpha, residual, resolution):
-    """Coordinates, targets, resolution and degrees of freedom; the factor's rows are overwritten.
-
-    `rows` are those of the candidates' factor, `features` are the same factor's on all rows, and
-    `residual` is what it leaves.
-    """
+    """Coordinates, in place of the factor's `rows`, targets, resolution and degrees of freedom."""
     rank = rows.shape[1]
 
     def products(block):

@@ -1,14 +1,10 @@
-"""The network of given kernel, widths and ridges: its centres, weights and their posterior.
+"""The network of some outputs: its structure, centres, weights and their posterior.
 
 Centres are chosen by orthogonal least squares, or all rows are centres where a network would need
 nearly as many. Then the weights are those of the Gaussian process itself, by one Cholesky factor:
 with the root R of the rows' weights and B the polynomial's columns they are the solution of
-``(K + alpha R^-2) w + B b = y`` for a given b, and b is that of generalised least squares [1]_.
-
-References
-----------
-.. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
-   2006, section 2.7.
+``(K + alpha R^-2) w + B b = y`` for a given b, and b is that of generalised least squares
+(Rasmussen and Williams, section 2.7).
 """
 
 # Authors: The sklearn_raacmm developers
@@ -20,6 +16,7 @@ import numpy as np
 from scipy.linalg import lapack, solve_triangular
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_raacmm.network._blocks import extend
 from sklearn_raacmm.network._candidates import Features, candidates_of
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._least_squares import (
@@ -27,10 +24,12 @@ from sklearn_raacmm.network._least_squares import (
     nested_least_squares,
     triangular_factor,
 )
-from sklearn_raacmm.network._likelihood import LEAST_RIDGE
+from sklearn_raacmm.network._likelihood import LEAST_RIDGE, Data
 from sklearn_raacmm.network._linear import without_constants
+from sklearn_raacmm.network._objective import ALPHA_BOUNDS
 from sklearn_raacmm.network._posterior import Network, covariance_factor
 from sklearn_raacmm.network._rows import prepare
+from sklearn_raacmm.network._search import AUTO_KERNELS, Structure, search
 from sklearn_raacmm.network._selection import forward_selection
 from sklearn_raacmm.utils import stage, warn_user
 
@@ -67,21 +66,76 @@ NO_FUNCTION = 0.5
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
+def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group_std, rng):
+    """The network of some outputs (m,), which share kernel, widths and centres.
+
+    `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
+    is None or "auto". Returns what `fit_network` does, the squared slope (d,) along every feature
+    per spread, and the log likelihood where structures were compared.
+    """
+    ridged, value = isinstance(estimator.alpha, str), None
+
+    def set_up(degree, ratio=0.0):
+        sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
+        if elsewhere is None:
+            return sample, sample
+        return sample, extend(sample, *elsewhere, outputs)
+
+    # A linear part that the data have to ask for is added once they have.
+    degree = 0 if estimator.degree == "auto" else estimator.degree
+    sample, problem = set_up(degree)
+    if width is None or alpha is None or rows.codes is not None:
+        of, spread = sample.varying, sample.spread[sample.varying]
+        weights, Y = np.square(sample.root[:, 0]), sample.about_tail / sample.root
+        data = Data(rows.X, Y, weights, sample.left_within, rows.codes)
+        kernels = AUTO_KERNELS if kernel == "auto" else (kernel,)
+        found = search(
+            data,
+            kernels if width is None else kernels[:1],  # given widths are those of one kernel
+            length_scale=width,
+            isotropic=width is None and estimator.length_scale == "isotropic",
+            alpha=None if alpha is None else alpha[of] / sample.unit,
+            constant_std=None if group_std is None else group_std[of] / spread,
+            may_be_linear=estimator.degree == "auto" and width is None and alpha is None,
+            random_state=rng,
+        )
+        if alpha is None:
+            of = problem.varying
+            alpha = np.ones(len(outputs))
+            alpha[of] = found.alpha[np.isin(sample.varying, of)] * sample.unit / problem.unit
+        else:
+            alpha = alpha / problem.unit
+        width = found.length_scale if width is None else width
+        value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())
+        found = found._replace(length_scale=width, alpha=alpha)
+        if found.linear or found.ratio:
+            sample, problem = set_up(1 if found.linear else degree, found.ratio)
+    else:
+        kernel = AUTO_KERNELS[0] if kernel == "auto" else kernel
+        found = Structure(kernel, width, alpha / problem.unit)
+    limits = estimator.n_centers, estimator.max_centers
+    fitted = fit_network(problem, outputs, found, *limits, rng)
+    return fitted, _slopes(problem, fitted[0]), value
+
+
+def _slopes(problem, network):
+    unit = problem.rows.X.std(axis=0)
+    linear = np.square(network.polynomial[1:] * unit[:, None])
+    # Outputs count alike, whatever their units.
+    scale = problem.spread**2 + linear.sum(axis=0)
+    radial = np.where(network.alpha < ALPHA_BOUNDS[1], network.signal_variance, 0.0)
+    shares = (np.divide(a, scale, out=np.zeros_like(a), where=scale > 0) for a in (radial, linear))
+    radial, linear = (share.sum(axis=-1) for share in shares)
+    return radial * np.square(unit / network.length_scale) + linear
+
+
 @stage("centres of the network")
 def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
     """Choose the centres, or take all rows, and fit the weights.
 
-    `outputs` (q,) are the targets' columns that the problem has, the ridges of the structure are in
-    units of an observation. `n_centers` is their number, or the share of the variance that they may
-    leave, or "auto" for as many as make the network about as good as the process; `max_centers`
-    None is the default, or all rows. `rng` draws the candidates.
-
     Returns the network; the centres (k,), rows of the problem; the share of the variance by which
     each lowered the objective, empty if all rows are centres; the share that the objective leaves
     after 1, 2, ... centres; and why there are no more.
-
-    It warns of more centres than candidates, and (ConvergenceWarning) of a limit that the user has
-    not set and that decided on their number.
     """
     n = len(problem.rows.X)
     kept = np.arange(n) if n <= MOST_ROWS else np.sort(rng.permutation(n)[:MOST_ROWS])
@@ -104,8 +158,7 @@ def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
 def takes_all_rows(problem, structure):
     """Whether a network would need nearly every row as a centre to be as good as the process.
 
-    Of more than `MOST_ROWS` so many are looked at. Where no noise was found the effective number
-    of parameters is that of the rows, whatever the function is: then centres are chosen.
+    Where no noise was found each row is a parameter, whatever the function is: centres are chosen.
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
@@ -117,11 +170,7 @@ def takes_all_rows(problem, structure):
 
 
 def share_of_parameters(problem, alpha, structure, n):
-    """Effective number of parameters of a process of n of a problem's rows, over their number.
-
-    Of more than 2000 the last doubling of a sample is continued as a power of the number: with 6000
-    rows of three rough functions 6 to 14 % too many.
-    """
+    """Effective number of parameters of a process of n of a problem's rows, over their number."""
     X, weights = problem.rows.X, np.square(problem.root[:, 0])
     Z = (X - X.mean(axis=0)) / structure.length_scale
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
@@ -136,10 +185,9 @@ def share_of_parameters(problem, alpha, structure, n):
 
 
 def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
-    """Indices of centres in order of how much they lower the objective, and why it ended.
+    """Indices of centres among `rows`, in order of how much they explain, and why it ended.
 
-    They are chosen among some `rows`. Where all of these may become centres (`or_all`) a moderate
-    number of them is tried, and returned as None if it is too small.
+    Where all rows may become centres (`or_all`) None is returned if a moderate number is too small.
     """
     alpha, asked = structure.alpha, n_centers if isinstance(n_centers, int) else None
     if asked is not None and asked > len(rows):
@@ -228,11 +276,7 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
 
 
 def _network(problem, outputs, structure, centers, solution, objective, plain=None, **rest):
-    """The network of a solution (p + k, q), with variances by the likelihood.
-
-    `objective` (q,) is the sum of squares with the penalty; `plain` (q,) the variance of the noise
-    where there is no ridge.
-    """
+    """The network of a solution (p + k, q), with variances by the likelihood, or `plain` ones."""
     alpha, n_found, p = structure.alpha, structure.n_found, problem.n_tail
     ridged = alpha > 0
     # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
@@ -263,10 +307,7 @@ def _network(problem, outputs, structure, centers, solution, objective, plain=No
 
 
 def network_of(problem, outputs, order, structure, n_centers, stop):
-    """The network of some rows, in order of selection, as centres; of the first that are enough.
-
-    Returns what `fit_network` does.
-    """
+    """What `fit_network` returns, of centres in order of selection, the first that are enough."""
     p, shift = problem.n_tail, problem.rows.X.mean(axis=0)
     Z = (problem.rows.X[order] - shift) / structure.length_scale
     columns = Features(Z, shift, structure.length_scale, structure.kernel)

@@ -3,13 +3,8 @@ r"""Marginal likelihood of a Gaussian process, and its gradient by widths, ridge
 With kernel matrix K, weights w and ridge :math:`\alpha` (noise variance over signal variance) the
 targets of an output have the covariance :math:`s^2 (K + \alpha (W^{-1} + r G))`, where G is 1
 within a group of rows whose targets have a common constant (`_rows`). The signal variance
-:math:`s^2` of every output is set to its optimum, so that outputs of any scale count alike. What
-remains is a smooth function of the logarithms of the widths, of :math:`\alpha` and of r [1]_.
-
-References
-----------
-.. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
-   2006, sections 5.4 and 8.3.
+:math:`s^2` of every output is set to its optimum, so that outputs of any scale count alike
+(Rasmussen and Williams, sections 5.4 and 8.3).
 """
 
 # Authors: The sklearn_raacmm developers
@@ -108,10 +103,7 @@ def noise_density(data):
 
 
 def covariance(data, kernel, log_width):
-    """Kernel matrix, its derivative by squared distances, and the scaled rows.
-
-    Both matrices are times the root of the weights from both sides.
-    """
+    """Kernel matrix and its derivative by squared distances, times root weights; scaled rows."""
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
     K, slope = KERNELS[kernel](squared_distances(Xs, Xs), slope=True)
     for matrix in (K, slope) if np.any(root != 1.0) else ():
@@ -121,12 +113,10 @@ def covariance(data, kernel, log_width):
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Negative log marginal likelihood of the process, up to a constant, with its gradient.
+    """Negative log marginal likelihood of the process, up to a constant.
 
-    The logarithms are of widths (d,) and ridges (q,); `ratio` is the variance of groups' constants
-    over that of the noise. Returns the value; its gradient by log_width, log_alpha and the
-    logarithm of the ratio, (d + q + 1,); the signal variance (q,) of every output; and the gradient
-    of that, (q, d + q + 1).
+    Returns the value; its gradient by log_width, log_alpha and the logarithm of `ratio`, that of
+    groups' constants to the noise, (d + q + 1,); the signal variance (q,); and its gradient.
     """
     (n, d), q = data.X.shape, len(log_alpha)
     n_total, Y, noise = data.n_total, data.targets, data.noise(ratio)
@@ -154,10 +144,7 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
 
 
 def solve_and_invert(C, y):
-    """Solve C x = y of a symmetric C, with the log determinant.
-
-    The third is a matrix (n, n) in Fortran's order that with its transpose is the inverse.
-    """
+    """Solution of C x = y, log determinant, and half of the inverse: with its transpose all."""
     factor, failed = lapack.dpotrf(C.T, lower=1, clean=1)
     if failed:
         raise LinAlgError("kernel matrix is not positive definite to working precision")
@@ -175,12 +162,7 @@ def leave_out(data, kernel, log_width, log_alpha, ratio=0.0):
 
 
 def left_out(data, K, alphas, ratio=0.0):
-    """The same, of a kernel matrix.
-
-    Left out is every row in turn, or every group of rows whose targets have a common constant: rows
-    of one group are no judges of each other. Returns the negative logarithm of the density of the
-    targets, up to a constant.
-    """
+    """Negative log density, of a kernel matrix, of each row or group of constants left out."""
     density, n, noise = 0.0, len(K), data.noise(ratio)
     for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):
         solved, _, half = solve_and_invert(K + alpha * noise, y)

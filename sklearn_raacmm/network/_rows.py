@@ -1,15 +1,11 @@
 """Weighted data as the network's numerics want them: distinct rows, the polynomial projected out.
 
-All that the numerics need of the rows is a sum over them, or a triangular factor, which blocks of
-rows contribute to one after another. So they ask a `Problem` to `reduce` a function over blocks,
-and do not know whether its rows are in memory or elsewhere (`_blocks`).
+All that the numerics need of the rows is a sum over blocks of them, or a triangular factor.
 
-Where targets are known up to a constant of each group of rows, these are random: their variance is
-`ratio` times that of the noise. With the weights w of the rows and the sum w_g of those of a group
-the noise has the covariance ``W^-1 + ratio G``, where G is 1 within a group. Rows less
+Where targets are known up to a constant of each group of rows, its variance is `ratio` times that
+of the noise, whose covariance is ``W^-1 + ratio G``, where G is 1 within a group. Rows less
 ``1 - 1 / sqrt(1 + ratio w_g)`` times their group's weighted mean, times the root of their weights,
-have independent noise of unit variance: that is done to all columns and targets alike. A ratio of 0
-is no constants, an infinite one takes the whole mean out.
+have independent noise of unit variance: that is done to all columns and targets alike.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -186,12 +182,10 @@ def _whole_groups(parts, codes):
 
 
 def merge(X, Y, weights, within=None, count=None, codes=None):
-    """Merge repeated rows, and drop rows without weight.
+    """Merge repeated rows of a group, and drop rows without weight, whatever their order.
 
-    The result depends on the weighted data alone: not on the order of the rows, and not on whether
-    a row is repeated or weighted. A row that says again what another has said, target and all, adds
-    weight but is not a further observation: that both have the same noise shows nothing of it. Rows
-    of two groups (`codes`) are not merged. `within` (n, q) and `count` (n,) are of a merge before.
+    A row that says again what another has said, target and all, adds weight but is no further
+    observation. `within` (n, q) and `count` (n,) are of a merge before.
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
@@ -224,11 +218,7 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
 
 def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -> Problem:
-    """Set up the polynomial of a degree at distinct rows.
-
-    If `ridged`, its linear part has a ridge, found by the likelihood. `ratio` is the variance of
-    groups' constants over that of the noise of an observation.
-    """
+    """Set up the polynomial of a degree at distinct rows; if `ridged`, by the likelihood."""
     unit, n_total = rows.weights.sum() / rows.observed.sum(), rows.observed.sum()
     weights, within = rows.weights / unit, rows.within.sum(axis=0) / unit
     root, polynomial = np.sqrt(weights)[:, None], polynomial_of(rows.X, weights, degree, ridged)
