@@ -89,17 +89,13 @@ def log_likelihood(data, value):
     return -value - data.Y.shape[1] * constant
 
 
-def noise_likelihood(data):
-    """Negative log marginal likelihood where all is noise: the limit of an infinite ridge."""
-    total = np.square(data.targets).sum(axis=0) + data.within
-    return 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
-
-
-def noise_density(data):
-    """Leave-one-out density where all is noise, as `leave_one_out` gives it."""
-    square = data.weights[:, None] * np.square(data.Y)
-    variance = np.maximum((square.sum(axis=0) + data.within) / data.n_total, 1e-300)
-    return 0.5 * (np.sum(square / variance) + len(data.X) * np.sum(np.log(variance)))
+def of_noise(data):
+    """Negative log likelihood where all is noise, and what `left_out` gives there."""
+    square = np.square(data.targets)
+    total = square.sum(axis=0) + data.within
+    value = 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
+    variance = np.maximum(total / data.n_total, 1e-300)
+    return value, 0.5 * (np.sum(square / variance) + len(square) * np.sum(np.log(variance)))
 
 
 def covariance(data, kernel, log_width):
@@ -156,13 +152,11 @@ def solve_and_invert(C, y):
     return solved, log_det, half
 
 
-def leave_out(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Density of what is left out in closed form (section 5.4.2 of the reference)."""
-    return left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
-
-
 def left_out(data, K, alphas, ratio=0.0):
-    """Negative log density, of a kernel matrix, of each row or group of constants left out."""
+    """Negative log density of each row, or group with a constant, that is left out.
+
+    In closed form (section 5.4.2 of Rasmussen and Williams), up to a constant.
+    """
     density, n, noise = 0.0, len(K), data.noise(ratio)
     for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):
         solved, _, half = solve_and_invert(K + alpha * noise, y)

@@ -20,11 +20,9 @@ from sklearn_raacmm.network._likelihood import (
     Data,
     covariance,
     exact_likelihood,
-    leave_out,
     left_out,
     log_likelihood,
-    noise_density,
-    noise_likelihood,
+    of_noise,
     solve_and_invert,
 )
 from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
@@ -203,7 +201,8 @@ def score(task, kernel, theta, data):
     value = objective(task, theta, data, kernel)[0]
     if not np.isfinite(value):
         return np.inf
-    return value + leave_out(data, kernel, *task.unpack(theta))
+    log_width, log_alpha, ratio = task.unpack(theta)
+    return value + left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
 
 
 def _coarse(task, kernel, data):
@@ -264,44 +263,40 @@ def _leave_out_flat(task, kernel, theta, data):
 def _simpler(task, kernel, theta, value, data, may_be_linear):
     """Noise alone or a linear model, where that is better than radial functions; or None."""
     d, q = data.X.shape[1], task.n_outputs
-    own, noise = objective(task, theta, data, kernel)[0], noise_likelihood(data)
+    own, (noise, density_of_noise) = objective(task, theta, data, kernel)[0], of_noise(data)
     # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
-    is_noise = noise + noise_density(data) < value or noise < own
-    silent = Structure(
-        kernel, silent_widths(task.spread, task.used), np.full(q, ALPHA_BOUNDS[1])
-    )._replace(n_observations=data.n_total)
-    if may_be_linear:
-        other, density = (noise, noise_density(data)) if is_noise else (own, value - own)
-        # Where radial functions seem to have no noise at all they predict neighbours of rows far
-        # from most others too well: there the density of what is left out does not count.
-        trusted = is_noise or task.unpack(theta)[1].min() > np.log(ALPHA_BOUNDS[0]) + 1
-        linear = _linear(data, other, density if trusted else None)
-        if linear is not None:
-            ratio, evidence = linear
-            # The ridge of the linear part is shared by all outputs. Ten rows of 20 features held
-            # 74 % in the 95 % intervals where it alone counts, as if nothing had been chosen.
-            n_found = (1 + np.log1p(d) + task.constants) / q
-            value = log_likelihood(data, evidence)
-            return silent._replace(ratio=ratio, linear=True, log_likelihood=value, n_found=n_found)
-    if is_noise:
-        value = log_likelihood(data, noise)
-        return silent._replace(log_likelihood=value, n_found=np.log1p(d) / q)
-    return None
+    is_noise = noise + density_of_noise < value or noise < own
+    # Where radial functions seem to have no noise at all they predict neighbours of rows far from
+    # most others too well: there the density of what is left out does not count.
+    trusted = is_noise or task.unpack(theta)[1].min() > np.log(ALPHA_BOUNDS[0]) + 1
+    other, density = (noise, density_of_noise) if is_noise else (own, value - own)
+    linear = _linear(data, other, density if trusted else None) if may_be_linear else None
+    if linear is None and not is_noise:
+        return None
+    # The ridge of the linear part is shared by all outputs. Ten rows of 20 features held 74 % in
+    # the 95 % intervals where it alone counts, as if nothing had been chosen.
+    n_found = np.log1p(d) if linear is None else 1 + np.log1p(d) + task.constants
+    ratio, evidence = linear or (0.0, noise)
+    return Structure(
+        kernel,
+        silent_widths(task.spread, task.used),
+        np.full(q, ALPHA_BOUNDS[1]),
+        ratio,
+        linear=linear is not None,
+        log_likelihood=log_likelihood(data, evidence),
+        n_observations=data.n_total,
+        n_found=n_found / q,
+    )
 
 
 def _linear(data, value, density):
     """Ratio and evidence of a linear model that is better, in `value` and `density`; or None."""
     columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
-    columns = np.sqrt(data.weights)[:, None] * columns
-
     root, weights = np.sqrt(data.weights)[:, None], data.weights
 
     def at(ratio):
-        whitened: Any = [
-            root * without_constants(a / root, data.codes, weights, ratio)
-            for a in (columns, data.targets)
-        ]
-        flat, targets = whitened
+        arrays: Any = (columns, data.Y)
+        flat, targets = (root * without_constants(a, data.codes, weights, ratio) for a in arrays)
         found = linear_evidence(flat, targets, data.within, data.n_total - 1, data.n_total)
         extra = 0.0
         if ratio:
@@ -313,7 +308,8 @@ def _linear(data, value, density):
         return None
     lead = together = value - goal
     if density is not None:
-        own_density = left_out(data, columns @ columns.T / ridge, np.ones(data.Y.shape[1]), ratio)
+        K = (root * columns) @ (root * columns).T / ridge
+        own_density = left_out(data, K, np.ones(data.Y.shape[1]), ratio)
         together += min(1.0, data.n_total / (TRUSTED * data.X.shape[1])) * (density - own_density)
     return (ratio, evidence) if min(lead, together) > LINEAR_MARGIN else None
 

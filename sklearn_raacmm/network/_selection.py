@@ -35,7 +35,7 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
     the number and the summed reduction of every output whether to stop. Returns indices, the
     reduction of each step (k, q), and why it stopped.
     """
-    norms = _squared(coordinates)
+    norms = np.einsum("ij,ij->i", coordinates, coordinates)
     floor, fresh = resolution**2 * norms, norms.copy()
     target, correlations = target.copy(), coordinates @ target
     directions = np.empty((16, coordinates.shape[1]))  # orthonormal, a row each; it grows
@@ -67,7 +67,7 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
         if len(stale):
             left = coordinates[stale]
             left -= (left @ directions[: k + 1].T) @ directions[: k + 1]
-            norms[stale] = fresh[stale] = _squared(left)
+            norms[stale] = fresh[stale] = np.einsum("ij,ij->i", left, left)
             correlations[stale] = left @ target
         indices.append(j)
         reduction[k] = np.square(on_target)
@@ -75,8 +75,3 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
             stop = "enough"
             break
     return np.array(indices, dtype=np.intp), reduction[: len(indices)], stop
-
-
-def _squared(rows):
-    """Squared lengths (n,) of rows."""
-    return np.einsum("ij,ij->i", rows, rows)
