@@ -56,8 +56,8 @@ ALL_ROWS = 0.25
 # Centres of a network for each effective parameter: where they are more than may be tried, all rows
 # become centres, too.
 CENTERS_PER_PARAMETER = 1.5
-# Rows of the largest sample from which their number is estimated.
-LARGEST_SAMPLE = 2000
+# Rows of the first and of the largest sample from which their number is estimated.
+FIRST_SAMPLE, LARGEST_SAMPLE = 500, 2000
 # Parameters of the process below which its function is none.
 NO_FUNCTION = 0.5
 # Degrees of freedom at the least by which the sum of squares is divided: with 1 instead 85 % of new
@@ -166,22 +166,30 @@ def takes_all_rows(problem, structure):
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))
-    return share_of_parameters(problem, alpha[varying].min(), structure, n) > limit
+    return share_of_parameters(problem, alpha[varying].min(), structure, n, limit) > limit
 
 
-def share_of_parameters(problem, alpha, structure, n):
-    """Effective number of parameters of a process of n of a problem's rows, over their number."""
+def share_of_parameters(problem, alpha, structure, n, enough=0.0):
+    """Effective number of parameters of a process of n of a problem's rows, over their number.
+
+    It falls with every row that comes in: a sample's share that is not above `enough` is returned.
+    Of more than 2000 rows the last doubling is continued as a power of the number.
+    """
     X, weights = problem.rows.X, np.square(problem.root[:, 0])
     Z = (X - X.mean(axis=0)) / structure.length_scale
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
-    order, shares = np.random.RandomState(0).permutation(len(Z)), []
-    for size in (LARGEST_SAMPLE // 2, LARGEST_SAMPLE) if n > LARGEST_SAMPLE else (n,):
+    order = np.random.RandomState(0).permutation(len(Z))
+    size, last = min(n, FIRST_SAMPLE), None
+    while True:
         rows = np.sort(order[:size])
         factor = covariance_factor(Z[rows], structure.kernel, weights[rows], alpha)
         factor = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        shares.append(1 - alpha * np.square(factor).sum() / size)
-    growth = shares[-1] / shares[0]
-    return shares[-1] * growth ** np.log2(n / LARGEST_SAMPLE) if shares[1:] else shares[0]
+        share = 1 - alpha * np.square(factor).sum() / size
+        if share <= enough or size == n:
+            return share
+        if size >= LARGEST_SAMPLE:
+            return share * (share / last) ** np.log2(n / size)
+        size, last = min(n, 2 * size), share
 
 
 def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):

@@ -188,8 +188,10 @@ def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
     values = np.linalg.eigvalsh(problem.root * (1 + d) * np.exp(-d) * problem.root.T)
     assert share == pytest.approx(np.mean(values / (values + 0.1)), rel=1e-9)
     # From samples of 100 and 200 rows: a little too large, and an upper bound once it is small.
+    monkeypatch.setattr(_fit, "FIRST_SAMPLE", 100)
     monkeypatch.setattr(_fit, "LARGEST_SAMPLE", 200)
     assert share < _fit.share_of_parameters(problem, 0.1, functions, 600) < 1.3 * share
+    assert _fit.share_of_parameters(problem, 0.1, functions, 600, 0.999) < 0.999
 
 
 def test_a_kept_model_is_small_and_the_same():
