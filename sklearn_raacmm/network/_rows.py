@@ -50,7 +50,7 @@ class Rows(NamedTuple):
     observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
     codes: np.ndarray | None = None  # (n,) group of each row, from 0, where groups have constants
 
-    def some(self, kept: np.ndarray) -> Self:
+    def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
         kept_arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
