@@ -1,8 +1,7 @@
 """Rows that are read block by block: too many to be sorted, or in the memory of other machines.
 
-A first pass draws a sample of distinct rows, by a hash of the rows' content, so that it depends
-neither on their order nor on how they are split into blocks nor on repeats. Everything else is a
-sum over blocks, or a triangular factor of them, like that of rows in memory.
+A first pass draws a sample of distinct rows, by a hash of the rows' content: it depends neither on
+their order nor on the blocks nor on repeats. All else is a sum over blocks, or a triangular factor.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -14,7 +13,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.utils import check_array
 
-from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
 from sklearn_raacmm.network._rows import block_rows, merge
 from sklearn_raacmm.utils import chunks, floats, one_blas_thread
 
@@ -150,11 +148,7 @@ def _join(one, other, seed, size):
 
 
 def draw_rows(chunks, n_features, size, seed):
-    """Draw at most `size` distinct rows in one pass over all of them, by a hash with a seed.
-
-    Returns the number of all rows of positive weight, their weight, the sample, and whether it
-    holds all rows.
-    """
+    """Number and weight of all rows, at most `size` distinct ones, and whether these are all."""
     options = {"seed": np.uint64(seed), "size": size}
     join = partial(_join, **options)
     summary = chunks.reduce(partial(summarise, **options), join, 4 * n_features)
@@ -164,18 +158,13 @@ def draw_rows(chunks, n_features, size, seed):
 
 
 def extend(sample, chunks, n_rows, weight, outputs):
-    """The problem of all rows, of which a sample has its polynomial, and its ridge, already.
-
-    `outputs` are the columns of all targets that the sample has.
-    """
+    """The problem of all rows, of which a sample has its polynomial, and its ridge, already."""
     p, q = sample.n_tail, len(outputs)
     whole = sample._replace(
         unit=weight / n_rows, n_total=n_rows, within=np.zeros(q), chunks=chunks,
         n_elsewhere=n_rows, outputs=outputs,
     )  # fmt: skip
-    R = triangle_of_all(whole, _tail_and_targets, p + q)
-    if sample.tail_ridge:
-        R = stack_triangles(R, np.pad(sample.tail_rows, ((0, 0), (0, q))))
+    R = whole.triangle(lambda block: np.hstack([block.tail, block.targets]), p + q)
     basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
     spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / n_rows)
     # What is left of a constant by rounding is not variation.
@@ -187,7 +176,3 @@ def extend(sample, chunks, n_rows, weight, outputs):
         tail_dof=p - np.square(basis_rows).sum(),
         tail_root=R[:p, :p],
     )
-
-
-def _tail_and_targets(block):
-    return np.hstack([block.tail, block.targets])

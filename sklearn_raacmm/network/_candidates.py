@@ -7,13 +7,10 @@ times the rank. Of a rough kernel the factor is cut.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
-
 import numpy as np
 from scipy.linalg import blas, lapack, qr, solve_triangular
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
-from sklearn_raacmm.network._least_squares import stack_triangles, triangle_of_all
 
 # A candidate that has shrunk to this part of its length is a combination of the chosen ones to
 # working precision, and weights would be lost in rounding; where a ridge holds them, to this part.
@@ -24,11 +21,10 @@ COARSE = 1e-5
 
 
 class Features:
-    """Columns that span the candidates' ones, on any rows: a function of a block.
+    """Columns that span the candidates' ones, on any rows: a function of a block, to be read only.
 
     The functions are centred at Z (m, d), in units of the widths, and multiplied by the inverse of
-    the lower triangular root (m, m). Where all rows are candidates these columns are known, as
-    `rows` (n, m). The result is to be read only: where no row has a weight, it is these themselves.
+    a lower triangular root (m, m). Where all rows are candidates the columns are known: `rows`.
     """
 
     def __init__(self, Z, shift, length_scale, kernel, root=None, rows=None):
@@ -36,42 +32,23 @@ class Features:
         self.root, self.rows = root, rows
 
     def __call__(self, block):
-        if self.rows is not None:
+        if self.rows is not None and block.part is not None:
             known = self.rows[block.part]
-            plain = block.codes is None and np.all(block.root == 1)
+            plain = block.rows.codes is None and np.all(block.root == 1)
             return known if plain else block.weigh(known.copy(order="K"))
-        K = kernel_matrix(self.Z, (block.X - self.shift) / self.length_scale, self.kernel).T
+        K = kernel_matrix(self.Z, (block.rows.X - self.shift) / self.length_scale, self.kernel).T
         if self.root is not None and len(K):
             K = blas.dtrsm(1.0, self.root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
         return block.weigh(K)
 
 
-def _products(block, features, problem):
-    """Inner products of features with themselves, the targets and the tail, over some rows."""
-    F = features(block)
-    return F.T @ F, F.T @ problem.about_tail(block), block.basis.T @ F
-
-
-def _add(one, other):
-    return tuple(a + b for a, b in zip(one, other, strict=True))
-
-
-def _beside(block, features, problem):
-    """The tail, the features and the targets on some rows, side by side."""
-    return np.hstack([block.basis, features(block), problem.about_tail(block)])
-
-
 def _projected_triangle(problem, features, rank):
     """R of the features with the tail projected out, and the targets in Q's coordinates."""
     p, of = problem.n_tail, problem.varying
-    columns = partial(_beside, features=features, problem=problem)
-    R = triangle_of_all(problem, columns, p + rank + len(of))
-    if p and len(problem.basis_rows):
-        # The ridge of the tail: further rows of it, where the features are 0, and the targets, too.
-        below = np.zeros((len(problem.basis_rows), R.shape[1]))
-        below[:, :p] = problem.basis_rows
-        below[:, p + rank :] = -problem.basis_rows @ problem.projection[:, of] / problem.spread[of]
-        R = stack_triangles(R, below)
+    R = problem.triangle(
+        lambda block: np.hstack([block.basis, features(block), block.about_tail]),
+        p + rank + len(of),
+    )
     padded = np.zeros((R.shape[1], R.shape[1]))
     padded[: len(R)] = R
     inner = slice(p, p + rank)
@@ -79,16 +56,12 @@ def _projected_triangle(problem, features, rank):
 
 
 def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
-    """Coordinates of candidates, the sorted indices `rows` among the problem's.
+    """Coordinates of candidates, the sorted indices `rows` among the problem's, (n, rank).
 
-    The factor of a rough kernel is cut at `max_rank`. `n_select` is the number of steps, if known:
-    then plain least squares on rows in memory works with the columns themselves, where there is no
-    factor of that rank.
-
-    Returns coordinates (n_candidates, rank); the target (rank, n_outputs), the targets' projection
-    onto the candidates' span; the part of a candidate's length below which coordinates are not to
-    be trusted; the trace of the smoother that uses all candidates; and the mean part of the prior
-    variance that is outside the factor, if its rank was limited.
+    A rough kernel's factor is cut at `max_rank`; plain least squares of `n_select` steps on rows in
+    memory then works with the columns themselves. Returns besides them the projection of the
+    targets (rank, q); the part of a candidate's length that is not to be trusted; the trace of the
+    smoother with all candidates; and the mean part of the prior variance outside of a cut factor.
     """
     kernel, length_scale = structure.kernel, structure.length_scale
     shift = problem.rows.X.mean(axis=0)
@@ -100,7 +73,7 @@ def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
     )
     known, unseen = len(rows) == problem.n_rows, 0.0
     if not complete and alpha == 0 and known and n_select is not None:
-        return _columns(problem, Z, kernel)
+        return _columns(problem, Features(Z, shift, length_scale, kernel))
     if not complete:
         unseen = 1 - np.einsum("ij,ij->", factor, factor) / len(rows)
     root = np.asfortranarray(factor[pivots])
@@ -111,32 +84,30 @@ def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
     return *_whiten(problem, factor, features, alpha, residual, resolution), unseen
 
 
-def _columns(problem, Z, kernel):
+def _columns(problem, features):
     """The candidates' own columns as coordinates, where all rows of a problem are candidates."""
-    whole = problem.block(slice(None))
-    columns = whole.weigh(kernel_matrix(Z, Z, kernel))
-    # A ridge of the tail leaves more of a column than a projection would: its further rows.
-    along = whole.basis.T @ columns
-    below = -problem.basis_rows @ along if len(problem.basis_rows) else columns[:0]
-    columns -= whole.basis @ along
-    target = problem.about_tail(whole)
-    if len(below):
-        columns = np.vstack([columns, below])
-        of = problem.varying
-        further = -problem.basis_rows @ problem.projection[:, of] / problem.spread[of]
-        target = np.vstack([target, further])
-    return np.ascontiguousarray(columns.T), target, DEPENDENT, float(len(Z)), 0.0
+    n = len(features.Z)
+    both = problem.reduce(
+        lambda block: (features(block), block.basis, block.about_tail),
+        lambda one, other: tuple(map(np.vstack, zip(one, other, strict=True))),
+        n,
+    )
+    columns, basis, target = both
+    columns -= basis @ (basis.T @ columns)
+    return np.ascontiguousarray(columns.T), target, DEPENDENT, float(n), 0.0
 
 
 def _whiten(problem, rows, features, alpha, residual, resolution):
-    """Coordinates, targets, resolution and degrees of freedom; the factor's rows are overwritten.
-
-    `rows` are those of the candidates' factor, `features` are the same factor's on all rows, and
-    `residual` is what it leaves.
-    """
+    """Coordinates, in place of the factor's `rows`, targets, resolution and degrees of freedom."""
     rank = rows.shape[1]
-    function = partial(_products, features=features, problem=problem)
-    gram, cross, along = problem.reduce(function, _add, rank)
+
+    def products(block):
+        F = features(block)
+        return F.T @ F, F.T @ block.about_tail, block.basis.T @ F
+
+    gram, cross, along = problem.reduce(
+        products, lambda one, other: [a + b for a, b in zip(one, other, strict=True)], rank
+    )
     gram = gram.T  # of which BLAS takes the lower triangle
     if len(along):
         gram = blas.dsyrk(-1.0, along, trans=1, beta=1.0, c=gram, lower=1, overwrite_c=1)

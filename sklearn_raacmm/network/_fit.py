@@ -1,39 +1,35 @@
-"""The network of given kernel, widths and ridges: its centres, weights and their posterior.
+"""The network of some outputs: its structure, centres, weights and their posterior.
 
 Centres are chosen by orthogonal least squares, or all rows are centres where a network would need
 nearly as many. Then the weights are those of the Gaussian process itself, by one Cholesky factor:
 with the root R of the rows' weights and B the polynomial's columns they are the solution of
-``(K + alpha R^-2) w + B b = y`` for a given b, and b is that of generalised least squares [1]_.
-
-References
-----------
-.. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
-   2006, section 2.7.
+``(K + alpha R^-2) w + B b = y`` for a given b, and b is that of generalised least squares
+(Rasmussen and Williams, section 2.7).
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_raacmm.network._blocks import extend
 from sklearn_raacmm.network._candidates import Features, candidates_of
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._least_squares import (
     first_weights,
     nested_least_squares,
-    stack_triangles,
-    triangle_of_all,
     triangular_factor,
 )
-from sklearn_raacmm.network._likelihood import LEAST_RIDGE
+from sklearn_raacmm.network._likelihood import LEAST_RIDGE, Data
 from sklearn_raacmm.network._linear import without_constants
+from sklearn_raacmm.network._objective import ALPHA_BOUNDS
 from sklearn_raacmm.network._posterior import Network, covariance_factor
 from sklearn_raacmm.network._rows import prepare
+from sklearn_raacmm.network._search import AUTO_KERNELS, Structure, search
 from sklearn_raacmm.network._selection import forward_selection
 from sklearn_raacmm.utils import stage, warn_user
 
@@ -70,21 +66,76 @@ NO_FUNCTION = 0.5
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
+def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group_std, rng):
+    """The network of some outputs (m,), which share kernel, widths and centres.
+
+    `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
+    is None or "auto". Returns what `fit_network` does, the squared slope (d,) along every feature
+    per spread, and the log likelihood where structures were compared.
+    """
+    ridged, value = isinstance(estimator.alpha, str), None
+
+    def set_up(degree, ratio=0.0):
+        sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
+        if elsewhere is None:
+            return sample, sample
+        return sample, extend(sample, *elsewhere, outputs)
+
+    # A linear part that the data have to ask for is added once they have.
+    degree = 0 if estimator.degree == "auto" else estimator.degree
+    sample, problem = set_up(degree)
+    if width is None or alpha is None or rows.codes is not None:
+        of, spread = sample.varying, sample.spread[sample.varying]
+        weights, Y = np.square(sample.root[:, 0]), sample.about_tail / sample.root
+        data = Data(rows.X, Y, weights, sample.left_within, rows.codes)
+        kernels = AUTO_KERNELS if kernel == "auto" else (kernel,)
+        found = search(
+            data,
+            kernels if width is None else kernels[:1],  # given widths are those of one kernel
+            length_scale=width,
+            isotropic=width is None and estimator.length_scale == "isotropic",
+            alpha=None if alpha is None else alpha[of] / sample.unit,
+            constant_std=None if group_std is None else group_std[of] / spread,
+            may_be_linear=estimator.degree == "auto" and width is None and alpha is None,
+            random_state=rng,
+        )
+        if alpha is None:
+            of = problem.varying
+            alpha = np.ones(len(outputs))
+            alpha[of] = found.alpha[np.isin(sample.varying, of)] * sample.unit / problem.unit
+        else:
+            alpha = alpha / problem.unit
+        width = found.length_scale if width is None else width
+        value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())
+        found = found._replace(length_scale=width, alpha=alpha)
+        if found.linear or found.ratio:
+            sample, problem = set_up(1 if found.linear else degree, found.ratio)
+    else:
+        kernel = AUTO_KERNELS[0] if kernel == "auto" else kernel
+        found = Structure(kernel, width, alpha / problem.unit)
+    limits = estimator.n_centers, estimator.max_centers
+    fitted = fit_network(problem, outputs, found, *limits, rng)
+    return fitted, _slopes(problem, fitted[0]), value
+
+
+def _slopes(problem, network):
+    unit = problem.rows.X.std(axis=0)
+    linear = np.square(network.polynomial[1:] * unit[:, None])
+    # Outputs count alike, whatever their units.
+    scale = problem.spread**2 + linear.sum(axis=0)
+    radial = np.where(network.alpha < ALPHA_BOUNDS[1], network.signal_variance, 0.0)
+    shares = (np.divide(a, scale, out=np.zeros_like(a), where=scale > 0) for a in (radial, linear))
+    radial, linear = (share.sum(axis=-1) for share in shares)
+    return radial * np.square(unit / network.length_scale) + linear
+
+
 @stage("centres of the network")
 def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
     """Choose the centres, or take all rows, and fit the weights.
 
-    `outputs` (q,) are the targets' columns that the problem has, the ridges of the structure are in
-    units of an observation. `n_centers` is their number, or the share of the variance that they may
-    leave, or "auto" for as many as make the network about as good as the process; `max_centers`
-    None is the default, or all rows. `rng` draws the candidates.
-
     Returns the network; the centres (k,), rows of the problem; the share of the variance by which
     each lowered the objective, empty if all rows are centres; the share that the objective leaves
     after 1, 2, ... centres; and why there are no more.
-
-    It warns of more centres than candidates, and (ConvergenceWarning) of a limit that the user has
-    not set and that decided on their number.
     """
     n = len(problem.rows.X)
     kept = np.arange(n) if n <= MOST_ROWS else np.sort(rng.permutation(n)[:MOST_ROWS])
@@ -107,8 +158,7 @@ def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
 def takes_all_rows(problem, structure):
     """Whether a network would need nearly every row as a centre to be as good as the process.
 
-    Of more than `MOST_ROWS` so many are looked at. Where no noise was found the effective number
-    of parameters is that of the rows, whatever the function is: then centres are chosen.
+    Where no noise was found each row is a parameter, whatever the function is: centres are chosen.
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
@@ -122,10 +172,8 @@ def takes_all_rows(problem, structure):
 def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     """Effective number of parameters of a process of n of a problem's rows, over their number.
 
-    It falls with every row that comes in. So a sample whose share is not above `enough` decides
-    already: then it is an upper bound. Where it is large in a sample of 2000 rows, the last
-    doubling is continued as a power of the number: with 6000 rows of three rough functions 6 to 14
-    % too many.
+    It falls with every row that comes in: a sample's share that is not above `enough` is returned.
+    Of more than 2000 rows the last doubling is continued as a power of the number.
     """
     X, weights = problem.rows.X, np.square(problem.root[:, 0])
     Z = (X - X.mean(axis=0)) / structure.length_scale
@@ -145,10 +193,9 @@ def share_of_parameters(problem, alpha, structure, n, enough=0.0):
 
 
 def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
-    """Indices of centres in order of how much they lower the objective, and why it ended.
+    """Indices of centres among `rows`, in order of how much they explain, and why it ended.
 
-    They are chosen among some `rows`. Where all of these may become centres (`or_all`) a moderate
-    number of them is tried, and returned as None if it is too small.
+    Where all rows may become centres (`or_all`) None is returned if a moderate number is too small.
     """
     alpha, asked = structure.alpha, n_centers if isinstance(n_centers, int) else None
     if asked is not None and asked > len(rows):
@@ -236,44 +283,46 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
     return rows[order], reasons[why]
 
 
-def variances(problem, structure, objective, plain=None):
-    """Variances (q,) of the noise and of the signal, by the likelihood.
-
-    `objective` (q,) is the sum of squares with the penalty; `plain` (q,) the variance of the noise
-    where there is no ridge.
-    """
-    # Without a ridge the residual, and the targets' own variance.
-    alpha, n_found = structure.alpha, structure.n_found
+def _network(problem, outputs, structure, centers, solution, objective, plain=None, **rest):
+    """The network of a solution (p + k, q), with variances by the likelihood, or `plain` ones."""
+    alpha, n_found, p = structure.alpha, structure.n_found, problem.n_tail
     ridged = alpha > 0
     # A linear part with a ridge has a prior as the radial functions do, and takes nothing away.
-    free = problem.n_total - problem.n_tail + len(problem.tail_rows)
+    free = problem.n_total - p + len(problem.tail_rows)
     # What was found fits these rows better than others: the mean of an inverse gamma variable.
     fewest = FEWEST_DEGREES if free > 1 else OF_TWO
     degrees = max(free - n_found - 2, fewest) if n_found else max(free, 1)
     noise = objective / degrees if plain is None else np.where(ridged, objective / degrees, plain)
     known = free > 0  # one observation says nothing of its error
     noise = noise if known else np.full(len(noise), np.inf)
-    signal = np.where(ridged & known, noise / np.where(ridged, alpha, 1.0), problem.spread**2)
-    return noise, signal
-
-
-def beside_centers(columns, block):
-    """The tail, the centres' columns and the targets on some rows, side by side."""
-    return np.hstack([block.tail, columns(block), block.targets])
+    return Network(
+        outputs=outputs,
+        kernel=structure.kernel,
+        length_scale=structure.length_scale,
+        centers=centers,
+        coef=np.ascontiguousarray(solution[p:]),
+        polynomial=problem.polynomial.coefficients.T @ solution[:p],
+        alpha=alpha,
+        weight_unit=float(problem.unit),
+        noise_variance=noise,
+        signal_variance=np.where(
+            ridged & known, noise / np.where(ridged, alpha, 1.0), problem.spread**2
+        ),
+        tail_map=problem.polynomial.coefficients,
+        ratio=float(problem.ratio),
+        **rest,
+    )
 
 
 def network_of(problem, outputs, order, structure, n_centers, stop):
-    """The network of some rows, in order of selection, as centres; of the first that are enough.
-
-    Returns what `fit_network` does.
-    """
+    """What `fit_network` returns, of centres in order of selection, the first that are enough."""
     p, shift = problem.n_tail, problem.rows.X.mean(axis=0)
     Z = (problem.rows.X[order] - shift) / structure.length_scale
     columns = Features(Z, shift, structure.length_scale, structure.kernel)
     width = p + len(order) + len(problem.spread)
-    R = triangle_of_all(problem, partial(beside_centers, columns), width)
-    if len(problem.tail_rows):
-        R = stack_triangles(R, np.pad(problem.tail_rows, ((0, 0), (0, width - p))))
+    R = problem.triangle(
+        lambda block: np.hstack([block.tail, columns(block), block.targets]), width
+    )
     root = psd_root(kernel_matrix(Z, Z, structure.kernel))
     rss, objective, dof, rotated, triangles = nested_least_squares(
         R, p, root, structure.alpha, problem.within, problem.tail_dof
@@ -286,23 +335,12 @@ def network_of(problem, outputs, order, structure, n_centers, stop):
         k, stop = (int(reached[0]) + 1, "criterion") if len(reached) else (k, stop)
     solution = first_weights(rotated, triangles, p + k)
     plain = rss[k] / np.maximum(problem.n_total - dof[k], 1)
-    noise, signal = variances(problem, structure, objective[k], plain)
     rows = R[: p + k, : p + k]
-    network = Network(
-        outputs=outputs,
-        kernel=structure.kernel,
-        length_scale=structure.length_scale,
-        centers=problem.rows.X[order[:k]],
-        coef=np.ascontiguousarray(solution[p:]),
-        polynomial=problem.polynomial.coefficients.T @ solution[:p],
-        alpha=structure.alpha,
-        weight_unit=float(problem.unit),
-        noise_variance=noise,
-        signal_variance=signal,
-        tail_map=problem.polynomial.coefficients,
-        ratio=float(problem.ratio),
-        # One triangle, packed, from which those of all outputs follow.
-        triangle=rows[np.triu_indices(len(rows), m=p + k)],
+    # One triangle, packed, from which those of all outputs follow.
+    triangle = rows[np.triu_indices(len(rows), m=p + k)]
+    centers = problem.rows.X[order[:k]]
+    network = _network(
+        problem, outputs, structure, centers, solution, objective[k], plain, triangle=triangle
     )
     return network, order[:k], -np.diff(left)[:k], left[1:], stop
 
@@ -313,7 +351,7 @@ def process_of(problem, outputs, structure):
     Z = (rows.X - rows.X.mean(axis=0)) / structure.length_scale
     weights = np.square(problem.root[:, 0])
     (n, p), q = problem.tail.shape, problem.targets.shape[1]
-    coef, polynomial, objective = np.empty((n, q)), np.empty((p, q)), np.empty(q)
+    solution, objective = np.empty((p + n, q)), np.empty(q)
     for one in np.unique(alpha):
         of = np.flatnonzero(alpha == one)
         factor = covariance_factor(Z, structure.kernel, weights, one, rows.codes, problem.ratio)
@@ -323,29 +361,22 @@ def process_of(problem, outputs, structure):
         stacked = np.zeros((n + len(problem.tail_rows), p + len(of)))
         stacked[:n], stacked[n:, :p] = np.sqrt(one) * both, problem.tail_rows
         R = triangular_factor(stacked)
-        polynomial[:, of] = solve_triangular(R[:p, :p], R[:p, p:], check_finite=False)
+        solution[:p, of] = solve_triangular(R[:p, :p], R[:p, p:], check_finite=False)
         objective[of] = np.square(R[p:, p:]).sum(axis=0)
-        left = both[:, p:] - both[:, :p] @ polynomial[:, of]
+        left = both[:, p:] - both[:, :p] @ solution[:p, of]
         solved = solve_triangular(factor, left, lower=True, trans="T", check_finite=False)
         # The matrix that whitens rows times their root is symmetric.
-        coef[:, of] = weights[:, None] * without_constants(
+        solution[p:, of] = weights[:, None] * without_constants(
             solved / problem.root, rows.codes, weights, problem.ratio
         )
         del factor  # two would not fit
-    noise, signal = variances(problem, structure, objective + problem.within)
-    return Network(
-        outputs=outputs,
-        kernel=structure.kernel,
-        length_scale=structure.length_scale,
-        centers=rows.X,
-        coef=coef,
-        polynomial=problem.polynomial.coefficients.T @ polynomial,
-        alpha=alpha,
-        weight_unit=float(problem.unit),
-        noise_variance=noise,
-        signal_variance=signal,
-        tail_map=problem.polynomial.coefficients,
-        ratio=float(problem.ratio),
+    return _network(
+        problem,
+        outputs,
+        structure,
+        rows.X,
+        solution,
+        objective + problem.within,
         weights=weights,
         codes=rows.codes,
         tail_ridge=float(problem.tail_ridge),

@@ -1,9 +1,4 @@
-"""Radial functions, kernel matrices and a low-rank factor of them.
-
-Every function here works on inputs already divided by their length scales, so that a kernel is a
-function of one number, the squared distance ``s``. The derivative with respect to ``s`` is what a
-gradient with respect to any width needs: no square root, hence no division by a zero distance.
-"""
+"""Radial functions of scaled squared distances, kernel matrices and a low-rank factor of them."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -75,11 +70,7 @@ KERNELS: dict[str, Callable[..., Any]] = {
 
 
 def squared_distances(A, B, out=None):
-    """Squared Euclidean distances between the rows of A (n, d) and B (m, d), as one matrix product.
-
-    ``|a|^2 + |b|^2 - 2 a.b`` as ``[-2a, |a|^2, 1] . [b, 1, |b|^2]``. The inputs should be centred:
-    the absolute error is about machine epsilon times the largest squared norm, also below zero.
-    """
+    """Squared distances (n, m) of rows as one product, ``[-2a, |a|^2, 1] . [b, 1, |b|^2]``."""
     left = np.empty((len(A), A.shape[1] + 2))
     np.multiply(A, -2.0, out=left[:, :-2])
     left[:, -2] = np.einsum("ij,ij->i", A, A)
@@ -103,11 +94,7 @@ def kernel_matrix(
 
 
 def rounding(Z):
-    """Error of the entries of a kernel matrix that is known by a factor.
-
-    Distances err by machine epsilon times the largest squared norm: widths much below the range of
-    a feature leave fewer digits.
-    """
+    """Error of a factor's entries: distances err by epsilon times the largest squared norm."""
     largest = np.einsum("ij,ij->i", Z, Z).max(initial=0.0)
     return max(1e-13, 4 * np.finfo(float).eps * largest)
 
@@ -115,19 +102,12 @@ def rounding(Z):
 def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_size=96):
     """Low-rank factor of a positive definite kernel matrix by blocked, diagonally pivoted Cholesky.
 
+    Each round takes those of the `block_size` rows that are explained least which the others do not
+    explain (Harbrecht, Peters, Schneider, Applied Numerical Mathematics 62, 2012), until none is
+    left above `tol`, or `rounding`; with `resolve` a small part of what so many pivots leave.
+
     Returns rows (n, rank) with ``kernel_matrix(Z, Z) ~ rows @ rows.T``, exact on the pivot rows;
-    the pivots (rank,); the largest diagonal entry of what is left; and whether that is as little as
-    was aimed at.
-
-    Each round looks at the `block_size` rows of Z (n, d) that the factor explains least, takes
-    those of them that the others do not explain, and updates with matrix products: several times as
-    fast as one pivot at a time, at nearly the same rank (Harbrecht, Peters, Schneider, Applied
-    Numerical Mathematics 62, 2012).
-
-    It stops at `max_rank`, or where no diagonal entry of the remainder is above `tol`, or
-    `rounding` if that is more: the remainder is positive semidefinite, so that this bounds all of
-    its entries. With `resolve` the tolerance is a small part of what this many pivots leave, so
-    that this many columns can be told apart.
+    the pivots (rank,); the largest diagonal entry of what is left; and whether that is little.
     """
     n = len(Z)
     max_rank = n if max_rank is None else min(n, max_rank)
@@ -198,7 +178,6 @@ def psd_root(K):
     """A matrix U with ``U.T @ U = K`` for positive semidefinite K, singular or not.
 
     What is below rounding is raised to it: where a penalty is zero coefficients grow without limit.
-    Where all is far above it a Cholesky factor does, at a fortieth of the price.
     """
     root, failed = lapack.dpotrf(K, lower=0, clean=1)
     if not failed and np.square(root.diagonal()).min(initial=np.inf) > _SOUND_PIVOT:

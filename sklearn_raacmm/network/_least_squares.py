@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
-
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
@@ -21,10 +19,9 @@ def triangular_factor(rows):
 
 
 def _stacked(upper, lower, n_triangular):
-    """R of the square triangle `upper` with rows below it, the last of which form a triangle.
+    """R of the square triangle `upper` with rows below, the last a triangle; overwrites both.
 
-    LAPACK's routine for it keeps what it works on in the cache: twice as fast as the plain one for
-    blocks of a few thousand rows. Overwrites both.
+    Twice as fast as the plain routine, whose blocks do not stay in the cache.
     """
     block = min(_PANEL, len(upper))
     return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
@@ -40,27 +37,13 @@ def stack_triangles(upper, lower):
     return _stacked(upper, lower, len(lower) if triangular else 0)
 
 
-def triangle_of_all(problem, columns, width):
-    """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
-    return problem.reduce(partial(_triangle_of_block, columns), stack_triangles, width)
-
-
-def _triangle_of_block(columns, block):
-    return triangular_factor(columns(block))
-
-
 def nested_least_squares(R, n_tail, penalty_root, alphas, within, tail_dof=None):
     """Solve every nested subset, with no use of the running figures of the selection.
 
-    R (<= p + k + q, p + k + q) is the triangular factor of the p = `n_tail` columns of the tail,
-    the k members in order and the q targets, all times root weight; a ridge of the tail is among
-    its rows. The penalty's matrix is ``penalty_root.T @ penalty_root`` (k, k) times `alphas` (q,).
-    `within` (q,) is what merging repeated rows took out, `tail_dof` the effective number of the
-    tail's columns.
-
-    Returns of the first 0, 1, ... k members the sum of squared residuals, the same with the
-    penalty, and the trace of the smoother, tail included, (k + 1, q); and for `first_weights` the
-    targets in the coordinates of the columns (p + k, q) and a triangle for each output.
+    R (<= p + k + q, p + k + q) is the triangular factor of the tail, the k members in order and the
+    q targets; ``penalty_root.T @ penalty_root`` times `alphas` (q,) the members' penalty. Returns
+    of the first 0, 1, ... k members the sum of squared residuals, the same with the penalty and the
+    trace of the smoother, (k + 1, q); and for `first_weights` the rotated targets and triangles.
     """
     q, p, k = len(alphas), n_tail, penalty_root.shape[1]
     columns, targets = R[: p + k, : p + k], R[:, p + k :]

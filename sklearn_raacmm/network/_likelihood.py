@@ -3,13 +3,8 @@ r"""Marginal likelihood of a Gaussian process, and its gradient by widths, ridge
 With kernel matrix K, weights w and ridge :math:`\alpha` (noise variance over signal variance) the
 targets of an output have the covariance :math:`s^2 (K + \alpha (W^{-1} + r G))`, where G is 1
 within a group of rows whose targets have a common constant (`_rows`). The signal variance
-:math:`s^2` of every output is set to its optimum, so that outputs of any scale count alike. What
-remains is a smooth function of the logarithms of the widths, of :math:`\alpha` and of r [1]_.
-
-References
-----------
-.. [1] C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT Press
-   2006, sections 5.4 and 8.3.
+:math:`s^2` of every output is set to its optimum, so that outputs of any scale count alike
+(Rasmussen and Williams, sections 5.4 and 8.3).
 """
 
 # Authors: The sklearn_raacmm developers
@@ -94,24 +89,17 @@ def log_likelihood(data, value):
     return -value - data.Y.shape[1] * constant
 
 
-def noise_likelihood(data):
-    """Negative log marginal likelihood where all is noise: the limit of an infinite ridge."""
-    total = np.square(data.targets).sum(axis=0) + data.within
-    return 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
-
-
-def noise_density(data):
-    """Leave-one-out density where all is noise, as `leave_one_out` gives it."""
-    square = data.weights[:, None] * np.square(data.Y)
-    variance = np.maximum((square.sum(axis=0) + data.within) / data.n_total, 1e-300)
-    return 0.5 * (np.sum(square / variance) + len(data.X) * np.sum(np.log(variance)))
+def of_noise(data):
+    """Negative log likelihood where all is noise, and what `left_out` gives there."""
+    square = np.square(data.targets)
+    total = square.sum(axis=0) + data.within
+    value = 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
+    variance = np.maximum(total / data.n_total, 1e-300)
+    return value, 0.5 * (np.sum(square / variance) + len(square) * np.sum(np.log(variance)))
 
 
 def covariance(data, kernel, log_width):
-    """Kernel matrix, its derivative by squared distances, and the scaled rows.
-
-    Both matrices are times the root of the weights from both sides.
-    """
+    """Kernel matrix and its derivative by squared distances, times root weights; scaled rows."""
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
     K, slope = KERNELS[kernel](squared_distances(Xs, Xs), slope=True)
     for matrix in (K, slope) if np.any(root != 1.0) else ():
@@ -121,12 +109,10 @@ def covariance(data, kernel, log_width):
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Negative log marginal likelihood of the process, up to a constant, with its gradient.
+    """Negative log marginal likelihood of the process, up to a constant.
 
-    The logarithms are of widths (d,) and ridges (q,); `ratio` is the variance of groups' constants
-    over that of the noise. Returns the value; its gradient by log_width, log_alpha and the
-    logarithm of the ratio, (d + q + 1,); the signal variance (q,) of every output; and the gradient
-    of that, (q, d + q + 1).
+    Returns the value; its gradient by log_width, log_alpha and the logarithm of `ratio`, that of
+    groups' constants to the noise, (d + q + 1,); the signal variance (q,); and its gradient.
     """
     (n, d), q = data.X.shape, len(log_alpha)
     n_total, Y, noise = data.n_total, data.targets, data.noise(ratio)
@@ -154,10 +140,7 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
 
 
 def solve_and_invert(C, y):
-    """Solve C x = y of a symmetric C, with the log determinant.
-
-    The third is a matrix (n, n) in Fortran's order that with its transpose is the inverse.
-    """
+    """Solution of C x = y, log determinant, and half of the inverse: with its transpose all."""
     factor, failed = lapack.dpotrf(C.T, lower=1, clean=1)
     if failed:
         raise LinAlgError("kernel matrix is not positive definite to working precision")
@@ -169,17 +152,10 @@ def solve_and_invert(C, y):
     return solved, log_det, half
 
 
-def leave_out(data, kernel, log_width, log_alpha, ratio=0.0):
-    """Density of what is left out in closed form (section 5.4.2 of the reference)."""
-    return left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
-
-
 def left_out(data, K, alphas, ratio=0.0):
-    """The same, of a kernel matrix.
+    """Negative log density of each row, or group with a constant, that is left out.
 
-    Left out is every row in turn, or every group of rows whose targets have a common constant: rows
-    of one group are no judges of each other. Returns the negative logarithm of the density of the
-    targets, up to a constant.
+    In closed form (section 5.4.2 of Rasmussen and Williams), up to a constant.
     """
     density, n, noise = 0.0, len(K), data.noise(ratio)
     for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):

@@ -44,8 +44,7 @@ class Polynomial(NamedTuple):
 def polynomial_of(X, weights, degree, ridged=False):
     """Polynomial of rows, without features that do not vary or are combinations of others.
 
-    With fewer rows than features some are so by chance: `ridged` keeps them, because a ridge tells
-    them apart.
+    With fewer rows than features some are so by chance: a ridge (`ridged`) tells them apart.
     """
     center, used = np.average(X, axis=0, weights=weights), np.empty(0, dtype=int)
     scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
@@ -74,18 +73,11 @@ def without_constants(columns, codes, weights, ratio):
 def linear_evidence(columns, targets, within, n_free, n_total):
     """Ridge of a linear model, the same for all features and outputs, by its likelihood.
 
-    Returns the ridge, in units of an observation, 0 where there is nothing to be found; the
-    objective as `_objective` has it, without the price of features; and the negative log likelihood
-    as `_likelihood` has it.
-
-    The coefficients of an output have independent normal priors of one variance, the noise variance
-    over the ridge; the noise variance is at its optimum for every output (MacKay, Neural Comput. 4,
-    1992), and has the prior that it has beside radial functions.
-
-    Columns (n, d) are centred, in units of their spread, and like the targets (n, q) times the root
-    of the weights; `within` (q,) is what merging repeated rows took out. The ridge is found by
-    `n_free` of `n_total` observations, less one where the mean was taken out: as many features as
-    rows would otherwise have no ridge, whatever the noise.
+    Of columns (n, d), centred and in units of their spread, and targets (n, q), times root weights.
+    Coefficients have normal priors of one variance, the noise variance over the ridge (MacKay,
+    Neural Comput. 4, 1992). Returns the ridge, 0 where there is nothing to be found; the objective
+    as `_objective` has it, without the price; and the negative log likelihood. The ridge is found
+    by `n_free` observations, without the mean: as many features as rows would else have none.
     """
     nothing = 0.0, np.inf, np.inf
     if not columns.size:

@@ -42,10 +42,9 @@ PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 
 
 class Task(NamedTuple):
-    """What is searched for: the parameters theta that are free, and what is given.
+    """What is searched for: theta, the logarithms of what is free, and what is given.
 
-    Theta are the logarithms of the free widths, in units of the features' spread, of the free
-    ridges, and of the ratio of groups' constants to the noise.
+    Free are widths, in units of the spread, ridges, and the ratio of groups' constants to noise.
     """
 
     spread: np.ndarray  # (d,) unit of every width

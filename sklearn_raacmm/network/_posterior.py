@@ -97,11 +97,7 @@ class Network:
         return shift, (self.centers - shift) / self.length_scale
 
     def with_noise(self, factor: float) -> Self:
-        """The same with a larger variance of the noise, for one that was estimated too small.
-
-        Where all rows are centres, what the noise makes of the weights is a part of the prior's
-        variance, whose ratio to that of the noise is the ridge: both grow.
-        """
+        """The same with a larger variance of the noise, for one that was estimated too small."""
         other = replace(self, noise_variance=factor * self.noise_variance)
         if self.all_rows:
             other = replace(other, signal_variance=factor * self.signal_variance)
@@ -271,10 +267,8 @@ class Network:
 def pack(networks):
     """What the means of some networks need, as few arrays.
 
-    Returns the middle of all centres; a matrix (k, 2 d + 1) whose product with (x^2, x, 1) are the
-    squared distances of a row x about the middle from the centres, each in its own widths; the
-    kernel of each run of centres; their weights (q, k); and the polynomial (1 + d, q). Outputs are
-    in the order of the networks' targets.
+    The middle of all centres; a matrix (k, 2 d + 1) whose product with (x^2, x, 1) are a row's
+    squared scaled distances; the run of each kernel; weights (q, k); polynomial (1 + d, q).
     """
     networks = sorted(networks, key=lambda network: network.kernel)
     outputs = np.sort(np.concatenate([network.outputs for network in networks]))
@@ -321,11 +315,7 @@ def predict_mean(packed, X):
 
 
 def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
-    """Lower Cholesky factor of a weighted kernel matrix with a ridge, in Fortran order.
-
-    Z (n, d) are rows divided by the widths. Where groups (`codes`) have constants, `ratio` is their
-    variance over that of the noise. In the memory of one matrix.
-    """
+    """Lower Cholesky factor of a weighted kernel matrix with a ridge, in memory of one matrix."""
     n, root = len(Z), np.sqrt(weights)
     C = np.empty((n, n), order="F")
     for part in chunks(n, _CHUNK_OF_STD // max(n, 1)):

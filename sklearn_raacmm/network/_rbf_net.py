@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 
+from sklearn_raacmm.network._fit import fit_outputs
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import (
@@ -19,7 +20,6 @@ from sklearn_raacmm.network._read import (
     read_rows,
 )
 from sklearn_raacmm.network._robust_loss import reweigh
-from sklearn_raacmm.network._tuning import fit_outputs
 from sklearn_raacmm.utils import (
     Floats,
     MultiOutputMixin,

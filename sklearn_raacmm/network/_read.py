@@ -21,20 +21,15 @@ from sklearn_raacmm.utils import (
 IN_MEMORY_ROWS, HELD_ROWS = 100_000, 10_000
 # Squared distances are off by rounding of the largest: beyond 1e6 widths, by more than 1e-4.
 _MAX_RANGE = 1e6
-# The same in units of a feature's spread, where the width is to be found: off by 2e-3. From 1e7 on
-# there were kernel matrices of simulated tables without a Cholesky factor.
-_MAX_SPREADS = 3e6
 # Beyond so many ranges a Gaussian differs from 1 by less than 1e-14.
 _MAX_WIDTH = 1e7
 
 
 def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
-    """The data, checked, as distinct rows; a sample of them where they are many or elsewhere.
+    """The data, checked, as distinct rows, and None; or a sample of them, and what all rows are.
 
-    Notes on the estimator the number of features, and as `_flat` whether y has one dimension.
-    `labelled` says whether groups have constants; None: where their mean targets are small. `rng`
-    draws the rows that may become centres. Returns the rows; and of a sample the chunks of all
-    rows, their number and weight, otherwise None.
+    Of a sample the chunks of all rows, their number and weight. `labelled` says whether groups have
+    constants; None: where their mean targets are small.
     """
 
     def in_blocks(chunks, n_features):
@@ -78,20 +73,6 @@ def _refuse_tiny(name, array):
         raise ValueError(
             f"{name} holds a column of numbers no larger than {np.min(size[tiny]):g}: numbers "
             f"below {1 / LARGEST**2:g} are refused, as their squares underflow. Use a smaller unit."
-        )
-
-
-def refuse_far(X, spread):
-    """Refuse numbers so far from the others that the distances of these are lost in rounding."""
-    low, high = X.min(axis=0), X.max(axis=0)
-    found = np.flatnonzero((spread > 0) & (high - low > _MAX_SPREADS * spread))
-    if len(found):
-        i = found[0]
-        raise ValueError(
-            f"Feature {i} has numbers from {low[i]:g} to {high[i]:g}, but most lie within a "
-            f"spread of {spread[i]:g}: beyond {_MAX_SPREADS:g} spreads distances between the "
-            "other rows are lost in rounding. If these are codes of missing values, leave their "
-            "rows out; else clip the feature or give its logarithm."
         )
 
 

@@ -1,10 +1,4 @@
-"""Weights of rows by Tukey's biweight: rows far off count less, or not at all.
-
-References
-----------
-.. [1] A. E. Beaton, J. W. Tukey, "The fitting of power series, meaning polynomials, illustrated on
-   band-spectroscopic data", Technometrics 16 (1974).
-"""
+"""Weights of rows by Tukey's biweight: rows far off count less, or not at all."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -35,10 +29,9 @@ _SD_OF_MEDIAN = 1.482602218505602
 
 
 def biweights(residuals, weights, codes=None):
-    """Factors (n,) of the rows' weights, 1 where no row is far off.
+    """Factors (n,) of the rows' weights, by the output in which a row is farthest off.
 
-    Each is by the output of the residuals (n, q) in which a row is farthest off. Rows of weight 0
-    do not count for the scale. Where groups have offsets residuals count from their group's median.
+    Where groups have offsets residuals (n, q) count from their group's median.
     """
     counted = weights > 0
     for code in () if codes is None else np.unique(codes[counted]):
@@ -55,10 +48,7 @@ def biweights(residuals, weights, codes=None):
 
 
 def reweigh(estimator, X, y, sample_weight, groups, group_std):
-    """Fit a fitted network again with weights by the residuals, until these have settled.
-
-    With ``loss="auto"`` the first fit stays unless the evidence is for the other one.
-    """
+    """Fit again with weights by the residuals, until these settle; "auto" if evidence is for it."""
     auto, first = estimator.loss == "auto", dict(vars(estimator))
     if auto and (is_dask(X) or "log_marginal_likelihood_value_" not in first):
         return
@@ -101,11 +91,9 @@ def _restore(estimator, fitted):
 
 
 def evidence(value, n, far):
-    """Logarithm of the evidence of n rows, of which some have been left out.
+    """Logarithm of the evidence of n rows of which `far` (m, q) have a variance of their own.
 
-    `value` is that of the others, or of so many of them as structures are compared on; those left
-    out have residuals `far` (m, q), with a variance of their own for each output. Each row is one
-    of them with the probability that they are.
+    `value` is that of the others, or of so many of them as structures are compared on.
     """
     m = len(far)
     total = value * max((n - m) / EXACT_ROWS, 1.0)

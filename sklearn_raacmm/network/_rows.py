@@ -1,27 +1,24 @@
 """Weighted data as the network's numerics want them: distinct rows, the polynomial projected out.
 
-All that the numerics need of the rows is a sum over them, or a triangular factor, which blocks of
-rows contribute to one after another. So they ask a `Problem` to `reduce` a function over blocks,
-and do not know whether its rows are in memory or elsewhere (`_blocks`).
+All that the numerics need of the rows is a sum over blocks of them, or a triangular factor.
 
-Where targets are known up to a constant of each group of rows, these are random: their variance is
-`ratio` times that of the noise. With the weights w of the rows and the sum w_g of those of a group
-the noise has the covariance ``W^-1 + ratio G``, where G is 1 within a group. Rows less
+Where targets are known up to a constant of each group of rows, its variance is `ratio` times that
+of the noise, whose covariance is ``W^-1 + ratio G``, where G is 1 within a group. Rows less
 ``1 - 1 / sqrt(1 + ratio w_g)`` times their group's weighted mean, times the root of their weights,
-have independent noise of unit variance: that is done to all columns and targets alike. A ratio of 0
-is no constants, an infinite one takes the whole mean out.
+have independent noise of unit variance: that is done to all columns and targets alike.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial, reduce
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
+from sklearn_raacmm.network._least_squares import stack_triangles, triangular_factor
 from sklearn_raacmm.network._linear import (
     Polynomial,
     linear_evidence,
@@ -42,25 +39,6 @@ def block_rows(width):
     return chunk_size(max(SMALL_BLOCK // width, min(4 * width, BLOCK // width)))
 
 
-class Block(NamedTuple):
-    """Some rows of a problem."""
-
-    X: np.ndarray  # (m, d) rows as given
-    root: np.ndarray  # (m, 1) root of their weights
-    tail: np.ndarray  # (m, p) polynomial times root
-    basis: np.ndarray  # (m, p) the same, orthonormal over all rows
-    targets: np.ndarray  # (m, q) targets times root
-    part: slice | None  # which of the problem's rows, where it holds them
-    codes: np.ndarray | None = None  # (m,) group of each row, where groups have constants
-    ratio: float = 0.0
-
-    def weigh(self, columns):
-        """Columns at these rows, less groups' constants, times root; may overwrite them."""
-        columns = without_constants(columns, self.codes, self.root[:, 0] ** 2, self.ratio)
-        columns *= self.root
-        return columns
-
-
 class Rows(NamedTuple):
     """Distinct rows in sorted order: of their groups, if there are any, and then of X."""
 
@@ -72,7 +50,7 @@ class Rows(NamedTuple):
     observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
     codes: np.ndarray | None = None  # (n,) group of each row, from 0, where groups have constants
 
-    def some(self, kept: np.ndarray) -> Self:
+    def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
         kept_arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
@@ -109,6 +87,7 @@ class Problem(NamedTuple):
     n_elsewhere: int = 0
     outputs: np.ndarray | None = None
     tail_root: np.ndarray | None = None
+    part: slice | None = None  # which of a larger problem's rows these are
 
     @property
     def n_rows(self) -> int:
@@ -133,27 +112,52 @@ class Problem(NamedTuple):
         """What no model can explain of the targets that vary, in squares of their spreads."""
         return self.within[self.varying] / self.spread[self.varying] ** 2
 
-    def about_tail(self, block: Block) -> np.ndarray:
+    @property
+    def about_tail(self) -> np.ndarray:
         """Targets that vary, about the polynomial and in units of their spread."""
         of = self.varying
-        return (block.targets[:, of] - block.basis @ self.projection[:, of]) / self.spread[of]
+        return (self.targets[:, of] - self.basis @ self.projection[:, of]) / self.spread[of]
 
-    def block(self, part: slice) -> Block:
-        """Some rows, of whole groups."""
-        codes = self.rows.codes
-        codes = None if codes is None else codes[part] - codes[part][0]
-        arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
-        root, tail, basis, targets = arrays
-        return Block(self.rows.X[part], root, tail, basis, targets, part, codes, self.ratio)
+    def weigh(self, columns: np.ndarray) -> np.ndarray:
+        """Columns at these rows, less groups' constants, times root; may overwrite them."""
+        weights = np.square(self.root[:, 0])
+        columns = without_constants(columns, self.rows.codes, weights, self.ratio)
+        columns *= self.root
+        return columns
 
-    def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
-        """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.chunks is not None:
-            return self.chunks.reduce(partial(self._on_block, function), combine, width)
+    def parts(self, width: int) -> Iterator[Self]:
+        """Rows that are held as problems of their own, `width` numbers a row; whole groups."""
         parts = chunks(len(self.root), block_rows(width))
         if self.rows.codes is not None:
             parts = _whole_groups(parts, self.rows.codes)
-        return reduce(combine, (function(self.block(part)) for part in parts))
+        for part in parts:
+            arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
+            yield self._of(self.rows.some(part), *arrays, part)
+        yield from self._ridge()
+
+    def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
+        """Combine the function of every block of rows, which holds `width` numbers a row."""
+        if self.chunks is None:
+            return reduce(combine, map(function, self.parts(width)))
+        found = self.chunks.reduce(partial(self._on_block, function), combine, width)
+        return reduce(combine, map(function, self._ridge()), found)
+
+    def triangle(self, columns: Callable, width: int) -> np.ndarray:
+        """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
+        return self.reduce(lambda block: triangular_factor(columns(block)), stack_triangles, width)
+
+    def _of(self, rows, root, tail, basis, targets, part=None):
+        return self._replace(
+            rows=rows, root=root, tail=tail, basis=basis, targets=targets, part=part
+        )
+
+    def _ridge(self):
+        """The ridge of the polynomial as rows without weight, if it has one."""
+        m = len(self.basis_rows)
+        if m:
+            rows = self.rows._replace(X=np.zeros((m, self.rows.X.shape[1])), codes=None)
+            targets = np.zeros((m, len(self.spread)))
+            yield self._of(rows, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
 
     def _on_block(self, function, X, Y, weights, start):
         """The function of rows that are not held."""
@@ -163,7 +167,8 @@ class Problem(NamedTuple):
         basis = tail
         if tail.size and self.tail_root is not None:
             basis = solve_triangular(self.tail_root, tail.T, trans="T", check_finite=False).T
-        return function(Block(X, root, tail, basis, root * Y[kept][:, self.outputs], None))
+        rows = self.rows._replace(X=X, codes=None)
+        return function(self._of(rows, root, tail, basis, root * Y[kept][:, self.outputs]))
 
 
 def _whole_groups(parts, codes):
@@ -177,12 +182,10 @@ def _whole_groups(parts, codes):
 
 
 def merge(X, Y, weights, within=None, count=None, codes=None):
-    """Merge repeated rows, and drop rows without weight.
+    """Merge repeated rows of a group, and drop rows without weight, whatever their order.
 
-    The result depends on the weighted data alone: not on the order of the rows, and not on whether
-    a row is repeated or weighted. A row that says again what another has said, target and all, adds
-    weight but is not a further observation: that both have the same noise shows nothing of it. Rows
-    of two groups (`codes`) are not merged. `within` (n, q) and `count` (n,) are of a merge before.
+    A row that says again what another has said, target and all, adds weight but is no further
+    observation. `within` (n, q) and `count` (n,) are of a merge before.
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
@@ -215,11 +218,7 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
 
 
 def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -> Problem:
-    """Set up the polynomial of a degree at distinct rows.
-
-    If `ridged`, its linear part has a ridge, found by the likelihood. `ratio` is the variance of
-    groups' constants over that of the noise of an observation.
-    """
+    """Set up the polynomial of a degree at distinct rows; if `ridged`, by the likelihood."""
     unit, n_total = rows.weights.sum() / rows.observed.sum(), rows.observed.sum()
     weights, within = rows.weights / unit, rows.within.sum(axis=0) / unit
     root, polynomial = np.sqrt(weights)[:, None], polynomial_of(rows.X, weights, degree, ridged)
@@ -233,7 +232,7 @@ def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -
         ridge = linear_evidence(tail[:, 1:], about, within, n_total - 1, n_total)[0]
         if not ridge:
             return prepare(rows, degree, ratio=ratio)
-    basis = basis_rows = tail
+    basis, basis_rows = tail, tail[:0]
     if tail.size:
         stacked = np.vstack([tail, ridge_rows(tail.shape[1], ridge)])
         basis = qr(stacked, mode="economic", check_finite=False)[0]

@@ -1,23 +1,16 @@
 r"""Forward selection of basis functions by orthogonal least squares (OLS).
 
-The problem is the same throughout. Candidates :math:`j` have columns :math:`\phi_j` (kernel values
-on the samples, the polynomial tail projected out, rows scaled by the root of their weights),
-targets :math:`Y`, and a subset :math:`S` is judged by the penalised least-squares objective
+Candidates :math:`j` have columns :math:`\phi_j` (kernel values on the samples, the polynomial
+projected out, rows scaled by the root of their weights), targets :math:`Y`, and a subset :math:`S`
+is judged by the penalised objective
 
-.. math:: J(S) = \min_w \|Y - \Phi_S w\|_F^2 + \alpha\, \mathrm{tr}(w^\top K_{SS}\, w)
+.. math:: J(S) = \min_w \|Y - \Phi_S w\|_F^2 + \alpha\, \mathrm{tr}(w^\top K_{SS}\, w).
 
-whose penalty is the norm of the function in the kernel's own space; :math:`\alpha = 0` is plain
-OLS. In the inner product :math:`\langle i, j \rangle = \phi_i^\top \phi_j + \alpha K_{ij}` this is
-an ordinary projection, so that forward selection is the Gram-Schmidt process of [1]_: the candidate
-that lowers J most has the largest :math:`\sum_o \langle j, y_o \rangle^2 / \langle j, j \rangle`
-after both have been made orthogonal to what was chosen before.
-
-Candidates come as coordinates in which that inner product is the Euclidean one (`_candidates`).
-
-References
-----------
-.. [1] S. Chen, C. F. N. Cowan, P. M. Grant, "Orthogonal least squares learning algorithm for radial
-   basis function networks", IEEE Transactions on Neural Networks 2(2), 1991, 302-309.
+In the inner product :math:`\langle i, j \rangle = \phi_i^\top \phi_j + \alpha K_{ij}` this is an
+ordinary projection: forward selection is the Gram-Schmidt process of Chen, Cowan and Grant, and the
+candidate that lowers J most has the largest :math:`\sum_o \langle j, y_o \rangle^2 / \langle j, j
+\rangle` after both have been made orthogonal to what was chosen before. Candidates come as
+coordinates in which that inner product is the Euclidean one (`_candidates`).
 """
 
 # Authors: The sklearn_raacmm developers
@@ -37,22 +30,12 @@ TIE = 1e-9
 def forward_selection(coordinates, target, resolution, n_select, *, units: Any = 1.0, enough=None):
     """Choose candidates one at a time, each the one that lowers the objective most.
 
-    Parameters
-    ----------
-    coordinates : ndarray of shape (n_candidates, rank)
-    target : ndarray of shape (rank, n_outputs)
-        Coordinates of the projection of the targets onto the candidates' span.
-    resolution : float
-        Part of a candidate's length below which its coordinates are not to be trusted.
-    n_select : int
-        Stop after this many.
-    units : ndarray of shape (n_outputs,), optional
-        By which the outputs' gains are divided before they are summed: the trace of the error
-        reduction [1]_. The lower index wins among equals.
-    enough : callable, optional
-        From the summed reduction of every output to whether to stop.
+    Of coordinates (n, rank) and a target (rank, q). `resolution` is the part of a candidate's
+    length that is not to be trusted, `units` (q,) divide the outputs' gains, and `enough` says by
+    the number and the summed reduction of every output whether to stop. Returns indices, the
+    reduction of each step (k, q), and why it stopped.
     """
-    norms = _squared(coordinates)
+    norms = np.einsum("ij,ij->i", coordinates, coordinates)
     floor, fresh = resolution**2 * norms, norms.copy()
     target, correlations = target.copy(), coordinates @ target
     directions = np.empty((16, coordinates.shape[1]))  # orthonormal, a row each; it grows
@@ -84,7 +67,7 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
         if len(stale):
             left = coordinates[stale]
             left -= (left @ directions[: k + 1].T) @ directions[: k + 1]
-            norms[stale] = fresh[stale] = _squared(left)
+            norms[stale] = fresh[stale] = np.einsum("ij,ij->i", left, left)
             correlations[stale] = left @ target
         indices.append(j)
         reduction[k] = np.square(on_target)
@@ -92,8 +75,3 @@ def forward_selection(coordinates, target, resolution, n_select, *, units: Any =
             stop = "enough"
             break
     return np.array(indices, dtype=np.intp), reduction[: len(indices)], stop
-
-
-def _squared(rows):
-    """Squared lengths (n,) of rows."""
-    return np.einsum("ij,ij->i", rows, rows)
