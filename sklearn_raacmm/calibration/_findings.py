@@ -11,9 +11,19 @@ import numpy as np
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
 from sklearn_raacmm.calibration._problem import points_and_jacobian
-from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.measurements import base_motions, moved_positions, moved_set_up
-from sklearn_raacmm.utils import Finding, row_numbers
+from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
+from sklearn_raacmm.measurements import (
+    base_motions,
+    moved_positions,
+    moved_set_up,
+    no_readings,
+    other_labels,
+    places_of,
+    renamed,
+    same_places,
+    wrong_labels,
+)
+from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
 _LENGTH_OUTLIER = 5.0
@@ -40,6 +50,9 @@ _FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
 _TRIED, _OPEN = 100, 0.1
 # Points that scatter by more than a part of that promise nothing.
 _FAR = 5.0
+# Limits of outliers, in standard deviations of a coordinate, where no tail is longer than a normal
+# one's: of 100 rows 4.3, of 1000 4.9.
+_LIMIT_SDS = 4.5
 # Share of rows far off that slips do not come to. A choice.
 _MOST_OUTLIERS = 0.1
 
@@ -55,10 +68,15 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         )
     yield from wrong_lengths(lengths, fit.length_errors(), fit.sigma)
     yield from _few_rows(fit.problem, result.rank, result.n_free)
-    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, result.scatter_after_mm))
+    scatter = typical_scatter(result)
+    labels = list(_labels(fit, result, poses, scatter))
+    yield from labels
+    if any(finding.weight == "repair" for finding in labels):
+        return  # of a fit with such labels all else means nothing
+    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, scatter))
     yield from no_arm
     if not no_arm:
-        n, scatter = len(fit.names), result.scatter_after_mm
+        n = len(fit.names)
         sd = result.standard_deviations[:n]
         length, angle, _ = fit.priors
         limits = {"probe_mm": np.inf}
@@ -75,6 +93,48 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         yield from moved_positions(left, fit.angles, every, groups, noise, poses.first)
     yield from _set_up_moved(fit, poses)
     yield from _poses_alike(fit)
+
+
+def typical_scatter(result: CalibrationResult) -> float:
+    """Mean distance from where rows belong, without the outliers, mm."""
+    distance = np.linalg.norm(result.residuals_mm, axis=1)
+    return float(np.delete(distance, list(result.outliers)).mean())
+
+
+def _labels(fit, result, poses, scatter):
+    """Labels that do not fit where the probe was, and one place under two."""
+    problem, numbers = fit.problem, poses.first
+    if problem.points is not None:
+        return
+    labels, points = encode_groups(result.groups)[0], fit.points()
+    far = np.isin(np.arange(len(numbers)), result.outliers)
+    right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
+    many = right is not None
+    if right is None:
+        limit = result.outlier_limit_mm / _LIMIT_SDS
+        right = other_labels(points, problem.index, far, limit)
+    yield from wrong_labels(problem.index, right, labels, numbers, many)
+    yield from no_readings(fit.angles, far, numbers)
+    yield from same_places(problem.sums(points, fit.weights), labels, fit.sigma)
+
+
+def _right_labels(fit):
+    """Labels by the places of the nominal arm's points, then twice of the calibrated ones.
+
+    None where rows scatter by no less with them, or most have another one.
+    """
+    index, sigma = fit.problem.index, fit.sigma
+    # The probe may not be known: as most of the labels have it.
+    codes = places_of(fit.of(free=["probe"], loss="cauchy").points())
+    for _ in range(2):
+        if codes is None or 2 * np.sum(renamed(codes, index) != index) > len(index):
+            return None
+        fit = fit.of(index=codes, lengths=[])
+        codes = places_of(fit.points())
+    right = renamed(codes, index)
+    n_wrong = np.sum(right != index)
+    gain = 3 * len(index) * np.log(sigma / fit.sigma) - n_wrong * np.log(index.max() + 1.0)
+    return right if n_wrong < len(index) / 2 and gain > 0 else None
 
 
 def are_wrong(lengths: Sequence[Sequence[Any]], errors: np.ndarray, sigma: float) -> np.ndarray:

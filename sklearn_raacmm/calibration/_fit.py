@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ class Fit:
     ):
         self.nominal_arm, self.angles = arm, angles
         self.problem: Any = problem
-        self.loss, self.priors = loss, priors
+        self.loss, self.free, self.priors = loss, free, priors
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -142,6 +143,13 @@ class Fit:
     def correct_by(self, correction):
         """Take another correction (n, 3) of the points, mm."""
         self.problem.correction, self._evaluated = correction, None
+
+    def of(self, loss=None, free=None, **changes):
+        """A fit of the same rows that has settled, with some of the problem changed."""
+        problem, how = replace(self.problem, **changes), (loss or self.loss, free or self.free)
+        fit = Fit(self.nominal_arm, self.angles, problem, *how, self.priors)
+        fit.run(fit.is_free)
+        return fit
 
     def arm(self, tool=0):
         return unpack(self.nominal_arm, self.x, tool)

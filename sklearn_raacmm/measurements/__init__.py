@@ -4,6 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._labels import (
+    no_readings,
+    other_labels,
+    places_of,
+    renamed,
+    same_places,
+    wrong_labels,
+)
 from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_EXPLAINED,
@@ -28,6 +36,12 @@ __all__ = [
     "find_steps",
     "moved_positions",
     "moved_set_up",
+    "no_readings",
     "order_explained_by",
+    "other_labels",
+    "places_of",
+    "renamed",
+    "same_places",
     "within_turn",
+    "wrong_labels",
 ]

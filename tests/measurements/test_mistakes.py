@@ -183,6 +183,25 @@ def shifted_labels():
     return base(groups=np.roll(TEST.groups, 5))
 
 
+def exchanged(*rows):
+    groups = TEST.groups.copy()
+    groups[list(rows)] = groups[list(rows[::-1])]
+    return base(groups=groups)
+
+
+def no_readings(value, unit="rad"):
+    """Three rows hold what a logger writes where it has no reading, degrees."""
+    angles = np.rad2deg(TEST.data)
+    angles[[3, 40, 77]] = value
+    return base(angles=angles if unit == "deg" else np.deg2rad(angles), unit=unit)
+
+
+def two_names(first, second):
+    groups = np.where(TEST.groups == 0, first, np.char.add("Q", TEST.groups.astype(str)))
+    groups[:8] = second
+    return base(groups=groups)
+
+
 def of(y, kind="cones", angles=TEST.data, groups=TEST.groups, model=None, **more):
     """Data of a fit: y, or one of the residuals of an arm."""
     y = getattr(y, kind) if isinstance(y, SimpleNamespace) else y
@@ -258,7 +277,16 @@ MISTAKES = [
     ("calibrate_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
     ("calibrate_cones", "a table in metres", lambda: base(arm=table(1e-3)), "unit-of-table"),
     ("calibrate_cones", "all lengths 2 % too long", lambda: base(arm=table(1.02)), BECAUSE + "cones show no scale"),
-    ("calibrate_cones", "labels five rows late", shifted_labels, "no-such-arm"),
+    ("calibrate_cones", "labels five rows late", shifted_labels, "wrong-label"),
+    ("calibrate_cones", "two labels exchanged", lambda: exchanged(12, 52), "wrong-label"),
+    ("calibrate_cones", "one label mistyped as another", lambda: base(groups=np.r_[3, TEST.groups[1:]]), "wrong-label"),
+    ("calibrate_cones", "999 degrees in three rows", lambda: no_readings(999, "deg"), "no-reading"),
+    ("calibrate_cones", "999 degrees in three rows, in rad", lambda: no_readings(999), "no-reading"),
+    ("calibrate_cones", "-99 degrees in three rows", lambda: no_readings(-99, "deg"), "no-reading"),
+    ("calibrate_cones", "zeros in three rows", lambda: no_readings(0), "no-reading"),
+    ("calibrate_cones", "one cone as P1 and p1", lambda: two_names("P1", "p1"), "one-place"),
+    ("calibrate_cones", "one cone as P1 and 'P1 '", lambda: two_names("P1", "P1 "), "one-place"),
+    ("calibrate_cones", "one cone as A and B", lambda: two_names("A", "B"), "one-place"),
     ("calibrate_cones", "the third cone moved by 6 mm", moved_cone, "moved-position"),
     ("calibrate_cones", "a file pasted twice", twice, "copied-rows"),
     ("calibrate_cones", "a logger's stream", lambda: stream("cones"), "dwells"),
@@ -324,7 +352,9 @@ MISTAKES = [
     ("update_cones", "two rows", lambda: of(OF.cones[:2], angles=TEST.data[:2], groups=TEST.groups[:2]), "few-poses"),
     ("transfer", "the wrong sign", lambda: of(-OF.cones), "sign-of-residuals"),
     ("learn_cones", "the third cone moved by 6 mm", moved_cone, "moved-position"),
-    ("learn_cones", "labels five rows late", shifted_labels, "no-such-arm|the points scatter by"),
+    ("learn_cones", "labels five rows late", shifted_labels, "wrong-label"),
+    ("learn_cones", "two labels exchanged", lambda: exchanged(12, 52), "wrong-label"),
+    ("learn_cones", "999 degrees in three rows", lambda: no_readings(999, "deg"), "no-reading"),
     ("learn_cones", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "the points scatter by"),
     ("learn_cones", "a logger's stream", lambda: stream("cones", 5), "dwells"),
     ("learn_cones", "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
