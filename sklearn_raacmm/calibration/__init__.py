@@ -8,9 +8,9 @@ from sklearn_raacmm.calibration._checks import check_length
 from sklearn_raacmm.calibration._findings import (
     MUCH_SCATTER_MM,
     SHARE_OF_REACH,
-    are_wrong,
     typical_scatter,
 )
+from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._problem import (
     ANGLE_RAD,

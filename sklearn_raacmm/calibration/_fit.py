@@ -267,7 +267,7 @@ class Fit:
             self._evaluated = arm_x.copy(), *found
         return self._evaluated[1:]
 
-    def _data_residuals(self, x, mask) -> Any:
+    def data_residuals(self, x, mask) -> Any:
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
         points, jac = self._points_and_jacobian(x)
@@ -301,7 +301,7 @@ class Fit:
 
     def _data_rows(self, x, mask):
         """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
-        residuals, jac, centres, centres_jac = self._data_residuals(x, mask)
+        residuals, jac, centres, centres_jac = self.data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]

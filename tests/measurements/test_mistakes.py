@@ -95,7 +95,7 @@ def predict(column):
 FUNCTIONS = {
     "calibrate_cones": lambda d: calibrate(d.arm, d.angles, d.groups, lengths=d.lengths, angle_unit=d.unit, **d.more),
     "calibrate_tracker": lambda d: calibrate(d.arm, d.angles, points=d.points, angle_unit=d.unit, **d.more),
-    "learn_cones": lambda d: learn_correction(d.arm, d.angles, d.groups, model=d.model, cv=3, angle_unit=d.unit),
+    "learn_cones": lambda d: learn_correction(d.arm, d.angles, d.groups, lengths=d.lengths, model=d.model, cv=3, angle_unit=d.unit),
     "learn_tracker": lambda d: learn_correction(d.arm, d.angles, d.groups, d.points, model=d.model, cv=3),
     "cross_validate_cones": lambda d: cross_validate_correction(d.arm, d.angles, d.groups, model=d.model, cv=3),
     "fit_cones": fit,
@@ -181,6 +181,27 @@ def rough_path(seed):
 
 def shifted_labels():
     return base(groups=np.roll(TEST.groups, 5))
+
+
+PLACES = np.array([TRUE[TEST.groups == g].mean(axis=0) for g in range(9)])
+
+
+def known(*pairs, factor=1.0, plus=0.0, ends=(), arm=TEST.nominal_arm):
+    """Known lengths; `ends` are those that the last is said to have."""
+    found = [[i, j, np.linalg.norm(PLACES[i] - PLACES[j]) * factor + plus, 0.01] for i, j in pairs]
+    found[-1][:2] = ends or found[-1][:2]
+    return base(arm=arm, lengths=[tuple(one) for one in found])
+
+
+def mistyped(joint, factor):
+    d = TEST.nominal_arm.d.copy()
+    d[joint - 1] *= factor
+    return TEST.nominal_arm.replace(d=d)
+
+
+def contradicting(mm):
+    lengths = known((0, 1)).lengths
+    return base(lengths=[*lengths, (0, 1, lengths[0][2] + mm, 0.01)])
 
 
 def exchanged(*rows):
@@ -292,7 +313,20 @@ MISTAKES = [
     ("calibrate_cones", "a logger's stream", lambda: stream("cones"), "dwells"),
     ("calibrate_cones", "a label mistyped once", lambda: base(groups=np.r_[99, TEST.groups[1:]]), "lonely-position"),
     ("calibrate_cones", "twelve rows", lambda: base(angles=TEST.data[::12], groups=np.arange(12) % 3), "few-rows"),
-    ("calibrate_cones", "a length in centimetres", lambda: base(lengths=[(0, 1, 30.0, 0.01)]), "wrong-length|no-such-arm|table-off"),
+    ("calibrate_cones", "a length in centimetres", lambda: known((0, 1), factor=0.1), "unit-of-lengths"),
+    ("calibrate_cones", "a length in metres", lambda: known((0, 1), factor=1e-3), "unit-of-lengths"),
+    ("calibrate_cones", "a length in inches", lambda: known((0, 1), factor=1 / 25.4), "unit-of-lengths"),
+    ("calibrate_cones", "two lengths in inches", lambda: known((0, 1), (2, 3), factor=1 / 25.4), "unit-of-lengths"),
+    ("calibrate_cones", "a length 3 mm too long", lambda: known((0, 1), plus=3.0), "wrong-length"),
+    ("calibrate_cones", "a length 0.5 mm too long", lambda: known((0, 1), plus=0.5), BECAUSE + "cones and table know the scale no better"),
+    ("calibrate_cones", "a ball's diameter forgotten", lambda: known((0, 1), plus=-12.0), "wrong-length"),
+    ("calibrate_cones", "a ball's diameter forgotten in three bars", lambda: known((0, 1), (2, 3), (4, 5), plus=12.0), "wrong-length"),
+    ("calibrate_cones", "the ends of two bars as one", lambda: known((0, 1), ends=(0, 2)), "wrong-length"),
+    ("calibrate_cones", "the ends of two bars as one, of three", lambda: known((0, 1), (2, 3), (4, 5), ends=(4, 6)), "wrong-length"),
+    ("calibrate_cones", "two lengths of one pair", lambda: contradicting(1.0), "wrong-length"),
+    ("calibrate_cones", "606 for 600 with a length", lambda: known((0, 1), arm=mistyped(3, 1.01)), "table-off"),
+    ("calibrate_cones", "606 for 600", lambda: base(arm=mistyped(3, 1.01)), ""),
+    ("calibrate_cones", "all lengths 2 % too long, and a known length", lambda: known((0, 1), arm=table(1.02)), "wrong-length"),
     ("calibrate_cones", "a joint one turn on", lambda: base(angles=TEST.data + [0, 0, 2 * np.pi, 0, 0, 0]), ""),
     ("calibrate_tracker", "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
     ("calibrate_tracker", "points in centimetres", lambda: base(points=TRACKER / 10), "unit-of-points"),
@@ -358,6 +392,8 @@ MISTAKES = [
     ("learn_cones", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "the points scatter by"),
     ("learn_cones", "a logger's stream", lambda: stream("cones", 5), "dwells"),
     ("learn_cones", "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
+    ("learn_cones", "a length in inches", lambda: known((0, 1), factor=1 / 25.4), "unit-of-lengths"),
+    ("learn_cones", "the ends of two bars as one", lambda: known((0, 1), ends=(0, 2)), "wrong-length"),
     ("learn_tracker", "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
     ("learn_tracker", "the tracker moved by 5 mm", lambda: moved_tracker(5), "moved-station"),
     ("learn_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
