@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.measurements import UNITS
 from sklearn_raacmm.utils import Finding
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
@@ -23,7 +24,6 @@ _CHANGE, _SDS = 0.01, 4.0
 _BENDS = 2.0
 # Nats within which two explanations are told apart by nothing that was measured. A choice.
 _EQUAL = 7.0
-UNITS = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1e-3: "micrometres"}
 # What all lengths of a table may be off by, as a part, and a constant that may be missing, mm.
 _TABLE, _CONSTANT_MM = 0.03, 100.0
 

@@ -20,13 +20,17 @@ from sklearn_raacmm.measurements._order import (
     drift_of,
     order_explained_by,
 )
+from sklearn_raacmm.measurements._own_points import UNITS, WORDS, changed_joints, of_own_points
 from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import check_targets
 
 __all__ = [
     "MOST_EXPLAINED",
+    "UNITS",
+    "WORDS",
     "Dwells",
     "base_motions",
+    "changed_joints",
     "check_targets",
     "coarse_angles",
     "directions_of",
@@ -37,6 +41,7 @@ __all__ = [
     "moved_positions",
     "moved_set_up",
     "no_readings",
+    "of_own_points",
     "order_explained_by",
     "other_labels",
     "places_of",
