@@ -69,21 +69,13 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         )
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = typical_scatter(result)
-    positions = None if result.groups is None else encode_groups(result.groups)[0]
-    labels = list(_labels(fit, result, poses, scatter, positions))
-    yield from labels
-    if any(finding.weight == "repair" for finding in labels):
-        return  # of a fit with such labels all else means nothing
-    arm = fit.nominal_arm
-    no_arm = list(_no_such_arm(arm, result.scatter_before_mm, scatter))
-    disagree = []
-    if lengths:  # what cones and table say alone, unless these make no sense either
-        cones = fit.of(lengths=[])
-        if not [*_no_such_arm(arm, result.scatter_before_mm, cones.distances().mean())]:
-            disagree = [*wrong_lengths(fit, cones, positions)]
-    yield from disagree
-    if any(finding.weight == "repair" for finding in disagree):
-        return
+    labels = None if result.groups is None else encode_groups(result.groups)[0]
+    for part in (_labels(fit, result, poses, scatter, labels), _lengths(fit, result, labels)):
+        found = list(part)
+        yield from found
+        if any(finding.weight == "repair" for finding in found):
+            return  # of a fit with such labels or lengths all else means nothing
+    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, scatter))
     yield from no_arm
     if not no_arm:
         n = len(fit.names)
@@ -121,6 +113,15 @@ def _labels(fit, result, poses, scatter, labels):
     yield from wrong_labels(problem.index, right, labels, numbers, many)
     yield from no_readings(fit.angles, far, numbers)
     yield from same_places(problem.sums(points, fit.weights), labels, fit.sigma)
+
+
+def _lengths(fit, result, labels):
+    """Known lengths that disagree, unless cones and table make no sense without them either."""
+    if fit.problem.lengths:
+        cones = fit.of(lengths=[])
+        before, alone = result.scatter_before_mm, cones.distances().mean()
+        if not [*_no_such_arm(fit.nominal_arm, before, alone)]:
+            yield from wrong_lengths(fit, cones, labels)
 
 
 def _right_labels(fit):

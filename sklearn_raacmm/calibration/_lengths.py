@@ -44,10 +44,13 @@ def wrong_lengths(fit, bare, labels):
     `bare` is the fit without them; `labels` name the positions.
     """
     lengths = fit.problem.lengths
-    change = (fit.scale @ fit.x[: len(fit.scale)]) / (bare.scale @ bare.x[: len(bare.scale)]) - 1
+    scales = [one.scale @ one.x[: len(one.scale)] for one in (fit, bare)]
+    change = scales[0] / scales[1] - 1 if scales[1] > 0 else 0.0
     sd, found, covariance, places = _as_cones_say(bare, lengths)
+    code, causes = "", []
     if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
         code, causes = _causes(lengths, found, covariance, places, reach_mm(bare.arm()), labels)
+    if code:
         which = "; another known length tells which is right" * (len(causes) > 1)
         size = f"{100 * abs(change):.3g} % {'larger' if change > 0 else 'smaller'}"
         yield Finding(
@@ -91,7 +94,7 @@ def _as_cones_say(bare, lengths):
     _, _, places, columns = bare.data_residuals(bare.x, mask)
     one, other = np.array([entry[:2] for entry in lengths]).T
     gap = places[one] - places[other]
-    found = np.linalg.norm(gap, axis=1)
+    found = np.maximum(np.linalg.norm(gap, axis=1), 1e-12)
     slope = np.einsum("kc,kcp->kp", gap / found[:, None], columns[one] - columns[other])
     # What the table does not explain is much the same in all poses of one position.
     noise = 2 * bare.sigma**2 * np.eye(len(found))
@@ -99,7 +102,10 @@ def _as_cones_say(bare, lengths):
 
 
 def _causes(lengths, found, covariance, places, reach, labels):
-    """Code of the likeliest cause of such lengths, and in words all that are as likely."""
+    """Code of the likeliest cause of such lengths, and in words all that are as likely.
+
+    No code where that they are right is likelier.
+    """
     given, sd = (np.array([entry[i] for entry in lengths], dtype=float) for i in (2, 3))
     n, explained = len(given), []
 
@@ -128,6 +134,7 @@ def _causes(lengths, found, covariance, places, reach, labels):
     best, said = max(explained)
     equal = sorted((one for one in explained if one[0] > best - _EQUAL), reverse=True)
     code = "unit-of-lengths" if said.startswith("lengths may be in") else "wrong-length"
+    code = code if best > log_likelihood(left) else ""
     return code, [words for _, words in equal]
 
 
