@@ -89,7 +89,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     data = _Rows(linear, poses, used)
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
-    tried = [one for one in _explanations(data) if not as_given or one.code == "another-arm"]
+    tried = list(_explanations(data, as_given))
     gains = np.array([data.gain(one) - np.log(one.n_tried) for one in tried])
     best, gain = tried[int(gains.argmax())], gains.max()
     if gain < _PRICE:
@@ -204,19 +204,21 @@ class _Spread:
         return float(np.max(value - 0.5 * np.square(log_tau))) + self.log_volume
 
 
-def _explanations(data):
-    """Yield what may be wrong with residuals."""
+def _explanations(data, as_given):
+    """Yield what may be wrong with residuals; if they are as given, the arm is another one."""
     y, expected, angles = data.y, data.expected, data.angles
     every = np.arange(len(y))
 
     def of(code, what, left, rows=every, **more):
         return Explanation(code, what, left, rows, **more)
 
+    yield of("another-arm", "", y, taus=_ANOTHER)
+    if as_given:
+        return
     yield of("sign-of-residuals", "", -y - expected)
     # What is left of corrected residuals is the noise that is known.
     few = {"taus": _TAUS[_ANOTHER[0] > _TAUS], "noise_log_sd": _KNOWN_LOG_SD}
     yield of("corrected-already", "", y, **few)
-    yield of("another-arm", "", y, taus=_ANOTHER)
     if data.linear.n_positions >= LEAST_POSITIONS:  # from fewer no table is known elsewhere
         yield of("other-table", "", data.given, table=_ANOTHER_TABLE)
     # What is left of residuals of other rows is as large as what the model expects of these.
