@@ -253,7 +253,7 @@ def _axes(of, y, expected):
 
 def _late(of, y, expected, data):
     """From some row on, residuals are of the row before or after."""
-    for step, word in ((1, "after"), (-1, "before")):
+    for step, word in ((1, "before"), (-1, "after")):
         rows = np.arange(max(-step, 0), len(y) - max(step, 0))
         if data.codes is not None:
             rows = rows[data.codes[rows + step] == data.codes[rows]]
