@@ -4,6 +4,7 @@ Simulated arms, ten cones of 25 poses, calibrated from descriptions that are mor
 
     python benchmarks/bench_lengths.py scale        # error of the scale, also over `scale_sd`
     python benchmarks/bench_lengths.py lengths      # what a known length buys
+    python benchmarks/bench_lengths.py mistakes     # how often true and false lengths are named
     python benchmarks/bench_lengths.py intervals    # coverage of the intervals of a mean 2S
 """
 
@@ -120,6 +121,31 @@ def lengths(n_arms):
         print(f"{name:<30}{rms(found):12.0f}{max(found):12.0f}", flush=True)
 
 
+def mistakes(n_arms):
+    """Findings on lengths: of true ones beside every table, of false ones beside the drawing."""
+    false = {
+        "a bar, true": ([500], 1, lambda mm: mm),
+        "three bars, true": ([500], 3, lambda mm: mm),
+        "a bar, 1 mm longer": ([500], 1, lambda mm: mm + 1),
+        "a bar, 3 mm longer": ([500], 1, lambda mm: mm + 3),
+        "a ball of 12 mm": ([300, 500], 1, lambda mm: mm + 12),
+        "a bar in inches": ([500], 1, lambda mm: mm / 25.4),
+    }
+    found = {}
+    for seed in range(n_arms):
+        for what, (sizes, places, change) in false.items():
+            test, angles, labels, known = with_bars(seed, sizes, places)
+            known = [(a, b, change(mm), sd) for a, b, mm, sd in known]
+            tables = descriptions(test, seed) if what.endswith("true") else {}
+            for name, arm in (tables | {"the drawing": test.nominal_arm}).items():
+                result = calibrate(arm, angles, labels, lengths=known)
+                said = [f.code for f in result.findings if "length" in f.code]
+                found.setdefault((what, name), []).append(" ".join(said) or "nothing")
+    for (what, name), said in found.items():
+        counts = ", ".join(f"{code} {said.count(code)}" for code in sorted({*said}))
+        print(f"{what:<20}{name:<34}{counts}", flush=True)
+
+
 def intervals(n_arms):
     """How often the interval of a mean 2S holds the mean of 300 other positions."""
     rng = np.random.default_rng(0)
@@ -143,7 +169,7 @@ def rms(values):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["scale", "lengths", "intervals"])
+    parser.add_argument("what", choices=["scale", "lengths", "mistakes", "intervals"])
     parser.add_argument("--arms", type=int, default=10)
     options = parser.parse_args()
     warnings.simplefilter("ignore", UserWarning)

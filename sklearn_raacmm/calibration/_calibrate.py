@@ -134,9 +134,10 @@ def calibrate(
     Warns
     -----
     FindingWarning
-        Of what is found in the data, such as too few rows for the free parameters, a known length
-        that disagrees, poses that are too much alike, a set-up that has moved, a correction that
-        does harm, a table that is far off, or a fit that makes no sense; see ``result.findings``.
+        Of what is found in the data, such as too few rows for the free parameters, labels that do
+        not fit where the probe was, a known length that disagrees, poses that are too much alike, a
+        set-up that has moved, a correction that does harm, a table that is far off, or a fit that
+        makes no sense; see ``result.findings``.
 
     Notes
     -----

@@ -10,7 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM, reach_mm
 from sklearn_raacmm.calibration._problem import Problem
-from sklearn_raacmm.measurements import coarse_angles, find_poses
+from sklearn_raacmm.measurements import UNITS, coarse_angles, find_poses
 from sklearn_raacmm.utils import (
     Finding,
     encode_groups,
@@ -22,7 +22,6 @@ from sklearn_raacmm.utils import (
 _LEAST_SD_MM = 1e-9
 # Spread of measured points over that of the arm's: beyond, one of them is in another unit.
 _SPREAD = 1.5
-_UNITS = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1e-3: "micrometres"}
 # Measuring arms reach from half a metre on, robots are not much smaller.
 _LEAST_REACH_MM = 200.0
 # Labels that a message lists.
@@ -156,12 +155,12 @@ def wrong_units(arm, angles, problem):
         shown = arm.forward(angles)
         sizes = [np.sqrt(np.square(p - p.mean(axis=0)).sum(axis=1).mean()) for p in (shown, points)]
         ratio = sizes[0] / max(sizes[1], 1e-300)
-        unit = min(_UNITS, key=lambda u: abs(np.log(ratio / u)))
+        unit = min(UNITS, key=lambda u: abs(np.log(ratio / u)))
         if abs(np.log(ratio / unit)) < np.log(_SPREAD):
             yield Finding(
                 "unit-of-points",
                 f"The measured points spread over {sizes[1]:.4g}, the arm's over {sizes[0]:.4g} "
-                f"mm: they are most likely in {_UNITS[unit]}.",
+                f"mm: they are most likely in {UNITS[unit]}.",
                 "Give millimetres.",
                 "refuse",
             )

@@ -3,20 +3,28 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
-from sklearn_raacmm.calibration._problem import points_and_jacobian
-from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.measurements import base_motions, moved_positions, moved_set_up
-from sklearn_raacmm.utils import Finding, row_numbers
+from sklearn_raacmm.calibration._lengths import wrong_lengths
+from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
+from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
+from sklearn_raacmm.measurements import (
+    base_motions,
+    moved_positions,
+    moved_set_up,
+    no_readings,
+    other_labels,
+    places_of,
+    renamed,
+    same_places,
+    wrong_labels,
+)
+from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
-# Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
-_LENGTH_OUTLIER = 5.0
+# Standard deviations by which a parameter is off the table: once in 1.7 million by chance.
+_SDS_OFF = 5.0
 # Standard errors by which a correction has to enlarge the scatter: of corrections that change
 # nothing on the average one in forty does by chance.
 _HARM = 2.0
@@ -35,11 +43,17 @@ _MEANING = {
 # Departures from the table that are worth a word, mm and rad: more than a tape and a protractor get
 # wrong; and the same in standard deviations of a prior that was given.
 _FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
+# A length that was typed wrong is off by up to this, mm, and has to be likelier by so many nats; a
+# parameter is seen where its standard deviation is less than this part of the prior's.
+_TYPED_MM, _PRICE, _SEEN = 100.0, 11.0, 0.5
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
 # leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
 _TRIED, _OPEN = 100, 0.1
 # Points that scatter by more than a part of that promise nothing.
 _FAR = 5.0
+# Limits of outliers, in standard deviations of a coordinate, where no tail is longer than a normal
+# one's: of 100 rows 4.3, of 1000 4.9.
+_LIMIT_SDS = 4.5
 # Share of rows far off that slips do not come to. A choice.
 _MOST_OUTLIERS = 0.1
 
@@ -53,20 +67,21 @@ def findings_of_fit(fit, result, bare, lengths, poses):
             f"{result.scatter_after_mm:.4g} mm.",
             size_mm=result.scatter_after_mm,
         )
-    yield from wrong_lengths(lengths, fit.length_errors(), fit.sigma)
     yield from _few_rows(fit.problem, result.rank, result.n_free)
-    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, result.scatter_after_mm))
+    scatter = typical_scatter(result)
+    labels = None if result.groups is None else encode_groups(result.groups)[0]
+    for part in (_labels(fit, result, poses, scatter, labels), _lengths(fit, result, labels)):
+        found = list(part)
+        yield from found
+        if any(finding.weight == "repair" for finding in found):
+            return  # of a fit with such labels or lengths all else means nothing
+    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, scatter))
     yield from no_arm
     if not no_arm:
-        n, scatter = len(fit.names), result.scatter_after_mm
-        sd = result.standard_deviations[:n]
-        length, angle, _ = fit.priors
-        limits = {"probe_mm": np.inf}
-        limits["angle_rad"] = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
-        far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
-        far = np.array([limits.get(KINDS[i], far_mm) for i in fit.kind])
-        far[~fit.is_free] = np.inf
-        yield from wrong_table(fit.names, fit.nominal, fit.x[:n], sd, far, lengths, scatter)
+        n = len(fit.names)
+        values, sd = fit.x[:n], result.standard_deviations[:n]
+        far = _far(fit, sd)
+        yield from wrong_table(fit.names, fit.nominal, values, sd, far, lengths, scatter)
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
@@ -77,29 +92,55 @@ def findings_of_fit(fit, result, bare, lengths, poses):
     yield from _poses_alike(fit)
 
 
-def are_wrong(lengths: Sequence[Sequence[Any]], errors: np.ndarray, sigma: float) -> np.ndarray:
-    """Which known lengths disagree with the rest of the data, (n_lengths,) of bool."""
-    sd = np.array([float(entry[3]) for entry in lengths])
-    return np.abs(errors) > _LENGTH_OUTLIER * np.maximum(sd, sigma)
+def typical_scatter(result: CalibrationResult) -> float:
+    """Mean distance from where rows belong, without the outliers, mm."""
+    distance = np.linalg.norm(result.residuals_mm, axis=1)
+    return float(np.delete(distance, list(result.outliers)).mean())
 
 
-def wrong_lengths(lengths, errors, sigma):
-    """The finding that known lengths disagree with the rest of the data."""
-    wrong = [
-        f"{first} to {second} is {float(length) + error:.6g} mm, given as {float(length):g} +- "
-        f"{float(sd):g} mm"
-        for (first, second, length, sd), error, is_wrong in zip(
-            lengths, errors, are_wrong(lengths, errors, sigma), strict=True
-        )
-        if is_wrong
-    ]
-    if wrong:
-        text = (
-            f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
-            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}."
-        )
-        size = max(abs(error) for error in errors)
-        yield Finding("wrong-length", text, size_mm=size)
+def _labels(fit, result, poses, scatter, labels):
+    """Labels that do not fit where the probe was, and one place under two."""
+    problem, numbers = fit.problem, poses.first
+    if problem.points is not None:
+        return
+    points = fit.points()
+    far = np.isin(np.arange(len(numbers)), result.outliers)
+    right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
+    many = right is not None
+    if right is None:
+        limit = result.outlier_limit_mm / _LIMIT_SDS
+        right = other_labels(points, problem.index, far, limit)
+    yield from wrong_labels(problem.index, right, labels, numbers, many)
+    yield from no_readings(fit.angles, far, numbers)
+    yield from same_places(problem.sums(points, fit.weights), labels, fit.sigma)
+
+
+def _lengths(fit, result, labels):
+    """Known lengths that disagree, unless cones and table make no sense without them either."""
+    if fit.problem.lengths:
+        cones = fit.of(lengths=[])
+        before, alone = result.scatter_before_mm, cones.distances().mean()
+        if not [*_no_such_arm(fit.nominal_arm, before, alone)]:
+            yield from wrong_lengths(fit, cones, labels)
+
+
+def _right_labels(fit):
+    """Labels by the places of the nominal arm's points, then twice of the calibrated ones.
+
+    None where rows scatter by no less with them, or most have another one.
+    """
+    index, sigma = fit.problem.index, fit.sigma
+    # The probe may not be known: as most of the labels have it.
+    codes = places_of(fit.of(free=["probe"], loss="cauchy").points())
+    for _ in range(2):
+        if codes is None or 2 * np.sum(renamed(codes, index) != index) > len(index):
+            return None
+        fit = fit.of(index=codes, lengths=[])
+        codes = places_of(fit.points())
+    right = renamed(codes, index)
+    n_wrong = np.sum(right != index)
+    gain = 3 * len(index) * np.log(sigma / fit.sigma) - n_wrong * np.log(index.max() + 1.0)
+    return right if n_wrong < len(index) / 2 and gain > 0 else None
 
 
 def _few_rows(problem, rank, n_free):
@@ -139,6 +180,30 @@ def _no_such_arm(arm, before, after):
         )
 
 
+def _far(fit, sd):
+    r"""Departures from the table (n_parameters,) that are worth a word, mm and rad.
+
+    A length that was typed wrong is anywhere within 100 mm. Of one that was not, the n other
+    lengths that the data show and a guess say the variance :math:`\tau^2`: it has Student's t of n
+    + 1 degrees of freedom, whose tail is below that of the typing error by so many nats.
+    """
+    length, angle, _ = fit.priors
+    limits = {"probe_mm": np.inf}
+    limits["angle_rad"] = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
+    far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
+    far = np.array([limits.get(KINDS[i], far_mm) for i in fit.kind])
+    of_lengths = [KINDS.index(kind) for kind in ("length_mm", "short_length_mm")]
+    seen = np.flatnonzero(np.isin(fit.kind, of_lengths) & fit.is_free & (sd < _SEEN * fit.prior_sd))
+    if length == "auto" and len(seen) > 1:
+        square = np.square(fit.x[seen] - fit.nominal[seen])
+        n = len(seen)
+        size = np.sqrt((LONG_MM[0] ** 2 + square.sum() - square) / n)
+        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * _PRICE / (n + 1))
+        far[seen] = np.minimum(far[seen], size * np.sqrt(n * (wider - 1)))
+    far[~fit.is_free] = np.inf
+    return far
+
+
 def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
     """A table that the data contradict: an offset forgotten, a link mistyped.
 
@@ -147,7 +212,7 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
     """
     departure = np.abs(values - nominal)
     # Parameters that only others determine wander: an offset along the last axis and the probe.
-    is_wrong = (departure > far) & ~(departure < _LENGTH_OUTLIER * sd)
+    is_wrong = (departure > far) & ~(departure < _SDS_OFF * sd)
     wrong = [i for i in np.argsort(-departure / far) if is_wrong[i]]
     if not wrong:
         return

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ class Fit:
     ):
         self.nominal_arm, self.angles = arm, angles
         self.problem: Any = problem
-        self.loss, self.priors = loss, priors
+        self.loss, self.free, self.priors = loss, free, priors
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -142,6 +143,13 @@ class Fit:
     def correct_by(self, correction):
         """Take another correction (n, 3) of the points, mm."""
         self.problem.correction, self._evaluated = correction, None
+
+    def of(self, loss=None, free=None, **changes):
+        """A fit of the same rows that has settled, with some of the problem changed."""
+        problem, how = replace(self.problem, **changes), (loss or self.loss, free or self.free)
+        fit = Fit(self.nominal_arm, self.angles, problem, *how, self.priors)
+        fit.run(fit.is_free)
+        return fit
 
     def arm(self, tool=0):
         return unpack(self.nominal_arm, self.x, tool)
@@ -259,7 +267,7 @@ class Fit:
             self._evaluated = arm_x.copy(), *found
         return self._evaluated[1:]
 
-    def _data_residuals(self, x, mask) -> Any:
+    def data_residuals(self, x, mask) -> Any:
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
         problem, n = self.problem, len(self.nominal)
         points, jac = self._points_and_jacobian(x)
@@ -293,7 +301,7 @@ class Fit:
 
     def _data_rows(self, x, mask):
         """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
-        residuals, jac, centres, centres_jac = self._data_residuals(x, mask)
+        residuals, jac, centres, centres_jac = self.data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]

@@ -5,7 +5,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations, permutations, product
+from itertools import permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,12 +16,15 @@ from sklearn_raacmm.correction._change import LEAST_NOISE_MM, prior_of, with_low
 from sklearn_raacmm.correction._new_poses import place_columns
 from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.inference import Whitened
+from sklearn_raacmm.measurements import UNITS, WORDS, changed_joints, of_own_points
 from sklearn_raacmm.utils import Finding, align, row_numbers
 
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
 # many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
 # that nothing is wrong with.
 _PRICE = 11.0
+# Nats within which nothing tells two explanations apart: both are named. A choice.
+_EQUAL = 7.0
 # Rows that are looked at, evenly from all, and how many there have to be: for speed.
 _ROWS, _LEAST_ROWS = 120, 12
 # Rows of which the model knows so little that less than this share of it is used say nothing.
@@ -37,41 +40,12 @@ _ANOTHER = np.geomspace(0.5, 3.0, 6)
 _ANOTHER_TABLE, _CALIBRATED = 1.0, 0.1
 # Residuals farther off than so many medians count as though they lay there.
 _FAR = 3.0
-_UNITS = {25.4: "inches", 10.0: "centimetres", 1000.0: "metres", 1e-3: "micrometres"}
-_FILES = "Are angles and points from two files, of which one has a row more, or another order?"
-_WORDS = {
-    "sign-of-residuals": (
-        "their sign is wrong, or they were corrected twice",
-        "Give measured minus reference.",
-    ),
-    "corrected-already": (
-        "they have been corrected already",
-        "Give what the arm shows without the correction: result.residuals(angles, points), not "
-        "result.residuals_mm.",
-    ),
-    "unit-of-residuals": ("they are in {}", "Give millimetres."),
-    "axes-of-residuals": (
-        "their axes are others: {}",
-        "Give residuals in the arm's base frame, x, y and z in this order.",
-    ),
-    "rows-shifted": ("they are of the row {}", _FILES),
-    "rows-unrelated": ("they do not belong to the angles of their rows", _FILES),
-    "joints": ("of the angles, {}", "Look at the order and the sense of the joints."),
-    "other-table": (
-        "they are of another table of this arm, such as the nominal one",
-        "Take the arm that the model was fitted with, model.arm_.",
-    ),
-    "another-arm": (
-        "they are of another arm",
-        "Are they of this arm, and of the table that the model was fitted with?",
-    ),
-}
 
 
 class Explanation(NamedTuple):
     """What may be wrong with residuals, and what is then left of them beside the model."""
 
-    code: str  # of `_WORDS`
+    code: str  # of `WORDS`
     what: str  # fills the gap in the words
     left: np.ndarray  # (n, 3) mm
     rows: np.ndarray  # (n,) of the angles that it is left at
@@ -94,27 +68,41 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     likelihood is the highest over s and tau times their log-normal priors: s is found in each, as
     noise that is known would prefer whatever makes residuals small. Of every explanation the
     difference to the same rows as they are given is a gain in nats; the best is said where it
-    exceeds its price.
+    exceeds its price, beside those that are nearly as likely. Deviations of cones that are those of
+    the arm's own points are of these rows and this table: the arm alone can be another one.
     """
-    doubt = model.linear_model_.predict_with_doubt(poses.angles)[2]
+    linear, n_joints = with_low_orders(model.linear_model_), model.linear_model_.arm.n_joints
+    of_rows, _, doubt = model.linear_model_.predict_with_doubt(poses.angles)
+    as_given = False
+    if poses.codes is not None:
+        rows = np.flatnonzero(poses.weights > 0)
+        own = poses.residuals[rows], poses.codes[rows], linear.arm, poses.angles[rows, :n_joints]
+        expected = model.fading_.share(doubt)[rows, None] * of_rows[rows]
+        as_given, found = of_own_points(*own, rows, expected=expected)
+        if found:
+            yield from found
+            return
     known = replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE
     used = np.flatnonzero((poses.weights > 0) & known)
     if len(used) < _LEAST_ROWS:
         return
-    linear = with_low_orders(model.linear_model_)
     data = _Rows(linear, poses, used)
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
-    found = [(data.gain(one) - np.log(one.n_tried), one) for one in _explanations(data)]
-    gain, best = max(found, key=lambda entry: entry[0])
+    tried = list(_explanations(data, as_given))
+    gains = np.array([data.gain(one) - np.log(one.n_tried) for one in tried])
+    best, gain = tried[int(gains.argmax())], gains.max()
     if gain < _PRICE:
         return
-    what, advice = _WORDS[best.code]
+    said, advice = WORDS[best.code]
     before, after = (_rms(left) for left in (data.given[best.rows], best.left))
+    near = {one.code: one for one, of in zip(tried, gains, strict=True) if of > gain - _EQUAL}
+    others = [WORDS[code][0].format(one.what) for code, one in near.items() if code != best.code]
     yield Finding(
         best.code,
         f"The new residuals leave {before:.3g} mm about the model, and {after:.3g} mm if "
-        f"{what.format(best.what)} (likelier by {gain:.0f} nats).",
+        f"{said.format(best.what)} (likelier by {gain:.0f} nats)"
+        f"{', or if '.join(['', *others])}.",
         advice,
         "repair",
         rows=row_numbers(used[[best.first]]) if best.first else (),
@@ -216,30 +204,32 @@ class _Spread:
         return float(np.max(value - 0.5 * np.square(log_tau))) + self.log_volume
 
 
-def _explanations(data):
-    """Yield what may be wrong with residuals."""
+def _explanations(data, as_given):
+    """Yield what may be wrong with residuals; if they are as given, the arm is another one."""
     y, expected, angles = data.y, data.expected, data.angles
     every = np.arange(len(y))
 
     def of(code, what, left, rows=every, **more):
         return Explanation(code, what, left, rows, **more)
 
+    yield of("another-arm", "", y, taus=_ANOTHER)
+    if as_given:
+        return
     yield of("sign-of-residuals", "", -y - expected)
     # What is left of corrected residuals is the noise that is known.
     few = {"taus": _TAUS[_ANOTHER[0] > _TAUS], "noise_log_sd": _KNOWN_LOG_SD}
     yield of("corrected-already", "", y, **few)
-    yield of("another-arm", "", y, taus=_ANOTHER)
     if data.linear.n_positions >= LEAST_POSITIONS:  # from fewer no table is known elsewhere
         yield of("other-table", "", data.given, table=_ANOTHER_TABLE)
     # What is left of residuals of other rows is as large as what the model expects of these.
     none = {"taus": _TAUS[:1], "noise_log_sd": _KNOWN_LOG_SD, "noise_like": expected}
     yield of("rows-unrelated", "", y, **none)
-    for factor, unit in _UNITS.items():
-        size = {"n_tried": len(_UNITS), "log_scale": np.log(factor), "noise_log_sd": _KNOWN_LOG_SD}
+    for factor, unit in UNITS.items():
+        size = {"n_tried": len(UNITS), "log_scale": np.log(factor), "noise_log_sd": _KNOWN_LOG_SD}
         yield of("unit-of-residuals", unit, factor * y - expected, **size)
     yield from _axes(of, y, expected)
     yield from _late(of, y, expected, data)
-    for words, changed in _joints(angles, data.linear.arm.n_joints):
+    for words, changed in changed_joints(angles, data.linear.arm.n_joints):
         left = y - data.linear.predict(changed)[0]
         yield of("joints", words, left, n_tried=20)
 
@@ -263,7 +253,7 @@ def _axes(of, y, expected):
 
 def _late(of, y, expected, data):
     """From some row on, residuals are of the row before or after."""
-    for step, word in ((1, "after"), (-1, "before")):
+    for step, word in ((1, "before"), (-1, "after")):
         rows = np.arange(max(-step, 0), len(y) - max(step, 0))
         if data.codes is not None:
             rows = rows[data.codes[rows + step] == data.codes[rows]]
@@ -283,18 +273,6 @@ def _late(of, y, expected, data):
         left, alone = (np.where(before, *part) for part in parts)
         more = {"n_tried": tried, "first": int(rows[first] * (first > 0)), "alone": alone}
         yield of("rows-shifted", what, left, rows, **more)
-
-
-def _joints(angles, n):
-    """Yield what was done to the angles, and how they were before."""
-    for i, j in combinations(range(n), 2):
-        order = np.arange(angles.shape[1])
-        order[[i, j]] = j, i
-        yield f"joints {i + 1} and {j + 1} are exchanged", angles[:, order]
-    for i in range(n):
-        signs = np.ones(angles.shape[1])
-        signs[i] = -1
-        yield f"joint {i + 1} is reversed", angles * signs
 
 
 def _tamed(left, codes):

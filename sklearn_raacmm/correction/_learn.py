@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
-from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
+from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, typical_scatter
 from sklearn_raacmm.correction._causes import say_make, usual_values, with_kept_causes
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data
@@ -22,6 +22,7 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
 from sklearn_raacmm.utils import (
     Finding,
+    FindingError,
     call_collecting,
     encode_groups,
     param_checks,
@@ -166,7 +167,7 @@ def learn_correction(
             arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
         )
         calibration = _calibrated(data, angles, angle_unit)
-        data = with_kept_causes(data.without_wrong(calibration), calibration)
+        data = with_kept_causes(data.seen_by(calibration), calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
@@ -273,9 +274,12 @@ def _say_what_moved(data, calibration, model, noise, rows):
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
     calibration = data.calibrate()
-    reach, scatter = reach_mm(calibration.arm), calibration.scatter_after_mm
+    reach, scatter = reach_mm(calibration.arm), typical_scatter(calibration)
     if scatter <= MUCH_SCATTER_MM:
         return calibration
+    for finding in calibration.findings:
+        if finding.code == "wrong-label" and finding.weight == "repair":
+            raise FindingError(finding)
     positions = data.positions if data.points is None else None
     angles = np.asarray(angles)[data.rows]
     change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)

@@ -74,15 +74,18 @@ class Data:
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
         self.positions, self.tools = labels[codes][self.rows], _at(self.rows, tools)
         self.causes, self.values = causes, values[self.rows]
+        self.one_place = []  # positions that are one, as tuples
 
-    def without_wrong(self, calibration):
-        """The same without the known lengths that the calibration of all rows found to be wrong."""
-        if not self.lengths or self.points is not None:
-            return self
-        wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
-        lengths = [entry for entry, out in zip(self.lengths, wrong, strict=True) if not out]
+    def seen_by(self, calibration):
+        """The same without lengths that a calibration of all rows found to be wrong.
+
+        And with the positions that it found to be one place.
+        """
         right = copy(self)
-        right.lengths = lengths
+        right.one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
+        if self.lengths and self.points is None:
+            wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
+            right.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         return right
 
     @property
@@ -99,16 +102,18 @@ class Data:
         return rows[~alone], rows[alone]
 
     def blocks(self):
-        """Block of each row: positions joined by known lengths stand side by side, and are one."""
+        """Block of each row: positions at one place, or joined by known lengths, are one."""
         labels, codes = np.unique(self.positions, return_inverse=True)
-        if not self.lengths:
-            return codes
-        place = {label: i for i, label in enumerate(labels.tolist())}
-        ends = np.array([[place[a], place[b]] for a, b, *_ in self.lengths]).T
-        graph = coo_array((np.ones(ends.shape[1]), ends), shape=(len(labels), len(labels)))
-        n_blocks, block_of = connected_components(graph, directed=False)
-        # Otherwise a plate whose distances are all known: position by position.
-        return block_of[codes] if n_blocks >= 3 else codes
+        number = {label: i for i, label in enumerate(labels.tolist())}
+        pairs = [(place[0], other) for place in self.one_place for other in place]
+        # Of a plate whose distances are all known: position by position.
+        for joined in ([*pairs, *(entry[:2] for entry in self.lengths)], pairs):
+            ends = np.array([[number[a], number[b]] for a, b in joined], dtype=int).reshape(-1, 2).T
+            graph = coo_array((np.ones(ends.shape[1]), ends), shape=(len(labels), len(labels)))
+            n_blocks, block_of = connected_components(graph, directed=False)
+            if n_blocks >= 3:
+                break
+        return block_of[codes]
 
     def lengths_among(self, rows):
         """Known lengths whose two ends are among these rows' positions."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_arm, dh_theta, frame_columns
-from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.calibration import calibrate, typical_scatter
 from sklearn_raacmm.utils import align, centred, encode_groups, ignored_findings
 
 # Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
@@ -34,7 +34,7 @@ class TableChange:
     change : str
         What was changed, such as ``"joint 4 reversed"``.
     scatter_mm : float
-        Mean scatter after calibration with the change.
+        Mean scatter after calibration with the change, without outliers.
     scatter_given_mm : float
         The same without.
     arm : Arm
@@ -171,7 +171,7 @@ def _scatter(arm, angles, positions, points, unit):
     """Mean scatter after calibration, mm."""
     where = {"groups": positions} if points is None else {"points": points}
     with ignored_findings():  # of the wrong tables, nearly all have something to be said
-        return calibrate(arm, angles, angle_unit=unit, **where).scatter_after_mm
+        return typical_scatter(calibrate(arm, angles, angle_unit=unit, **where))
 
 
 def _some_rows(angles, positions):

@@ -68,7 +68,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         and estimator.offsets == "auto"
         and are_deviations(y, positions, weights)
     )
-    given = y, weights, arm, X[:, : arm.n_joints], positions, deviations
+    given = y, weights, arm, X[:, : arm.n_joints], positions, deviations, probes
     report_findings(check_targets(*given))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     X = X if probes is None else np.hstack([X, probes])

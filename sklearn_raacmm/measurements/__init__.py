@@ -4,6 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._labels import (
+    no_readings,
+    other_labels,
+    places_of,
+    renamed,
+    same_places,
+    wrong_labels,
+)
 from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_EXPLAINED,
@@ -12,13 +20,17 @@ from sklearn_raacmm.measurements._order import (
     drift_of,
     order_explained_by,
 )
+from sklearn_raacmm.measurements._own_points import UNITS, WORDS, changed_joints, of_own_points
 from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import check_targets
 
 __all__ = [
     "MOST_EXPLAINED",
+    "UNITS",
+    "WORDS",
     "Dwells",
     "base_motions",
+    "changed_joints",
     "check_targets",
     "coarse_angles",
     "directions_of",
@@ -28,6 +40,13 @@ __all__ = [
     "find_steps",
     "moved_positions",
     "moved_set_up",
+    "no_readings",
+    "of_own_points",
     "order_explained_by",
+    "other_labels",
+    "places_of",
+    "renamed",
+    "same_places",
     "within_turn",
+    "wrong_labels",
 ]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
+from sklearn_raacmm.measurements._own_points import of_own_points
 from sklearn_raacmm.measurements._set_ups import base_motions
 from sklearn_raacmm.utils import Finding, align, centred
 
@@ -21,16 +22,12 @@ _SHARE_OF_REACH, _LARGEST_MM = 0.05, 100.0
 # they are larger than this share of the reach (or so many mm).
 _LEFT, _STRIKING_SHARE, _STRIKING_MM = 0.1, 1e-3, 1.0
 # With fewer rows, a motion (six numbers) explains anything; so do factors and tables.
-_LEAST_ROWS, _ROWS_OF_FACTORS, _COORDINATES_OF_TABLES = 4, 10, 3
-# What may be left, as a share, where targets are a factor times the deviations of the arm's points,
-# and how far the factor may be from 1. Positions that deviate by more of the reach had no cone.
-_LEFT_OF_FACTOR, _FACTOR, _ONE_CONE = 0.05, 0.05, 0.01
+_LEAST_ROWS, _COORDINATES_OF_TABLES = 4, 3
 # A table explains what is left by less than this share, and is larger than this, mm.
 _LEFT_OF_TABLE, _LARGE_MM = 0.3, 0.5
 _WIDE = 0.1  # spread of the points, as a share of the reach
 # What a table and a probe are off by as a rule.
 _TABLE_MM, _TABLE_RAD, _PROBE_MM = 2.0, 3e-3, 20.0
-_UNITS = {1 / 25.4: "inches", 0.1: "centimetres", 1e-3: "metres", 1e3: "micrometres"}
 HOW_TO = (
     "Give arm.forward(angles) minus the reference in the arm's base frame: "
     "calibrate(arm, angles, points=points).residuals(angles, points), or position_residuals."
@@ -40,15 +37,17 @@ HOW_TO = (
 class _Targets:
     """What a model of residuals is given to learn, without rows of no weight."""
 
-    def __init__(self, y, weights, arm, angles, codes, offsets):
+    def __init__(self, y, weights, arm, angles, codes, offsets, probes):
         kept = weights > 0
         self.y, self.weights, self.arm, self.offsets = y[kept], weights[kept], arm, offsets
         self.codes = None if codes is None else codes[kept]
+        self.numbers = np.flatnonzero(kept)
+        self.probes = None if probes is None else probes[kept]
         self.angles = self.points = None
         self.reach = np.inf
         if arm is not None:
             self.angles = angles[kept]
-            self.points, self.reach = points_of(arm, self.angles), reach_mm(arm)
+            self.points, self.reach = points_of(arm, self.angles, self.probes), reach_mm(arm)
 
 
 def are_points(targets):
@@ -116,42 +115,14 @@ def are_of_another_frame(targets):
 
 def are_not_of_these_points(targets):
     """In a single-point test y are the deviations of the arm's own points, in mm."""
-    points = targets.points
-    if points is None or targets.codes is None or not targets.offsets:
+    if targets.points is None or targets.codes is None:
         return
-    y, shown = (centred(v, targets.codes, targets.weights) for v in (targets.y, points))
-    size, of_points = _rms(y), _rms(shown)
-    one_cone = 0 < of_points < _ONE_CONE * targets.reach
-    if len(y) < _ROWS_OF_FACTORS or not one_cone or not size > 0:
-        return
-    factor = float(np.vdot(y, shown) / np.vdot(shown, shown))
-    if _rms(y - factor * shown) < _LEFT_OF_FACTOR * size:
-        if abs(factor - 1) > _FACTOR:
-            what = "the sign is wrong" if abs(factor + 1) < _FACTOR else "the unit is wrong"
-            unit = min(_UNITS, key=lambda u: abs(np.log(abs(factor) / u)))
-            named = f" They may be in {_UNITS[unit]}." * (abs(abs(factor) / unit - 1) < _FACTOR)
-            yield Finding(
-                "sign-of-residuals" if factor < 0 else "unit-of-residuals",
-                f"y are {factor:.4g} times the deviations of the arm's own points: {what}.{named}",
-                "Give measured minus reference, in mm.",
-                "repair",
-                size_mm=size,
-            )
-        return
-    together = targets.codes[1:] == targets.codes[:-1]
-    for shift, of_y, of_shown in ((1, y[1:], shown[:-1]), (-1, y[:-1], shown[1:])):
-        left = of_y[together] - of_shown[together]
-        if together.any() and _rms(left) < _LEFT_OF_FACTOR * size * 4:
-            late = "later" if shift > 0 else "earlier"
-            yield Finding(
-                "rows-shifted",
-                f"y are the deviations of the arm's points one row {late} than the angles of their "
-                "row.",
-                "Are angles and points from two files, of which one has a row more?",
-                "repair",
-                size_mm=size,
-            )
-            return
+    # In another order their means are not 0, but they are as long.
+    deviations = centred(targets.points, targets.codes)
+    sizes = [np.sort(np.linalg.norm(part, axis=1)) for part in (targets.y, deviations)]
+    if targets.offsets or np.allclose(*sizes, rtol=1e-6, atol=1e-9):
+        own = targets.y, targets.codes, targets.arm, targets.angles, targets.numbers
+        yield from of_own_points(*own, targets.probes)[1]
 
 
 def are_what_calibration_takes(targets):
@@ -222,14 +193,16 @@ def check_targets(
     angles: Any = None,
     codes: np.ndarray | None = None,
     offsets: bool = False,
+    probes: np.ndarray | None = None,
 ) -> list[Finding]:
     """Findings on the targets of a model: of the first kind that there is.
 
     The others would say the same in other words. y (n, 3) are in mm, weights (n,); angles (n,
     n_joints) in rad, where it is known of which arm they are; codes (n,) the position of each row,
-    and `offsets` whether positions have constants that nobody knows.
+    and `offsets` whether positions have constants that nobody knows; `probes` (n, 3) those of the
+    rows in the last frame, mm, where they are not the arm's.
     """
-    targets = _Targets(y, weights, arm, angles, codes, offsets)
+    targets = _Targets(y, weights, arm, angles, codes, offsets, probes)
     for check in CHECKS:
         found = list(check(targets))
         if found:

@@ -153,8 +153,9 @@ def call_collecting(
         try:
             with collected_findings() as found:
                 result = function(*args, **kwargs)
-        except ValueError:
-            report_findings(found)  # one of them may be the reason
+        except ValueError as error:
+            # One of them may be the reason; that which is raised is not said twice.
+            report_findings(one for one in found if one is not getattr(error, "finding", None))
             raise
         report_findings(found)
         return result, found

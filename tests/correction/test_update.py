@@ -326,10 +326,22 @@ def test_a_likelier_explanation_hands_nothing_over(model):
     assert [finding.weight for finding in taken.findings_] == ["repair"]
 
 
+def test_explanations_that_are_as_likely_are_named_together(model):
+    """A turn that is free explains the other sign nearly as well; many rows tell them apart."""
+    angles, y = rows(60, 1)
+    both = r"corrected twice .* nats[)], or if their axes are others: they are turned and mirrored"
+    with pytest.raises(FindingError, match=both):
+        update_correction(model, angles, -y)
+    angles, y = rows(300, 1)
+    with pytest.raises(FindingError, match=r"corrected twice .* nats[)][.] Give measured"):
+        update_correction(model, angles, -y)
+
+
 def test_a_missing_row_is_named_by_its_number(model):
     angles, y = rows(60, 1)
     dropped = np.delete(angles, 30, axis=0)
-    with pytest.raises(FindingError, match="of the row after, from row 30 on") as caught:
+    # Residual 31 is that of the angles that are in row 30 now.
+    with pytest.raises(FindingError, match="of the row before, from row 30 on") as caught:
         update_correction(model, np.vstack([dropped, dropped[-1:]]), y)
     assert caught.value.finding.rows == (30,)
 

@@ -81,6 +81,7 @@ def test_deviations_are_those_of_the_errors_where_the_model_is_complete(single_p
     assert 0.7 < np.median(kept) < 1.4
 
 
+@pytest.mark.filterwarnings("ignore:y are not the deviations")  # they are drawn
 def test_a_motion_of_the_base_is_no_uncertainty():
     """It is most of the posterior of a single-point test, and none of what the test can show."""
     test, _, y, _ = draw(3)

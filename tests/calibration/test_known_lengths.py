@@ -1,0 +1,108 @@
+"""Known lengths that are not: in another unit, of other ends, of balls without their diameter."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import calibrate
+from sklearn_raacmm.datasets import make_single_point
+
+TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
+POINTS, GROUPS = TEST.simulation.true_points, TEST.groups
+PLACES = np.array([POINTS[g == GROUPS].mean(axis=0) for g in range(9)])
+ONE, THREE = [(0, 1)], [(0, 1), (2, 3), (4, 5)]
+
+
+def true_length(i, j):
+    return float(np.linalg.norm(PLACES[i] - PLACES[j]))
+
+
+def known(pairs, change=lambda mm: mm, only=None):
+    """Known lengths, all or one of them changed."""
+    lengths = [true_length(*pair) for pair in pairs]
+    changed = [change(mm) if only in (None, i) else mm for i, mm in enumerate(lengths)]
+    return [(*pair, mm, 0.01) for pair, mm in zip(pairs, changed, strict=True)]
+
+
+def findings(lengths, arm=TEST.nominal_arm):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return calibrate(arm, TEST.data, GROUPS, lengths=lengths).findings
+
+
+def of_lengths(lengths, arm=TEST.nominal_arm):
+    """The one finding on lengths."""
+    (found,) = [one for one in findings(lengths, arm) if "length" in one.code]
+    return found
+
+
+@pytest.mark.parametrize("pairs", [ONE, THREE])
+def test_true_lengths_are_not_named(pairs):
+    assert not findings(known(pairs))
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("inches", 25.4), ("centimetres", 10.0), ("metres", 1000.0)]
+)
+@pytest.mark.parametrize("pairs", [ONE, THREE[:2]])
+def test_another_unit_is_named(pairs, unit, factor):
+    found = of_lengths(known(pairs, lambda mm: mm / factor))
+    assert (found.code, found.weight) == ("unit-of-lengths", "repair")
+    assert f"lengths may be in {unit}" in found.text
+
+
+@pytest.mark.parametrize(("pairs", "only"), [(THREE, 1), (THREE, 2)])
+def test_one_wrong_length_is_told_from_the_others(pairs, only):
+    """What the cones and the other lengths say of it is right, and nothing else is as likely."""
+    found = of_lengths(known(pairs, lambda mm: mm + 12, only))
+    assert (found.code, found.weight) == ("wrong-length", "repair")
+    i, j = pairs[only]
+    said = re.fullmatch(rf".*: {i} to {j} may be ([0-9.]+) mm, not ([0-9.]+)\.", found.text)
+    assert float(said[1]) == pytest.approx(true_length(i, j), abs=0.5)
+    assert float(said[2]) == pytest.approx(true_length(i, j) + 12, abs=0.01)
+
+
+def test_a_constant_of_all_lengths_is_named():
+    found = of_lengths(known(THREE, lambda mm: mm + 12))
+    assert "all may be 1" in found.text
+    assert "too long, as by the diameter of a ball" in found.text
+    assert " or " not in found.text
+
+
+def test_ends_of_another_bar_are_named():
+    found = of_lengths([(0, 2, true_length(0, 1), 0.01)])
+    assert f"0 to 2 may be {true_length(0, 2):.3g}" in found.text
+    assert "(that is 0 to 1)" in found.text
+
+
+def test_of_one_length_and_a_table_both_are_named():
+    """Which of them is wrong, one length does not show; two that agree do."""
+    arm = TEST.nominal_arm
+    table = arm.replace(a=1.02 * arm.a, d=1.02 * arm.d)
+    for found in (of_lengths(known(ONE, lambda mm: mm + 12)), of_lengths(known(ONE), table)):
+        assert found.weight == "repair"
+        assert "all lengths of the table may be wrong" in found.text
+        assert " or 0 to 1 may be 7" in found.text
+        assert "another known length tells which is right" in found.advice
+    text = of_lengths(known(THREE), table).text
+    assert text.endswith("): all lengths of the table may be wrong.")
+
+
+def test_two_lengths_of_one_pair_disagree():
+    lengths = [(0, 1, true_length(0, 1), 0.01), (0, 1, true_length(0, 1) + 1, 0.01)]
+    found = of_lengths(lengths)
+    assert (found.code, found.weight) == ("wrong-length", "doubt")
+    assert found.text.startswith("2 of 2 known lengths disagree")
+
+
+def test_a_link_mistyped_is_named_with_a_known_length():
+    """By cones alone it is calibrated as well, but their table is not known that well."""
+    d = TEST.nominal_arm.d.copy()
+    d[2] *= 1.01
+    mistyped = TEST.nominal_arm.replace(d=d)
+    (found,) = findings(known(ONE), mistyped)
+    assert (found.code, found.joints) == ("table-off", (3,))
+    assert f"(d3) is 750.4 mm, the table says {d[2]:.6g} mm" in found.text
+    assert not findings((), mistyped)

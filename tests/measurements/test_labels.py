@@ -1,0 +1,126 @@
+"""Labels by geometry: places found from points, rows that bear another's label, one place twice."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+from sklearn.metrics import adjusted_rand_score
+from sklearn.model_selection import GroupKFold
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.measurements import places_of
+from sklearn_raacmm.utils import FindingError, FindingWarning
+
+TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
+PANDA = Arm.from_name("panda", probe=(0, 0, 138))
+SMALL = ArmResidualRegressor(TEST.arm, orders=2)
+
+
+def found(arm, angles, groups):
+    """Findings of a calibration by their codes."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return {finding.code: finding for finding in calibrate(arm, angles, groups).findings}
+
+
+@pytest.mark.parametrize("name", ["panda_2", "panda_3"])
+def test_places_of_real_arms_are_the_sockets(panda, name):
+    """Of the nominal arm with its probe fitted, then calibrated without labels."""
+    data = panda(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # two sockets of panda_2 did move
+        probe = calibrate(PANDA, data.angles, data.groups, free=["probe"]).arm.probe
+        first = places_of(PANDA.replace(probe=probe).forward(data.angles))
+        arm = calibrate(PANDA, data.angles, first).arm
+    assert adjusted_rand_score(data.groups, first) == 1
+    assert adjusted_rand_score(data.groups, places_of(arm.forward(data.angles))) == 1
+
+
+def test_no_two_points_of_a_place_are_farther_apart():
+    points = np.random.default_rng(0).uniform(0, 200, (80, 3))
+    places = places_of(points, 50.0)
+    assert max(pdist(points[places == place]).max(initial=0) for place in set(places)) <= 50
+    assert sorted(set(places)) == list(range(places.max() + 1))
+
+
+@pytest.mark.parametrize("name", ["panda_2", "panda_3", "panda_6", "panda_7"])
+def test_two_exchanged_labels_of_a_real_arm_are_named(panda, name):
+    data = panda(name)
+    groups, n = data.groups.copy(), len(data.groups)
+    groups[[3, n - 5]] = groups[[n - 5, 3]]
+    finding = found(PANDA, data.angles, groups)["wrong-label"]
+    assert finding.rows == (3, n - 5)
+    assert f"rows 3 and {n - 5} look exchanged" in finding.text
+    assert finding.weight == "doubt"
+    assert "wrong-label" not in found(PANDA, data.angles, data.groups)
+
+
+@pytest.mark.parametrize("name", ["panda_2", "panda_3", "panda_6", "panda_7"])
+def test_labels_of_a_real_arm_that_are_rows_late_are_named(panda, name):
+    data = panda(name)
+    late = np.roll(data.groups, 4)
+    finding = found(PANDA, data.angles, late)["wrong-label"]
+    assert finding.rows == tuple(np.flatnonzero(late != data.groups)[:100])
+    assert finding.weight == "repair"
+
+
+@pytest.mark.parametrize("name", ["panda_3", "panda_6"])
+def test_one_place_of_a_real_arm_under_two_names(panda, name):
+    data = panda(name)
+    groups = data.groups.astype(object)
+    groups[np.flatnonzero(groups == groups[0])[::2]] += " "
+    finding = found(PANDA, data.angles, groups.astype(str))["one-place"]
+    assert finding.positions == (data.groups[0], f"{data.groups[0]} ")
+    assert finding.size_mm < 0.1
+
+
+def test_one_place_under_two_names_is_left_out_as_one():
+    class Recording(GroupKFold):
+        def split(self, X, y=None, groups=None):
+            self.blocks = groups
+            return super().split(X, y, groups)
+
+    groups = np.where(TEST.groups == 0, "P1", np.char.add("Q", TEST.groups.astype(str)))
+    groups[:8] = "p1 "
+    cv = Recording(3)
+    learned = learn_correction(TEST.nominal_arm, TEST.data, groups, model=SMALL, cv=cv)
+    (said,) = [finding for finding in learned.findings if finding.code == "one-place"]
+    assert said.positions == ("P1", "p1 ")
+    assert len(np.unique(cv.blocks)) == 9
+    assert len(np.unique(cv.blocks[TEST.groups == 0])) == 1
+
+
+def test_exchanged_labels_and_marks_of_missing_values_refuse_no_table():
+    """What calibration has left out does not count where a table is refused."""
+    groups, angles = TEST.groups.copy(), TEST.data.copy()
+    groups[[12, 52]] = groups[[52, 12]]
+    angles[[3, 40, 77]] = np.deg2rad(999 - 720)
+    with pytest.warns(FindingWarning) as caught:
+        learned = learn_correction(TEST.nominal_arm, angles, groups, model=SMALL, cv=3)
+    clean = calibrate(TEST.nominal_arm, TEST.data, TEST.groups).arm.forward(TEST.data)
+    assert learned.calibration.scatter_after_mm > 20
+    assert {w.message.finding.code: w.message.finding.rows for w in caught} == {
+        "wrong-label": (12, 52),
+        "no-reading": (3, 40, 77),
+    }
+    moved = np.linalg.norm(learned.calibration.arm.forward(TEST.data) - clean, axis=1)
+    assert moved.max() < 0.2
+    assert learned.helps
+
+
+def test_labels_that_are_rows_late_are_refused_by_name():
+    with pytest.raises(FindingError, match="The labels of 45 of 144 rows do not fit") as refused:
+        learn_correction(TEST.nominal_arm, TEST.data, np.roll(TEST.groups, 5), model=SMALL)
+    assert refused.value.finding.rows == tuple(
+        np.flatnonzero(np.roll(TEST.groups, 5) != TEST.groups)
+    )
+
+
+def test_labels_at_random_and_reversed_joints_are_no_wrong_labels():
+    rng = np.random.default_rng(0)
+    assert "no-such-arm" in found(TEST.nominal_arm, TEST.data, rng.permutation(TEST.groups))
+    turned = found(TEST.nominal_arm, TEST.data * [1, 1, 1, -1, 1, 1], TEST.groups)
+    assert "no-such-arm" in turned
+    assert "wrong-label" not in turned
