@@ -48,7 +48,7 @@ model = ArmResidualRegressor(first.arm, orders=10).fit(angles, first.residuals_m
 # -------------------
 #
 # For six weeks only the tracker is set up anew. Base and probe are fitted *through* the correction,
-# and :func:`~sklearn_raacmm.check_correction` is told so. Then joint 2 is
+# and :func:`~sklearn_raacmm.check_correction` takes this as `refitted`. Then joint 2 is
 # knocked. The check names it, and :func:`~sklearn_raacmm.update_correction` brings the correction
 # up to date with the same 40 poses. From then on the new one is used and checked. The chart shows
 # mean and range of what the correction leaves, with the limits between which each stays if it

@@ -115,7 +115,7 @@ def bars(place, found, color, label):
 
 before = 1e3 * single_point_repeatability(points, groups)
 floor = 1e3 * single_point_repeatability(points - data.simulation.perfect_correction, groups)
-figure, axes = plt.subplots(figsize=(9, 4.8), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.4, 5.6), layout="constrained")
 rows = np.arange(len(REGRESSORS))
 for i, (inputs, color) in enumerate(zip(INPUTS, ("#E69F00", "#0072B2"), strict=True)):
     bars(rows + 0.4 * i, [results[inputs, name] for name in REGRESSORS], color, inputs)
@@ -128,5 +128,5 @@ axes.set(
     title="Regressors in the same chain (simulated arm)",
 )
 axes.invert_yaxis()
-axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))
+figure.legend(fontsize="small", loc="outside lower center", ncols=2)
 plt.show()

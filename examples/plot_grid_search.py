@@ -129,7 +129,7 @@ print(f"predictions in the other process: {'equal' if same else 'DIFFERENT'}")
 # A bar is the mean over the folds of the search, and the dots on it are the single folds. Each fold
 # has other positions, and positions differ.
 
-figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
 choices = list(dict.fromkeys(key[1] for key in best))
 colors = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 for i, (name, color) in enumerate(zip(names.values(), colors, strict=True)):
@@ -143,5 +143,5 @@ axes.axhline(uncorrected, color="0.3", ls="--", label="uncorrected")
 labels = [f"joints={a}\nencoding={b}" for a, b in (chosen.split(", ") for chosen in choices)]
 axes.set_xticks(range(len(choices)), labels)
 axes.set(ylabel="2S in the search's folds (µm)", title="Best setting of each (simulated)")
-figure.legend(fontsize="small", loc="outside right upper")
+figure.legend(fontsize="small", loc="outside lower center", ncols=2)
 plt.show()

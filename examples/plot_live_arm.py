@@ -132,14 +132,14 @@ print(f"stays uncorrected: {np.mean(refused):.0%} of the way")
 # Both as a figure
 # ----------------
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4), layout="constrained")
+figure, (above, below) = plt.subplots(2, 1, figsize=(6, 8), layout="constrained")
 colors = {"predict": "#0072B2", "ONNX": "#D55E00", "C, by load_c": "#009E73"}
 for (name, taken), style in zip(times.items(), ("-", "--", "-."), strict=False):
     slowest = np.sort(taken)[::-1]
     rank = np.arange(1, len(slowest) + 1) / len(slowest)
-    left.step(1e6 * slowest, rank, style, color=colors[name], label=name)
-left.axvline(1e6 * DEADLINE, color="0.3", ls=":", label="next reading")
-left.set(
+    above.step(1e6 * slowest, rank, style, color=colors[name], label=name)
+above.axvline(1e6 * DEADLINE, color="0.3", ls=":", label="next reading")
+above.set(
     xscale="log",
     yscale="log",
     xlabel="time to the answer (µs)",
@@ -147,16 +147,16 @@ left.set(
     title="One row every millisecond",
     xlim=(0.5, None),  # room for the legend
 )
-left.legend(loc="lower left", fontsize="small")
-right.plot(share, 1e3 * length, color="#0072B2", label="length of the correction")
-right.plot(share, 1e3 * std, "--", color="#D55E00", label="its standard deviation")
-right.axhline(1e3 * limit, color="0.3", ls=":", label="limit")
-right.axvspan(share[np.argmax(refused)], 1, color="0.5", alpha=0.15, lw=0, label="refused")
-right.set(
+above.legend(loc="lower left", fontsize="small")
+below.plot(share, 1e3 * length, color="#0072B2", label="length of the correction")
+below.plot(share, 1e3 * std, "--", color="#D55E00", label="its standard deviation")
+below.axhline(1e3 * limit, color="0.3", ls=":", label="limit")
+below.axvspan(share[np.argmax(refused)], 1, color="0.5", alpha=0.15, lw=0, label="refused")
+below.set(
     xlabel="way from a training pose (0) to a distant pose (1)",
     ylabel="length (µm)",
     title="Leaving the poses that the model knows",
     ylim=(0, None),
 )
-right.legend(loc="upper left", fontsize="small")
+below.legend(loc="upper left", fontsize="small")
 plt.show()

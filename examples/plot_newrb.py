@@ -96,7 +96,7 @@ print(f"{len(model.centers_)} centres, {model.stop_reason_}")
 
 default = RBFNetRegressor(random_state=0).fit(P.T, T.ravel())
 x = np.linspace(-1, 1, 500)
-figure, axes = plt.subplots(1, 3, figsize=(10, 3.4), sharey=True, layout="constrained")
+figure, axes = plt.subplots(3, 1, figsize=(6, 8.5), sharex=True, layout="constrained")
 for ax, width in zip(axes, (0.05, 0.4), strict=False):
     centers, network = newrb(P, T, 0.005, width, MN)
     error = np.sqrt(np.mean((network(x)[:, 0] - truth(x)) ** 2))
@@ -110,6 +110,6 @@ axes[2].set_title(f"RBFNetRegressor():\n{len(default.centers_)} neurons, error {
 for ax in axes:
     ax.plot(P.ravel(), T.ravel(), ".", color="0.4", ms=4)
     ax.plot(x, truth(x), "--", color="0.6", lw=1)
-    ax.set(xlabel="P", ylim=(-1.8, 1.8))
-axes[0].set_ylabel("T")
+    ax.set(ylabel="T", ylim=(-1.8, 1.8))
+axes[2].set_xlabel("P")
 plt.show()

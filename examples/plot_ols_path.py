@@ -57,23 +57,23 @@ for n_centers in ("auto", 0.2):
 # and time, not accuracy. Without a ridge (plain least squares, as MATLAB's newrb) the number of
 # centres is all that keeps the network from following the noise.
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
+figure, (above, below) = plt.subplots(2, 1, figsize=(6, 8), layout="constrained")
 explained = np.cumsum(longest.error_reduction_)
-left.plot(np.arange(1, len(explained) + 1), 1 - explained, ".-", color="#0072B2", ms=4)
-left.set(
+above.plot(np.arange(1, len(explained) + 1), 1 - explained, ".-", color="#0072B2", ms=4)
+above.set(
     xlabel="centres", ylabel="unexplained share of the variance", xscale="log", yscale="log",
     title="Training rows: one centre after the other",
 )  # fmt: skip
-right.plot(sizes, plain_errors, "s:", color="0.6", ms=4, label="plain least squares")
-right.plot(sizes, errors, "o-", color="#0072B2", ms=4, label="with the ridge that was found")
+below.plot(sizes, plain_errors, "s:", color="0.6", ms=4, label="plain least squares")
+below.plot(sizes, errors, "o-", color="#0072B2", ms=4, label="with the ridge that was found")
 uncorrected = single_point_repeatability(radial[test], data.groups[test])
-right.axhline(1000 * uncorrected, color="0.3", ls="--", lw=1, label="uncorrected")
+below.axhline(1000 * uncorrected, color="0.3", ls="--", lw=1, label="uncorrected")
 lines = (("k", "-"), ("#E69F00", "--"))
 for (n_centers, size), (colour, style) in zip(stops.items(), lines, strict=True):
-    right.axvline(size, color=colour, ls=style, lw=1.5, label=f"n_centers={n_centers!r}: {size}")
-right.set(
+    below.axvline(size, color=colour, ls=style, lw=1.5, label=f"n_centers={n_centers!r}: {size}")
+below.set(
     xlabel="centres", ylabel="radial 2S at positions left out (µm)", xscale="log",
     ylim=(0, 1.5 * 1000 * uncorrected), title="Positions left out (simulated)",
 )  # fmt: skip
-right.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.02, 0.5))
+below.legend(fontsize="small", loc="lower left")
 plt.show()

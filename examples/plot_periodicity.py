@@ -53,7 +53,7 @@ azimuth = data.arm.azimuth(angles)
 # What nobody has outside a simulation: the error of the arm at any pose.
 truth = data.arm.forward(angles) - data.simulation.machine.forward(angles)
 
-figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
 curves = {"truth (simulated)": truth}
 for encoding in ("angle", "periodic"):
     model = chain(encoding)
@@ -74,5 +74,5 @@ axes.set(
     xticks=np.arange(-360, 361, 90),
     title="A pose and the same pose one turn later (simulated)",
 )
-axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))
+figure.legend(fontsize="small", loc="outside lower center", ncols=2)
 plt.show()

@@ -46,7 +46,7 @@ print(f"2-D: {len(two.centers_)} centres of {len(X)} rows, widths {two.length_sc
 # The mean and its standard deviation. Red: the centres. The standard deviation grows outside the
 # data, and a little in the gap around x1 = x2 = 1.
 
-figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), width_ratios=[1.4, 1, 1], layout="constrained")
+figure, axes = plt.subplots(3, 1, figsize=(6, 11), height_ratios=[5, 7, 7], layout="constrained")
 line = np.linspace(-5, 5, 400)[:, None]
 mean, std = one.predict(line, return_std=True, with_noise=False)
 axes[0].fill_between(
@@ -69,6 +69,5 @@ for ax, values, title in (
     colours = ax.contourf(grid[..., 0], grid[..., 1], values, 15, cmap="viridis")
     figure.colorbar(colours, ax=ax, shrink=0.8)
     ax.plot(*two.centers_.T, ".", color="#D55E00", ms=4)
-    ax.set(title=title, xlabel="x1", aspect="equal")
-axes[1].set_ylabel("x2")
+    ax.set(title=title, xlabel="x1", ylabel="x2", aspect="equal")
 plt.show()

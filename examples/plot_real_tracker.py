@@ -68,7 +68,7 @@ names = {
     "network": "RBF network, all joints",
     "harmonics": "ArmResidualRegressor",
 }
-figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
 lines = ("--", ":", "-")
 for (key, name), line, color in zip(
     names.items(), lines, ("#D55E00", "0.45", "#0072B2"), strict=True

@@ -69,14 +69,14 @@ for name, correction in rows.items():
 # %%
 # The figure
 # ----------
-# To the left, the points of one position seen from the side. In the middle and to the right, all
-# positions, with 95 % intervals: what another choice of poses at the same positions would change.
+# Above, the points of one position seen from the side. Below, all positions, with 95 % intervals:
+# what another choice of poses at the same positions would change.
 
 after = data.points - corrections["after, ArmResidualRegressor"]
 spread = single_point_repeatability(after, data.groups, aggregate=None)
 shown = int(np.argsort(spread)[5])  # neither the best nor the worst position
 rows = data.groups == shown
-figure, axes = plt.subplots(1, 3, figsize=(12, 4), width_ratios=[1, 1.3, 1.3], layout="constrained")
+figure, axes = plt.subplots(3, 1, figsize=(6, 11), layout="constrained")
 for points, color, marker, label in (
     (data.points, "#D55E00", "o", "before"),
     (after, "#0072B2", "D", "after"),
@@ -97,6 +97,5 @@ for ax, title, correction in zip(axes[1:], titles, corrections.values(), strict=
     )
     ax.set_title(title)
 axes[2].set_ylim(axes[1].get_ylim())
-axes[2].set_ylabel("")
-figure.suptitle("Simulated arm: each position corrected by models of the others")
+figure.suptitle("Simulated: each position corrected by models of the others")
 plt.show()

@@ -128,41 +128,6 @@ def test_intervals_of_the_first_page():
         np.testing.assert_allclose(said, ends, atol=6e-4)
 
 
-@pytest.mark.exhaustive
-def test_noise_is_called_noise():
-    r2, inside = [], []
-    for seed in range(20):
-        rng = np.random.default_rng([seed, 60, 20])
-        X, y = rng.standard_normal((560, 20)), rng.standard_normal(560)
-        model = RBFNetRegressor(random_state=0).fit(X[:60], y[:60])
-        mean, std = model.predict(X[60:], return_std=True)
-        r2.append(1 - np.mean((y[60:] - mean) ** 2) / np.var(y[60:]))
-        inside.append(np.mean(np.abs(y[60:] - mean) < 1.96 * std))
-    page, words = "user_guide/widths_and_size.md", "had a median of @ and a worst value of @ (20"
-    median, worst = numbers(page, words)
-    assert np.median(r2) == pytest.approx(median, abs=0.006)
-    assert min(r2) == pytest.approx(worst, abs=0.006)
-    assert_said(page, "intervals held @ % of new rows", [100 * np.mean(inside)], 0.006)
-
-
-@pytest.mark.exhaustive
-def test_outliers_cost_what_is_said():
-    rng = np.random.default_rng(0)
-    X, new = rng.uniform(-1, 1, (500, 3)), rng.uniform(-1, 1, (2000, 3))
-
-    def truth(X):
-        return np.sin(3 * X[:, 0]) + X[:, 1] ** 2 + 0.5 * X[:, 2]
-
-    clean = truth(X) + 0.05 * rng.standard_normal(500)
-    dirty = clean + np.where(rng.random(500) < 0.1, rng.normal(0, 5, 500), 0.0)
-    left = []
-    for loss, y in (("squared", clean), ("squared", dirty), ("auto", dirty)):
-        model = RBFNetRegressor(loss=loss, random_state=0).fit(X, y)
-        left.append(np.sqrt(np.mean((model.predict(new) - truth(new)) ** 2)))
-    words = 'raised the error from @ to @ with `loss="squared"`, and to @ by default'
-    assert_said("user_guide/widths_and_size.md", words, left, 0.05)
-
-
 def test_a_step_of_ols_lowers_the_error_more_than_one_of_omp():
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (60, 1))
@@ -177,8 +142,7 @@ def test_a_step_of_ols_lowers_the_error_more_than_one_of_omp():
     centred = columns - columns.mean(axis=0)
     by_omp = np.argmax(np.abs(left(chosen) @ centred) / np.linalg.norm(centred, axis=0))
     errors = [np.sum(left([*chosen, j]) ** 2) for j in range(60)]
-    words = "squared error of @ by OMP and of @ by OLS"
-    assert_said("user_guide/ols.md", words, [errors[by_omp], min(errors)], 0.03)
+    assert errors[by_omp] > 1.5 * min(errors)  # of columns that overlap, as the page says
 
 
 def test_the_simulated_joint_lags_as_is_said():

@@ -162,6 +162,12 @@ def _read_run(path, arm):
 
 def _read_readings(path, arm, sheet):
     """Labels, angles and points of the table of readings."""
+    rows = _cells(path, "readings")
+    if rows and not any(cell for row in rows for name, cell in row.items() if name not in LABELS):
+        raise TableError(
+            f"{path}: none of the {len(rows)} rows of the table readings holds numbers: fill in "
+            "what you measured, and delete the rows of tests that you leave out."
+        )
     columns = Columns(path, 3, sheet)
     has_points = set("xyz") <= set(columns.names)
     has_angles = {"deg", "rad"} & set(columns.units) or any(map(_ANGLE.fullmatch, columns.names))

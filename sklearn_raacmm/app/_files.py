@@ -50,7 +50,7 @@ def load_arm(source, base=None, tip=None):
     try:
         return Arm.from_name(str(source))
     except ValueError as error:
-        raise TableError(f"--arm: there is no file {source}, and as a {error}") from None
+        raise TableError(f"there is no file {source}, and as a {error}") from None
 
 
 def load_correction(source) -> Any:

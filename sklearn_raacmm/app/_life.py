@@ -32,7 +32,7 @@ from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import check_places, digest_of, natural_order
+from sklearn_raacmm.utils import check_places, digest_of, ignored_findings, natural_order
 
 OK, CHANGED = 0, 3
 # Chance that a check finds a fault in a correction that is right, by any of its tests.
@@ -227,7 +227,7 @@ def _check_spread(saved, today, rate, changed, facts, advice):
     facts |= {"before_mm": was, "after_mm": now, "expected_below_mm": expected, "changed": changed}
     change = f"mean 2S {was:.3f} -> {now:.3f} mm"
     if now > max(MUCH_SCATTER_MM, expected):
-        print(f"It does not hold: {change}. {_OTHER_ARM}")
+        print(f"It does not hold: {change}. {_why_so_far(saved, today, _MUCH_MORE * expected)}")
     elif now >= was:
         print(f"It does not hold: {change}. {advice or 'Calibrate and learn again.'}")
     elif now > expected:
@@ -240,6 +240,17 @@ def _check_spread(saved, today, rate, changed, facts, advice):
         verdict = "It still helps, but something has changed" if changed else "It holds"
         print(f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip())
     return changed or now >= was or now > expected
+
+
+def _why_so_far(saved, today, limit):
+    """What to do where points scatter by much: another probe, if one explains it."""
+    with ignored_findings(), contextlib.suppress(ValueError):
+        new = saved.register(today.angles, today.positions)
+        left = single_point_repeatability(new.correct(today.angles)[0], today.positions)
+        if left <= limit:
+            moved = np.linalg.norm(new.arm.probe - saved.arm.probe)
+            return f"A probe that ends {moved:.3g} mm elsewhere explains it: run raacmm register."
+    return _OTHER_ARM
 
 
 def highest_mean(learnt, n, rate):

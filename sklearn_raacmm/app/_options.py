@@ -88,7 +88,7 @@ def _flag(text):
     return {"action": "store_true", "help": text}
 
 
-_FOLDER = {"help": "folder to write into (that of --model)"}
+_FOLDER = {"help": "folder to write into (default: the folder of --model)"}
 _LENGTHS: dict[str, Any] = {
     "type": float, "nargs": 4, "metavar": ("SHOULDER", "UPPER", "FORE", "PROBE"),
 }  # fmt: skip
@@ -218,7 +218,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--sign": {
         "metavar": "S1,S2,...",
-        "help": "sense of each joint beside that of its encoder, 1 or -1",
+        "help": "1 where a joint's encoder counts as the joint turns, -1 where it does not",
     },
     "--zero": {
         "metavar": "Q1,Q2,...",

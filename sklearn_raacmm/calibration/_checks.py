@@ -23,7 +23,7 @@ _LEAST_SD_MM = 1e-9
 # Spread of measured points over that of the arm's: beyond, one of them is in another unit.
 _SPREAD = 1.5
 # Measuring arms reach from half a metre on, robots are not much smaller.
-_LEAST_REACH_MM = 200.0
+_LEAST_REACH_MM, _REACH_IN_METRES = 200.0, 10.0
 # Labels that a message lists.
 _LABELS_SHOWN = 12
 
@@ -161,7 +161,7 @@ def wrong_units(arm, angles, problem):
                 "unit-of-points",
                 f"The measured points spread over {sizes[1]:.4g}, the arm's over {sizes[0]:.4g} "
                 f"mm: they are most likely in {UNITS[unit]}.",
-                "Give millimetres.",
+                "Give millimetres; in a file name the unit in the header, such as x [m].",
                 "refuse",
             )
         elif np.abs(shown - points).max() < 1e-9 * reach:
@@ -172,9 +172,10 @@ def wrong_units(arm, angles, problem):
                 "repair",
             )
     if reach < _LEAST_REACH_MM:
+        unit = "metres" if reach < _REACH_IN_METRES else "inches or centimetres"
         yield Finding(
             "unit-of-table",
-            f"The nominal arm reaches {reach:.3g} mm:",
-            "are its lengths in inches, in centimetres or in metres, not millimetres?",
+            f"The nominal arm reaches {reach:.3g} mm: its lengths are most likely in {unit}.",
+            "Give millimetres; in a file name the unit in the header, such as d [m].",
             "repair",
         )

@@ -32,11 +32,11 @@ class CalibrationResult:
         then the base: ``"base_rx"`` to ``"base_rz"`` (a rotation vector) and ``"base_x"`` to
         ``"base_z"``. Where there are several tools or stations, the label follows in brackets.
     nominal, values : ndarray of shape (n_parameters,)
-        Before and after, mm and rad. A base has no nominal value: NaN.
+        Values of the parameters before and after, mm and rad. A base has no nominal value: NaN.
     standard_deviations : ndarray of shape (n_parameters,)
-        Of `values`, the prior included, mm and rad; 0 for parameters that were not free, infinite
-        for those of which nothing is known, NaN where there are no more coordinates than
-        parameters. They suppose independent errors: where the arm bends, they are too small.
+        Standard deviations of `values`, the prior included, mm and rad; 0 for parameters that were
+        not free, infinite where nothing is known of one, NaN where there are no more coordinates
+        than parameters. They suppose independent errors: where the arm bends, they are too small.
     unidentified : tuple of str
         Parameters that stay where the prior has them because the data do not know better, and
         ``"scale"`` if this is so of the common scale of all links.
@@ -62,7 +62,7 @@ class CalibrationResult:
         measured positions: with the arm as it was given, with nothing but the probe (and the base)
         fitted, and calibrated. With a correction, of the corrected points.
     residuals_mm : ndarray of shape (n_samples, 3)
-        Those differences, in the arm's base frame.
+        Difference of each point after calibration, in the arm's base frame.
     length_errors_mm : ndarray of shape (n_lengths,)
         Distances between the centres of groups less the known lengths.
     sigma_mm : float
@@ -87,7 +87,7 @@ class CalibrationResult:
     converged : bool
         Whether weights and parameters settled.
     findings : tuple of Finding
-        What there is to say about the data.
+        What the calibration noticed in the data.
 
     See Also
     --------

@@ -42,7 +42,7 @@ _CONSTRAINTS = {
 def learn_correction(
     arm: Arm,
     angles: ArrayLike,
-    positions: ArrayLike | None,
+    positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
     *,
@@ -67,7 +67,7 @@ def learn_correction(
         The nominal arm, or one calibrated on other data.
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
-    positions : array-like of shape (n_samples,) or None
+    positions : array-like of shape (n_samples,), default=None
         Label of the position at which the probe was held. None, with `points`: regions of
         neighbouring points take their place.
     points : array-like of shape (n_samples, 3), default=None
@@ -217,7 +217,7 @@ class LearnOptions(TypedDict, total=False):
 def cross_validate_correction(
     arm: Arm,
     angles: ArrayLike,
-    positions: ArrayLike | None,
+    positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
     **options: Unpack[LearnOptions],

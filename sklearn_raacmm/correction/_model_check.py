@@ -92,7 +92,7 @@ class CorrectionCheck:
         What the suspect does to the probe at these poses, root mean square; of a single-point test
         about the means of the positions. 0 for "nothing".
     usual_mm : float
-        The same of what a correction that holds leaves.
+        Root mean square of the errors that a correction that holds leaves at the probe.
     matters : bool
         Whether it is worth acting on: `size_mm` is more than half of `usual_mm`. Of many poses a
         test finds changes that are real and harm nobody.

@@ -45,6 +45,8 @@ class Data:
         # Within one turn, lest a warning of far angles be said again by everything that follows.
         angles = within_turn(angles)
         lengths = listed("lengths", lengths)
+        if positions is None and points is None:
+            raise ValueError("give positions, the label of each row, or points of a tracker.")
         if points is not None:
             points = floats("points", points, 3)
             if len(points) != len(angles):

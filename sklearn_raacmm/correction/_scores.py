@@ -58,11 +58,11 @@ class CorrectionScores:
         The known lengths whose two ends were left out together, while another one was not: a length
         is judged by an arm whose scale is known, but not from this length.
     length_errors_before, length_errors_after : ndarray of shape (n_lengths,)
-        Their errors, mm.
+        Errors of these lengths without and with the correction, mm.
     coverage : float
         Share of the left-out coordinates inside the model's own 95 % intervals, before any factor.
     std_factor : float
-        What the model's standard deviations have to be multiplied by.
+        Factor of the model's standard deviations with which 95 % of these coordinates are inside.
     n_folds : int
         How many times calibration and model were fitted.
     outliers : ndarray of shape (n_outliers,)
@@ -77,11 +77,11 @@ class CorrectionScores:
     verdict : str
         The same in one sentence, with the numbers.
     findings : tuple of Finding
-        What there is to say about the data. With one of weight "repair" nothing is judged.
+        What was noticed in the data. With one of weight "repair" nothing is judged.
     share : float
         Share of its correction that the model of all rows uses: 0 for none.
     fold_shares : tuple of float
-        The same of the models that were judged.
+        This share of the model of each fold.
     """
 
     measure: str

@@ -36,7 +36,7 @@ class TableChange:
     scatter_mm : float
         Mean scatter after calibration with the change, without outliers.
     scatter_given_mm : float
-        The same without.
+        Mean scatter after calibration without it.
     arm : Arm
         The changed nominal arm.
     columns : tuple of int
@@ -48,8 +48,8 @@ class TableChange:
     first_point : tuple of float
         Where the first row then is in the base frame, mm.
     equals : tuple of TableChange
-        Other changes with which the points coincide as well, such as that to the mirror image of
-        the arm. Where a point is tells them apart.
+        Other changes with which the points coincide as well, such as the one to the mirror image of
+        the arm. `first_point` shows which is right.
     """
 
     change: str

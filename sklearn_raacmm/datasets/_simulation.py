@@ -133,7 +133,7 @@ class SimulatedArm:
         angles : array-like of shape (n_samples, 6)
             Encoder angles free of noise, rad.
         warming_k : float or array-like of shape (n_samples,), default=None
-            Warming in K; None takes that of `errors`.
+            Warming in K; None takes the warming of `errors`.
         directions : array-like of shape (n_samples, 6), default=None
             Direction from which each joint came: 1 from smaller angles, -1 from larger ones, 0 in
             the middle of its play. None: all in the middle.

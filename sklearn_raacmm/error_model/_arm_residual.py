@@ -105,11 +105,11 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
     helps_ : bool
         Whether any of the correction is used: whether it helped at positions left out.
     judgement_ : Judgement or None
-        The numbers behind it. None where nothing was left out.
+        The numbers from which `helps_` follows. None where nothing was left out.
     findings_ : tuple of Finding
-        What there is to say about the data.
+        What the fit noticed in the data.
     pose_weight_ : ndarray of shape (n_samples,)
-        What the robust weights [1]_ left of each training pose: 0 for outliers.
+        Weight of each training pose in the robust fit [1]_: 0 for outliers.
     arm_ : Arm
         The arm in use.
 
@@ -120,10 +120,10 @@ class ArmResidualRegressor(FittedArmModel, MultiOutputMixin, RegressorMixin, Ver
     Notes
     -----
     Coefficients have normal priors, one variance a family, found by maximising the marginal
-    likelihood. An order k joins where it raises that by more than ``2 log(k)`` nats. Intervals are
-    as wide as errors at positions left out ask for.
+    likelihood. An order k joins where it raises the logarithm of this likelihood by more than
+    ``2 log(k)``. Intervals are widened by errors at positions left out.
 
-    A single-point test shows no common scale: without known lengths it stays that of the arm.
+    A single-point test shows no common scale: without known lengths the scale of `arm` stays.
 
     References
     ----------

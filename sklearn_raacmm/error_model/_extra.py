@@ -77,7 +77,7 @@ def warn_of_constants(extra, values, weights):
                 f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
                 "of it, and predictions will not depend on it."
             )
-            report_findings([Finding("constant-column", said, "Is the sensor alive?")])
+            report_findings([Finding("constant-column", said, "Does the sensor work?")])
 
 
 def check_values(extra, values):
@@ -101,7 +101,7 @@ def _beyond(name, known, column):
             f"The column {name!r} is {column[far[0]]:g} in row {rows[0]}, and in the fit it was "
             f"from {low:g} to {high:g}."
         )
-        advice = "Is the sensor alive, and the unit that of the fit?"
+        advice = "Does the sensor work, and is the unit the same as in the fit?"
         yield Finding("column-out-of-range", said, advice, rows=rows)
 
 

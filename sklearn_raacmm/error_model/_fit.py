@@ -261,13 +261,13 @@ def _with_noise_of_angles(model, rows):
         return model
     size, axes = np.linalg.eigh(squares / lever)
     left = centred(rows.y - model.predict(rows.X)[0], rows.codes, rows.weights)
-    left = np.square(np.einsum("ncd,nc->nd", axes, left))
+    left = np.square(np.einsum("nca,nc->na", axes, left))
     variance = 1 - _SHARES[:, None, None] * (1 - size)
     total = 3 * rows.weights.sum()
-    fit = np.einsum("n,qnd->q", rows.weights, left / variance) / total
+    fit = np.einsum("n,qna->q", rows.weights, left / variance) / total
     if not fit.all():  # no noise
         return model
-    logs = -0.5 * (total * np.log(fit) + np.einsum("n,qnd->q", rows.weights, np.log(variance)))
+    logs = -0.5 * (total * np.log(fit) + np.einsum("n,qna->q", rows.weights, np.log(variance)))
     odds = np.exp(logs - logs.max())
     share = float(odds @ _SHARES / odds.sum())
     return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))

@@ -140,7 +140,7 @@ def within_position_r2_score(
     """Share of the variance within positions that a correction takes away.
 
     One minus the sum of squared deviations of ``y_true - y_pred`` from its mean at each position,
-    over that of ``y_true``: R2 with one free constant per position.
+    over the same sum of ``y_true``: R2 with one free constant per position.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         an eighth of the rows. It needs widths or ridge to be found, and at most 100 000 rows.
 
     random_state : int, RandomState instance or None, default=None
-        Draws the rows of the search, and candidates.
+        Draws rows for the search of widths, and candidates for centres.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         summed over outputs.
 
     error_reduction_ : ndarray of shape (n_centers,)
-        Share of the variance by which each centre lowered the objective.
+        Share of the variance by which a centre lowered the objective.
 
     criterion_path_ : ndarray of shape (n_tried,)
         Share of the objective that is left after 1, 2 and more centres.
@@ -141,7 +141,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         "dependent" and "rank", where all other columns are combinations of the chosen columns.
 
     row_weight_ : ndarray of shape (n_samples,)
-        The factor of each row's weight, where the loss is robust.
+        Factor of the weight of each row by a robust loss.
 
     See Also
     --------
@@ -289,7 +289,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """Fit by least squares with given weights; return whether groups have constants."""
         if group_std is not None:
             if groups is None:
-                raise ValueError("group_std is that of the constants of groups, which are missing.")
+                raise ValueError("group_std is given without groups, whose constants it is of.")
             labelled = True
         rng = check_random_state(self.random_state)
         rows, elsewhere = read_rows(self, X, y, sample_weight, groups, labelled, rng)
@@ -353,10 +353,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         return_std, return_cov : bool, default=False
             Also return one of these: the standard deviation, or the covariance at these rows, of
             the Gaussian process whose posterior mean the network approximates. Away from the data
-            they grow to the signal's own.
+            they grow to those that the process has without data.
 
         with_noise : bool, default=True
-            Whether these are of new observations, or of the mean.
+            Whether they are of new observations; else they are of the mean.
 
         Returns
         -------

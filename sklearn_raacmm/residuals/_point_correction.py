@@ -128,7 +128,7 @@ class PointCorrectionMixin(RegressorMixin):
         score : float
             In a single-point test the share of the sum of squared deviations from positions' means
             that the predictions take away. Without positions, and where the means are not small,
-            that of any regressor of scikit-learn.
+            R2 as of any regressor of scikit-learn.
 
         Raises
         ------

@@ -14,6 +14,8 @@ from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
+from sklearn_raacmm.utils._findings import row_numbers
+
 # Smaller numbers can be squared, summed and squared again without overflow.
 LARGEST = 1e50
 # What has no method that makes an array may still be numbers; None and dicts get sentences of their
@@ -66,9 +68,11 @@ def _refuse_huge(name, array):
     largest = _largest(array)
     if largest <= LARGEST:  # false for NaN
         return
-    n_bad = np.sum(~np.isfinite(array))
-    if n_bad:
-        raise ValueError(f"{name} holds {n_bad} values that are missing, NaN or infinity.")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        where = f"; the first is in row {row_numbers(bad[0, :1])[0]}" if array.ndim else ""
+        said = "values that are missing, NaN or infinity"
+        raise ValueError(f"{name} holds {len(bad)} {said}{where}.")
     raise ValueError(f"{name} holds {largest:g}: numbers above {LARGEST:g} are refused.")
 
 

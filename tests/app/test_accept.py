@@ -260,6 +260,9 @@ def test_a_template_is_a_whole_run_but_for_its_numbers(learned, data, tmp_path, 
         assert main(["accept", str(path), "--template", "--model", str(learned[1])]) == 0
         assert main(["accept", str(path), "--template"]) == 2
         assert "is there already" in capsys.readouterr().err
+        words = ["accept", str(path), "--model", str(learned[1]), "--out", f"{tmp_path}/s.html"]
+        assert main(words) == 2
+        assert "none of the 592 rows of the table readings holds numbers" in capsys.readouterr().err
     assert openpyxl.load_workbook(book).sheetnames == ["readings", "artefacts", "limits", "sheet"]
     with open(folder / "readings.csv", encoding="utf-8-sig", newline="") as file:
         rows = list(csv.reader(file))

@@ -374,6 +374,14 @@ def in_radians(folder):
     return path
 
 
+@pytest.mark.parametrize("name", ["new.csv", "more.csv"])
+def test_a_longer_probe_is_to_be_registered_and_no_unit_is_doubted(folder, capsys, name):
+    code, printed = run(capsys, "check", folder / name, "--model", folder / "cones")
+    assert code == 3
+    assert "that ends 150 mm elsewhere explains it: run raacmm register.\n" in printed
+    assert "Look at the unit" not in printed
+
+
 @pytest.mark.parametrize(
     ("word", "code"), [("correct", 0), ("check", 3), ("register", 2), ("update", 2)]
 )

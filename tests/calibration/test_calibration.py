@@ -11,6 +11,7 @@ from sklearn_raacmm import Arm, calibrate, lengths_of_places
 from sklearn_raacmm.arm import FIELDS
 from sklearn_raacmm.arm._kinematics import parameter_jacobian
 from sklearn_raacmm.calibration import are_wrong
+from sklearn_raacmm.calibration._checks import check_problem, wrong_units
 from sklearn_raacmm.calibration._findings import wrong_table
 from sklearn_raacmm.calibration._fit import Fit
 from sklearn_raacmm.calibration._problem import Problem, pack, unpack
@@ -379,12 +380,28 @@ def test_ur10(ur10):
         ({"groups": np.arange(6)}, "each of the 6 groups has one point"),
         ({"groups": None, "points": np.zeros((6, 3)), "lengths": [(0, 1, 2, 3)]}, "no use for"),
         ({"lengths": [(0, 7, 50.0, 0.1)]}, "name the group 7, which has no samples"),
+        (
+            {"groups": None, "points": np.where(np.arange(18) < 10, 0, np.nan).reshape(6, 3)},
+            "points holds 8 values that are missing, NaN or infinity; the first is in row 3.",
+        ),
     ],
 )
 def test_bad_input_gets_one_clear_sentence(change, message):
     good = {"angles": np.zeros((6, 6)), "groups": [0, 0, 1, 1, 2, 2]}
     with pytest.raises(ValueError, match=message):
         calibrate(NOMINAL["aacmm6"], **{**good, **change})
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [(1e-3, "metres"), (0.1, "inches or centimetres"), (1 / 25.4, "inches or centimetres")],
+)
+def test_a_table_in_another_unit_is_named_by_it(factor, unit):
+    angles, groups, _ = single_point_test(NOMINAL["aacmm6"], 2, 4)
+    own, problem = NOMINAL["aacmm6"], check_problem(angles, groups, None, [], None, None)
+    small = own.replace(a=factor * own.a, d=factor * own.d, probe=factor * own.probe)
+    (found,) = wrong_units(small, angles, problem)
+    assert f"its lengths are most likely in {unit}. Give millimetres" in str(found)
 
 
 def test_groups_of_one_point_are_named_and_do_not_count():

@@ -243,7 +243,7 @@ def test_tracker_points_without_labels_are_left_out_by_region():
     tracker = arm.forward(X) + 0.1 * np.cos(X[:, [0]]) * np.array([0, 0, 1.0])
     with warnings.catch_warnings():  # no cause of the model does this
         warnings.simplefilter("ignore")
-        learned = learn_correction(arm, X, None, tracker, model=QUICK, cv=3)
+        learned = learn_correction(arm, X, points=tracker, model=QUICK, cv=3)
     labels = learned.scores.table["position"].tolist()
     assert labels == [f"region {i:02d}" for i in range(1, 11)]
     # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
@@ -251,8 +251,6 @@ def test_tracker_points_without_labels_are_left_out_by_region():
     assert max(spread) < np.ptp(tracker, axis=0).max()
     with pytest.raises(ValueError, match="at least 5 different points are needed"):
         learn_correction(arm, X[:4], None, tracker[:4], model=QUICK)
-    with pytest.raises(ValueError, match="got None"):
-        learn_correction(arm, X, None, model=QUICK)
 
 
 @pytest.mark.parametrize(
@@ -365,6 +363,7 @@ def test_progress_and_processes_change_nothing(test_data, learned):
             {"positions": list(19 * "A" + "a" + 60 * "B" + 60 * "C")},
             "'a' has a single row, row 19",
         ),
+        ({"positions": None}, "give positions, the label of each row, or points of a tracker."),
         ({"cv": list(KFold(3).split(np.zeros(140)))}, "on both sides"),
         ({"cv": [(np.arange(20, 140), np.arange(20))]}, "leave out each row exactly once"),
         ({"rows": slice(40)}, "at least 3 positions are needed to leave some out, got 2"),

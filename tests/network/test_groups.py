@@ -144,7 +144,7 @@ def test_groups_that_tell_nothing_are_all_but_not_there():
 @pytest.mark.parametrize(
     ("params", "sentence"),
     [
-        ({"group_std": 0.1}, "of groups, which are missing"),
+        ({"group_std": 0.1}, "is given without groups"),
         ({"group_std": [0.1, 0.2], "groups": np.arange(120) % 8}, r"group_std has shape \(2,\)"),
         ({"group_std": -1.0, "groups": np.arange(120) % 8}, "finite and not negative"),
     ],
