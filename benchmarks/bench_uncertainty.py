@@ -4,7 +4,7 @@ Simulated arms of three kinds, learnt from ten cones of 25 poses alone, with bar
 and three places, and from 250 points of a tracker. Asked for are deviations of single points within
 a position by zone, distances, and diameters of spheres, at places that were never measured.
 
-    python benchmarks/bench_uncertainty.py --arms 6
+    python benchmarks/bench_uncertainty.py --arms 24
 """
 
 import argparse
@@ -92,7 +92,7 @@ def diameters(learned, machine, seed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--arms", type=int, default=6)
+    parser.add_argument("--arms", type=int, default=24)
     options = parser.parse_args()
     warnings.simplefilter("ignore", UserWarning)
     for kind in ("cones", "a bar", "three bars", "tracker"):

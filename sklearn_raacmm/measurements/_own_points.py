@@ -20,6 +20,8 @@ _SHARE, _EXACT, _LEAST_PAIRS = 0.9, 0.05, 8
 # ones all are explained.
 _ONE_CONE, _RELATED = 0.01, 0.25
 UNITS = {25.4: "inches", 10.0: "centimetres", 1000.0: "metres", 1e-3: "micrometres"}
+# What another model has left of deviations looks like these, and is a legitimate target of a fit.
+_MAYBE_MEANT = ("other-table", "rows-unrelated")
 _FILES = "Are angles and points from two files, of which one has a row more, or another order?"
 WORDS = {
     "sign-of-residuals": (
@@ -78,7 +80,7 @@ def of_own_points(
         code,
         f"{text} {said.format(what)}.",
         advice,
-        "repair",
+        "doubt" if expected is None and code in _MAYBE_MEANT else "repair",
         rows=row if first else (),
         size_mm=float(np.sqrt(np.square(y).sum(axis=1).mean())),
     )

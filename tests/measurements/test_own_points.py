@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, calibrate, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import of_own_points
-from sklearn_raacmm.utils import centred
+from sklearn_raacmm.utils import centred, collected_findings
 
 NAMES = ["panda_2", "panda_3", "panda_6", "panda_7"]
 ARMS = {}
@@ -91,3 +91,16 @@ def test_what_is_no_deviation_of_these_points_has_no_finding():
     y = position_residuals(noisy, test.groups)
     assert done(test.arm, test.data, y, test.groups) is False
     assert done(test.arm, test.data, 0 * y, test.groups) is False
+
+
+def test_what_another_model_left_is_a_doubt():
+    """A second model of what a first one leaves is fitted, and the finding goes with it."""
+    test = make_single_point(8, 25, random_state=3)
+    wave = position_residuals(0.006 * np.sin(test.data[:, :3]), test.groups)
+    model = ArmResidualRegressor(test.arm, orders=4)
+    with collected_findings():
+        model.fit(test.data, test.target - wave, groups=test.groups)
+    assert {found.weight for found in model.findings_ if found.code == "other-table"} == {"doubt"}
+    with collected_findings():
+        model.fit(test.data, -test.target, groups=test.groups)
+    assert [found.weight for found in model.findings_] == ["repair"]
