@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, calibrate, learn_correction
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    Correction,
+    calibrate,
+    learn_correction,
+    position_residuals,
+)
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 SMALL = ArmResidualRegressor(orders=3)
@@ -87,7 +94,8 @@ def test_a_make_is_where_a_new_arm_starts():
     for seed in (10, 11, 12):
         data = make_single_point(12, 20, machine="gravity", random_state=seed)
         arm = calibrate(data.nominal_arm, data.data, data.groups).arm
-        earlier.append(ArmResidualRegressor(arm).fit(data.data, data.target, groups=data.groups))
+        y = position_residuals(arm.forward(data.data), data.groups)
+        earlier.append(ArmResidualRegressor(arm).fit(data.data, y, groups=data.groups))
     test = make_single_point(5, 10, machine="gravity", random_state=0)
     learned = learn_correction(test.nominal_arm, test.data, test.groups, like=earlier, cv=3)
     (entry,) = learned.model.updates_

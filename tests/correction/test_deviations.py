@@ -80,8 +80,13 @@ def test_three_deviations_have_three_names(learned):
     np.testing.assert_allclose(lengths, np.linalg.norm(line, axis=1))
     draws = correction.model.sample_y(angles, 4000, random_state=0)
     draws = np.linalg.norm(line[:, :, None] + draws[10:] - draws[:10], axis=1).std(axis=1)
-    noise = correction.facts["std_factor"] * correction.noise
-    expected = np.sqrt(draws**2 + 2 * noise**2 + (correction.scale_sd * lengths) ** 2)
+    # Of both ends the noise along the line, by the Jacobian.
+    linear, along = correction.model.linear_model_, line / lengths[:, None]
+    J = np.stack([correction.arm.jacobian(part) for part in (angles[:10], angles[10:])])
+    share, size = linear.noise_of_angles, correction.facts["std_factor"] * correction.noise
+    by_axis = 1 - share + share / linear.lever_mm**2 * np.square(J).sum(axis=3)
+    noise = size**2 * np.einsum("enc,nc->n", by_axis, np.square(along))
+    expected = np.sqrt(draws**2 + noise + (correction.scale_sd * lengths) ** 2)
     np.testing.assert_allclose(std, expected, rtol=0.05)
     with pytest.raises(ValueError, match="std_of"):
         correction.correct(angles, std_of="length")

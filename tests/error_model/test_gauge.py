@@ -106,6 +106,7 @@ def errors_over_deviations(name, seed, single_point):
     return (error / std)[~train], linear.std_scale
 
 
+@pytest.mark.filterwarnings("ignore:y are not the deviations")  # they are drawn
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("single_point", [False, True])
 def test_deviations_are_right_on_three_arms(single_point):
