@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
@@ -131,7 +133,7 @@ def _right_labels(fit):
     """
     index, sigma = fit.problem.index, fit.sigma
     # The probe may not be known: as most of the labels have it.
-    codes = places_of(fit.of(free=["probe"], loss="cauchy").points())
+    codes: Any = places_of(fit.of(free=["probe"], loss="cauchy").points())
     for _ in range(2):
         if codes is None or 2 * np.sum(renamed(codes, index) != index) > len(index):
             return None

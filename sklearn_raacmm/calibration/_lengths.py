@@ -109,7 +109,7 @@ def _causes(lengths, found, covariance, places, reach, labels):
     given, sd = (np.array([entry[i] for entry in lengths], dtype=float) for i in (2, 3))
     n, explained = len(given), []
 
-    def log_likelihood(left, widths=sd, among=None, more=0.0):
+    def log_likelihood(left: Any, widths: Any = sd, among: Any = None, more: Any = 0.0) -> Any:
         some = slice(None) if among is None else among
         of = (covariance + np.diag(np.square(widths)) + more)[some][:, some]
         left = left[some]

@@ -79,7 +79,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group
         sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
         if elsewhere is None:
             return sample, sample
-        return sample, extend(sample, *elsewhere, outputs)
+        return sample, extend(sample, *elsewhere, outputs=outputs)
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
