@@ -106,7 +106,7 @@ def learn(options):
     training.pop("hull_corners_mm", None)
     taught = replace(result, facts=result.facts | {"training": training})
     _print_result(result, table.rows, options)  # before what may fail
-    save_step(taught, options.out, step, report, contents)
+    save_step(taught, options.out, step, report, contents, learnt=today)
     print(f"Written to {options.out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())

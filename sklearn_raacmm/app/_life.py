@@ -105,7 +105,7 @@ def update(options):
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": float(rms), "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
-    _save(new, options, facts, layout)
+    _save(new, options, facts, layout, learnt=today)
     return OK, facts
 
 
@@ -342,12 +342,15 @@ def _print_moves(title, old, new):
     return facts
 
 
-def save_step(correction, out, step, page="", contents=()):
+def save_step(correction, out, step, page="", contents=(), learnt=None):
     """Write the folder with a step added to its history, of which report and card tell.
 
-    `page` is the report so far; `contents` are further files by their names.
+    `page` is the report so far; `contents` are further files by their names; from the poses
+    `learnt` the step has taught the model, which is to know them again.
     """
     step = {"date": date.today().isoformat(), **step}
+    if learnt is not None:
+        step["rows"] = "".join(digests_of(learnt))
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
     card = describe(correction.model)
@@ -371,7 +374,7 @@ def _short(step):
     return said
 
 
-def _save(correction, options, step, layout=None):
+def _save(correction, options, step, layout=None, learnt=None):
     """Write the folder with what was done, and with the points of today where there are any."""
     out = Path(options.out) if options.out else correction_files(options.model)[0].parent
     contents, aside = {}, out / f"corrected_before_{step['what']}.csv"
@@ -384,7 +387,7 @@ def _save(correction, options, step, layout=None):
     with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
         (out / "corrected.csv").replace(aside)
         print(f"The corrected points of before are now in {aside.name}.")
-    written = save_step(correction, out, step, _page_of(options), contents)
+    written = save_step(correction, out, step, _page_of(options), contents, learnt)
     print(f"Written to {out}: {', '.join(path.name for path in written)}")
 
 
@@ -405,8 +408,7 @@ def step_of(what, today, facts, measure=None, before_mm=np.nan, after_mm=np.nan)
     """What was done, with which poses, and what it was worth, as plain values."""
     step = {"what": what}
     if today is not None:
-        rows = "".join(digests_of(today))
-        step |= {"n_poses": len(today.angles), "poses": digest_of(rows), "rows": rows}
+        step |= {"n_poses": len(today.angles), "poses": digest_of("".join(digests_of(today)))}
     if measure is not None:
         step |= {"measure": measure, "before_mm": float(before_mm), "after_mm": float(after_mm)}
     return step | facts

@@ -14,7 +14,8 @@ import numpy as np
 from sklearn_raacmm.error_model import unseen_variance
 from sklearn_raacmm.utils import Finding
 
-# Share of a standard deviation that is the arm's at least, whatever a reference states.
+# Share of a standard deviation that is the arm's at least, whatever a reference states: a
+# choice.
 _LEAST_SHARE = 0.2
 # Coverage factor of uncertainties that are said in words.
 _K = 2.0

@@ -52,6 +52,8 @@ _FEW_POSES = 0.4
 _POSES = 256
 # Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
 _SHARES = np.arange(0.0, 0.99, 0.02)
+# Rows of which that is compared at a time: 5 MB for an array of all shares.
+_ROWS_OF_NOISE = 4096
 
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
@@ -254,20 +256,24 @@ def _with_noise_of_angles(model, rows):
     the usual, with l^2 the mean square of J. Its likelihood over a grid of shares q, the size of
     the noise being the likeliest for each, gives the mean of q: there is nothing to decide.
     """
-    J = levers(rows.arm, model.terms, rows.X)
-    squares = J @ J.swapaxes(1, 2)
+    squares = np.empty((len(rows.X), 3, 3))
+    for part in chunks(len(rows.X), _ROWS_OF_NOISE):
+        J = levers(rows.arm, model.terms, rows.X[part])
+        squares[part] = J @ J.swapaxes(1, 2)
     lever = np.average(np.einsum("nii->n", squares), weights=rows.weights) / 3
     if not lever > 0:
         return model
     size, axes = np.linalg.eigh(squares / lever)
     left = centred(rows.y - model.predict(rows.X)[0], rows.codes, rows.weights)
     left = np.square(np.einsum("nca,nc->na", axes, left))
-    variance = 1 - _SHARES[:, None, None] * (1 - size)
-    total = 3 * rows.weights.sum()
-    fit = np.einsum("n,qna->q", rows.weights, left / variance) / total
+    total, fit, volume = 3 * rows.weights.sum(), np.zeros(len(_SHARES)), np.zeros(len(_SHARES))
+    for part in chunks(len(rows.X), _ROWS_OF_NOISE):
+        variance = 1 - _SHARES[:, None, None] * (1 - size[part])
+        fit += np.einsum("n,qna->q", rows.weights[part], left[part] / variance) / total
+        volume += np.einsum("n,qna->q", rows.weights[part], np.log(variance))
     if not fit.all():  # no noise
         return model
-    logs = -0.5 * (total * np.log(fit) + np.einsum("n,qna->q", rows.weights, np.log(variance)))
+    logs = -0.5 * (total * np.log(fit) + volume)
     odds = np.exp(logs - logs.max())
     share = float(odds @ _SHARES / odds.sum())
     return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))
