@@ -317,7 +317,7 @@ def predict_mean(packed, X):
 def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
     """Lower Cholesky factor of a weighted kernel matrix with a ridge, in memory of one matrix."""
     n, root = len(Z), np.sqrt(weights)
-    C = np.empty((n, n), order="F")
+    C = np.zeros((n, n), order="F")  # what is above may be anything but a cause of overflow
     for part in chunks(n, _CHUNK_OF_STD // max(n, 1)):
         below = slice(part.start if codes is None else 0, n)
         C[below, part] = kernel_matrix(Z[part], Z[below], kernel).T
