@@ -71,13 +71,10 @@ def accept(options):
     if options.template:
         return _write_template(run_path, arm or getattr(saved, "arm", None), options.language)
     check_installed("jinja2")
-    if options.dcc_schema and not options.dcc:
-        raise TableError("--dcc-schema validates what --dcc writes: name a file by --dcc.")
     out = Path(options.out)
     read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
     models = correction_files(options.model) if options.model else []
-    named = filter(None, [options.arm, options.dcc_schema])
-    check_places([out, *filter(None, [options.dcc])], [*read, *models, *named])
+    check_places(filter(None, [out, options.dcc]), filter(None, [*read, *models, options.arm]))
     any_arm, any_model = (saved.arm, saved.model) if saved else (arm, None)
     run, rows, entries, limits, digest = _read_run(run_path, any_arm)
     with numbered_rows(rows):
@@ -97,7 +94,7 @@ def accept(options):
     made = {out: _page(shown, limits, words, options.language)}
     if options.dcc:
         made[Path(options.dcc)] = certificate(
-            shown, lambda text: words.get(text, text), ENTRIES, options.language, options.dcc_schema
+            shown, lambda text: words.get(text, text), ENTRIES, options.language
         )
     write_whole(made)
     print(result)

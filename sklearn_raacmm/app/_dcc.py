@@ -1,4 +1,4 @@
-"""The Digital Calibration Certificate of a run: XML for PTB's schema, 3.2.1 or 3.3.0.
+"""The Digital Calibration Certificate of a run: XML for PTB's schema 3.3.0.
 
 A sheet may have blanks, a certificate has none: what the schema asks for has to be stated.
 """
@@ -8,13 +8,12 @@ A sheet may have blanks, a certificate has none: what the schema asks for has to
 
 import re
 from datetime import date
-from pathlib import Path
 from xml.etree import ElementTree
 
-from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
+from sklearn_raacmm.app._cells import TableError, parse_number
 from sklearn_raacmm.app._report import render
 
-_VERSION = "3.3.0"  # where no schema says its own
+_VERSION = "3.3.0"
 _NEEDED = (
     "number", "laboratory", "country", "customer", "place", "item", "serial", "tested",
     "temperature", "authorised",
@@ -24,8 +23,8 @@ _SIDES = (
 )  # fmt: skip
 
 
-def certificate(shown, t, labels, language, schema=None):
-    """What the sheet shows as XML, validated where the path of a schema is given."""
+def certificate(shown, t, labels, language):
+    """What the sheet shows as XML."""
     entries = shown["entries"]
     if missing := [labels[name] for name in _NEEDED if not entries[name]]:
         raise TableError(f"The certificate needs of the table sheet: {'; '.join(missing)}.")
@@ -33,15 +32,14 @@ def certificate(shown, t, labels, language, schema=None):
         raise TableError(
             f"{labels['country']}: two capitals, such as DE, got {entries['country']}."
         )
-    validate, version = _read_schema(Path(schema)) if schema else (ElementTree.fromstring, _VERSION)
     days = {name: _days(labels[name], entries[name]) for name in ("received", "tested", "issued")}
     page = render(
-        "_accept.xml", t=t, labels=labels, language=language, version=version, plain=_plain,
+        "_accept.xml", t=t, labels=labels, language=language, version=_VERSION, plain=_plain,
         um=lambda mm: f"{1e3 * mm:.1f}", sides=_SIDES[: 1 + shown["left"]],
         days=days, methods={one.standard: one for one in shown["result"].values}, **shown,
     )  # fmt: skip
     try:
-        validate(page.encode())
+        ElementTree.fromstring(page)
     except ElementTree.ParseError as error:  # such as of control characters
         raise TableError(f"The certificate would be no XML: {error}.") from None
     return page
@@ -66,35 +64,3 @@ def _plain(text):
         return f"{parse_number(text):g}"
     except TableError:
         return ""
-
-
-def _read_schema(path):
-    """What validates by the schema of this path, and the schema's version."""
-    check_installed("lxml")
-    from lxml import etree
-
-    class Beside(etree.Resolver):
-        """Takes what is imported from an address from beside the schema."""
-
-        def resolve(self, url, public_id, context):
-            file = path.with_name(url.rpartition("/")[2])
-            if url.startswith("http") and not file.exists():
-                missing.append(f"{path} imports {url}: save it as {file}.")
-            return self.resolve_filename(str(file if url.startswith("http") else url), context)
-
-    def validate(page):
-        if not schema.validate(etree.fromstring(page)):
-            text = re.sub(r"\{[^}]*\}", "", schema.error_log[0].message).rstrip(".")
-            raise TableError(f"The certificate is not valid by {path}: {text}.")
-
-    missing: list[str] = []
-    parser = etree.XMLParser(no_network=True)
-    parser.resolvers.add(Beside())
-    try:
-        tree = etree.parse(str(path), parser)
-        schema = etree.XMLSchema(tree)
-    except (OSError, etree.LxmlError) as error:
-        raise TableError(
-            (missing or [f"{path} is no schema that can be read: {error}."])[0]
-        ) from None
-    return validate, tree.getroot().get("version") or _VERSION

@@ -74,7 +74,7 @@ WORDS = {
     "accept": (
         "_accept", "judge an arm by its acceptance test, as found and as left: a sheet",
         "raacmm accept run.xlsx --model my_arm --out sheet.html",
-        "run --model --arm --template --out --language --rule --dcc --dcc-schema --open",
+        "run --model --arm --template --out --language --rule --dcc --open",
     ),
     "demo": (
         "_commands", "learn the correction of a simulated arm, with a report",
@@ -197,9 +197,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "help": "decision rule: with a guard of 1.645 u, or without (guarded)",
     },
     "--dcc": {"metavar": "FILE", "help": "Digital Calibration Certificate (XML) to write, too"},
-    "--dcc-schema": {
-        "metavar": "FILE", "help": "PTB's dcc.xsd, what it imports beside it: validate by it (lxml)"
-    },
     # -- arms
     "--lengths-222": _LENGTHS | {"help": "lengths in mm of a 2-2-2 arm"},
     "--lengths-223": _LENGTHS | {"help": "lengths in mm of a 2-2-3 arm"},
