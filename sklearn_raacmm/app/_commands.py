@@ -184,7 +184,7 @@ def export(options):
     _warn_if_it_does_not_help(saved)
     if (unnamed := find_unnamed_probe(saved)) and not (options.c and options.any_probe):
         print_notes([f"{unnamed}: what is written is for this one."])
-    paths, fade = [], False if options.fade == "none" else options.fade
+    paths = []
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         source = folder / f"{options.name}.c"
@@ -193,11 +193,11 @@ def export(options):
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
         paths += export_c(
             saved.model, source, std=options.std, card=card, poses="random",
-            any_probe=options.any_probe, fade=fade,
+            any_probe=options.any_probe,
         )  # fmt: skip
         paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
-        to_onnx(saved.model, options.onnx, fade=fade)
+        to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}
@@ -210,7 +210,7 @@ def plan(options):
     check_installed("jinja2", "matplotlib")
     check_places(paths.values(), [options.arm])
     arm = load_arm(options.arm)
-    found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean)
+    found = plan_poses(arm, options.cones, options.poses)
     out.mkdir(parents=True, exist_ok=True)
     names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
     poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))

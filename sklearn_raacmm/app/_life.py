@@ -80,9 +80,10 @@ def update(options):
     layout, today, lengths = _read_today(options, saved.arm)
     if used := _used_poses(saved, today):  # they count once
         raise TableError(used)
-    measured = today.angles, today.positions, today.points, lengths
-    today_is = options.date or date.today().isoformat()
-    new = saved.update(*measured, date=today_is, accept=options.accept or ())
+    new = saved.update(
+        today.angles, today.positions, today.points, lengths,
+        date=date.today().isoformat(), accept=options.accept or (),
+    )  # fmt: skip
     y = new.calibration.residuals(today.angles, today.points, today.positions)
     X = saved.inputs(today.angles)
     was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)

@@ -48,7 +48,7 @@ WORDS = {
     "update": (
         "_life", "bring a correction up to date with few new poses",
         "raacmm update today.csv --model my_arm --out my_arm_2026",
-        f"{_TODAY} --out --date --accept",
+        f"{_TODAY} --out --accept",
     ),
     "move": (
         "_life", "move a correction to a probe whose vector is known",
@@ -58,18 +58,18 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std --any-probe --fade",
+        "--model --c --onnx --name --std --any-probe",
     ),
     "arm": (
-        "_arms", "show an arm and write its file; without an arm it asks",
+        "_arms", "show an arm and write its file",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --up --sign --zero --into --out --picture",
+        "--modified --probe --up --into --out --picture",
     ),
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
         "raacmm plan --arm my_arm.json --out plan",
-        "--arm --out --cones --poses --lean",
+        "--arm --out --cones --poses",
     ),
     "accept": (
         "_accept", "judge an arm by its acceptance test, as found and as left: a sheet",
@@ -88,153 +88,124 @@ def _flag(text):
     return {"action": "store_true", "help": text}
 
 
-_FOLDER = {"help": "folder to write into (default: the folder of --model)"}
-_LENGTHS: dict[str, Any] = {
-    "type": float, "nargs": 4, "metavar": ("SHOULDER", "UPPER", "FORE", "PROBE"),
-}  # fmt: skip
-_OFFSET: dict[str, Any] = {"type": float, "default": 0.0, "metavar": "MM"}
+def _value(metavar, text, **more):
+    return {"metavar": metavar, "help": text, **more}
+
+
+def _number(metavar, text, kind=float, **more):
+    return _value(metavar, text, type=kind, **more)
+
+
+def _choice(choices, text, default=None):
+    return {"choices": choices, "help": text, "default": default}
+
+
+_ARM = "arm file, URDF, or name of a built-in arm"
+_FOLDER = _value("FOLDER", "folder to write into (default: the folder of --model)")
+_LENGTHS = ("SHOULDER", "UPPER", "FORE", "PROBE")
 # What argparse takes of each option; "word option" where it differs in a word.
 OPTIONS: dict[str, dict[str, Any]] = {
     "learn table": {"help": "one row per pose: joint angles and position"},
     "correct table": {"help": "table with joint angles; - is the standard input"},
     "check table": {"help": "a small test of today"},
-    "register table": {
-        "help": "poses with the new probe, or in the new place: 15 in two cones will do"
-    },
+    "register table": {"help": "poses with the new probe, or in the new place: 15 in two cones"},
     "update table": {"help": "20 poses or more of the arm as it is now"},
-    "source": {"nargs": "?", "help": "arm file, URDF, or name of a built-in arm"},
-    "--arm": {"required": True, "help": "arm file, URDF, or name of a built-in arm"},
-    "--base": {"metavar": "LINK", "help": "first link of a URDF's chain"},
-    "--tip": {"metavar": "LINK", "help": "last link of a URDF's chain: the probe"},
-    "--model": {"required": True, "help": "folder written by raacmm learn"},
-    "--out": {"required": True, "help": "folder to write into"},
-    "correct --out": {"required": True, "help": "CSV to write; - is the standard output"},
+    "source": {"nargs": "?", "help": _ARM},
+    "--arm": _value("ARM", _ARM, required=True),
+    "--base": _value("LINK", "first link of a URDF's chain"),
+    "--tip": _value("LINK", "last link of a URDF's chain: the probe"),
+    "--model": _value("FOLDER", "folder written by raacmm learn", required=True),
+    "--out": _value("FOLDER", "folder to write into", required=True),
+    "correct --out": _value("CSV", "table to write; - is the standard output", required=True),
     **dict.fromkeys(("register --out", "update --out", "move --out"), _FOLDER),
-    "demo --out": {"default": "raacmm-demo", "help": "folder to write into (raacmm-demo)"},
-    "arm --out": {"help": "file to write, JSON or what --into names; - is the standard output"},
+    "demo --out": _value("FOLDER", "folder to write into (raacmm-demo)", default="raacmm-demo"),
+    "arm --out": _value("FILE", "JSON, or what --into names; - is the standard output"),
     # -- the table
-    "--angles": {"metavar": "Q1,Q2,...", "help": "columns of the joint angles"},
-    "--position": {"metavar": "NAME", "help": "column of the positions' labels"},
-    "--unit": {"choices": ("deg", "rad"), "help": "unit of the joint angles"},
-    "--counts-per-turn": {
-        "metavar": "N", "help": "counts of the encoders in a turn, one number or one for each joint"
-    },
-    "--sheet": {"metavar": "NAME", "help": "sheet of a spreadsheet, name or number"},
-    "--points": {"metavar": "X,Y,Z", "help": "columns of a tracker's points, or a file of points"},
-    "--points-sd": {
-        "type": float, "metavar": "MM", "default": 0.0,
-        "help": "sd of a tracker's coordinate, which is not the arm's",
-    },
-    "--length": {
-        "action": "append", "metavar": "FROM:TO:MM:SD",
-        "help": "a known distance in mm and its sd: of a bar in two cones, or of a cone plate "
-        "moved",
-    },
-    "--lengths": {"metavar": "CSV", "help": "known lengths: from, to, mm, sd in mm"},
-    "--places": {"metavar": "CSV", "help": "a plate of known points: position, x, y, z, sd in mm"},
-    "--length-sd": {"type": float, "metavar": "MM", "help": "sd of all known lengths"},
-    "--extra": {
-        "nargs": "+", "metavar": "NAME[=COLUMN]",
-        "help": "a cause that a column holds, such as temperature=T1, payload, time",
-    },
-    "correct --std": {
-        "choices": ("no", "point", "all"), "default": "all",
-        "help": "standard deviations to write: none, of the coordinates, or also within a position "
-        "and of a distance of 1 m (all)",
-    },
+    "--angles": _value("Q1,Q2,...", "columns of the joint angles"),
+    "--position": _value("NAME", "column of the positions' labels"),
+    "--unit": _choice(("deg", "rad"), "unit of the joint angles"),
+    "--counts-per-turn": _value("N", "counts of the encoders in a turn, one or one for each joint"),
+    "--sheet": _value("NAME", "sheet of a spreadsheet, name or number"),
+    "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),
+    "--points-sd": _number("MM", "sd of a tracker's coordinate, not the arm's", default=0.0),
+    "--length": _value(
+        "FROM:TO:MM:SD",
+        "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved",
+        action="append",
+    ),
+    "--lengths": _value("CSV", "known lengths: from, to, mm, sd in mm"),
+    "--places": _value("CSV", "a plate of known points: position, x, y, z, sd in mm"),
+    "--length-sd": _number("MM", "sd of all known lengths"),
+    "--extra": _value(
+        "NAME[=COLUMN]",
+        "a cause that a column holds, such as temperature=T1, payload, time",
+        nargs="+",
+    ),
+    "correct --std": _choice(
+        ("no", "point", "all"),
+        "standard deviations to write: none, of the coordinates, or also within a position and of "
+        "a distance of 1 m (all)",
+        "all",
+    ),
     "--in-order": _flag("rows are in the order of measurement: use the directions of the joints"),
-    "--tool": {"metavar": "COLUMN", "help": "column of the probe's name, where several took turns"},
+    "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     # -- learning
-    "--limit-2s": {"type": float, "metavar": "MM", "help": "limit of the mean 2S to judge by"},
-    "--folds": {"type": int, "help": "times that some positions are left out (5)"},
-    "--jobs": {"type": int, "help": "folds computed at the same time (1)"},
+    "--limit-2s": _number("MM", "limit of the mean 2S to judge by"),
+    "--folds": _number("N", "times that some positions are left out (5)", int),
+    "--jobs": _number("N", "folds computed at the same time (1)", int),
     "--open": _flag("open the report in the browser"),
     "--force": _flag("replace the correction that the folder holds"),
-    "--like": {
-        "nargs": "+", "metavar": "FOLDER",
-        "help": "folders of corrections of earlier arms of this make",
-    },
-    "--take": {
-        "action": "append", "metavar": "CODE",
-        "help": "change the arm as a finding proposes: reversed-2-4, other-convention",
-    },
-    "--serial": {"help": "serial number, for the report"},
-    "--operator": {"help": "name, for the report"},
+    "--like": _value("FOLDER", "corrections of earlier arms of this make", nargs="+"),
+    "--take": _value(
+        "CODE",
+        "change the arm as a finding proposes: reversed-2-4, other-convention",
+        action="append",
+    ),
+    "--serial": _value("TEXT", "serial number, for the report"),
+    "--operator": _value("NAME", "for the report"),
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
-    "--record": {"metavar": "CSV", "help": "file to append the line of this check to"},
-    "--accept": {
-        "action": "append", "metavar": "CODE",
-        "help": "go on in spite of a finding, such as corrected-already",
-    },
-    "--date": {"help": "when they were measured (today)"},
-    "move --probe": {
-        "metavar": "X,Y,Z", "required": True,
-        "help": "vector of the new probe in the last frame, mm; --probe=-5,0,250 before a sign",
-    },
-    "--c": {"metavar": "FOLDER", "help": "C source and header"},
-    "--onnx": {"metavar": "FILE", "help": "ONNX file to write"},
-    "--name": {"default": "arm_correction", "help": "name of the C functions"},
+    "--record": _value("CSV", "file to append the line of this check to"),
+    "--accept": _value(
+        "CODE", "go on in spite of a finding, such as corrected-already", action="append"
+    ),
+    "move --probe": _value(
+        "X,Y,Z",
+        "vector of the new probe in the last frame, mm; --probe=-5,0,250 before a sign",
+        required=True,
+    ),
+    "--c": _value("FOLDER", "C source and header"),
+    "--onnx": _value("FILE", "ONNX file to write"),
+    "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("standard deviations in C, too"),
     "--any-probe": _flag("functions in C take the vector of the probe, too"),
-    "--fade": {
-        "choices": ("small", "exact", "none"), "default": "small",
-        "help": "how the correction fades where little is known: from small tables (small), as in "
-        "Python (exact), not at all (none)",
-    },
     # -- acceptance
-    "run": {
-        "help": "spreadsheet or folder of CSV with readings, artefacts, limits and entries of the "
-        "sheet"
-    },
-    "accept --model": {"help": "folder written by raacmm learn: the arm as left"},
-    "accept --arm": {"help": "the arm as found (the table of --model, without its correction)"},
-    "accept --out": {"default": "sheet.html", "help": "sheet to write (sheet.html)"},
+    "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
+    "accept --model": _value("FOLDER", "folder written by raacmm learn: the arm as left"),
+    "accept --arm": _value("ARM", "as found (the table of --model, without its correction)"),
+    "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
     "--template": _flag("write RUN without numbers, .xlsx or a folder of CSV, for this arm"),
-    "--language": {"choices": ("en", "de"), "default": "en", "help": "of the sheet (en)"},
-    "--rule": {
-        "choices": ("guarded", "simple"), "default": "guarded",
-        "help": "decision rule: with a guard of 1.645 u, or without (guarded)",
-    },
-    "--dcc": {"metavar": "FILE", "help": "Digital Calibration Certificate (XML) to write, too"},
+    "--language": _choice(("en", "de"), "of the sheet (en)", "en"),
+    "--rule": _choice(
+        ("guarded", "simple"), "decision rule: with a guard of 1.645 u, or without", "guarded"
+    ),
+    "--dcc": _value("XML", "Digital Calibration Certificate to write, too"),
     # -- arms
-    "--lengths-222": _LENGTHS | {"help": "lengths in mm of a 2-2-2 arm"},
-    "--lengths-223": _LENGTHS | {"help": "lengths in mm of a 2-2-3 arm"},
-    "--elbow-offset": _OFFSET | {
-        "help": "distance in mm at which the axes of the elbow pass each other (0)"
-    },
-    "--wrist-offset": _OFFSET | {
-        "help": "distance in mm at which the axes of the wrist pass each other (0)"
-    },
-    "--dh": {"metavar": "TABLE", "help": "table of a, alpha, d and theta offset"},
+    "--lengths-222": _number(_LENGTHS, "lengths in mm of a 2-2-2 arm", nargs=4),
+    "--lengths-223": _number(_LENGTHS, "lengths in mm of a 2-2-3 arm", nargs=4),
+    "--elbow-offset": _number("MM", "how far the elbow's axes pass each other (0)", default=0.0),
+    "--wrist-offset": _number("MM", "how far the wrist's axes pass each other (0)", default=0.0),
+    "--dh": _value("TABLE", "table of a, alpha, d and theta offset"),
     "--modified": _flag("the table of --dh is in the modified convention"),
-    "arm --probe": {"metavar": "X,Y,Z", "help": "probe centre in the last frame, mm, for --dh"},
-    "--up": {
-        "metavar": "X,Y,Z",
-        "help": "direction against gravity in the base frame; 0,0,1: the arm stands upright",
-    },
-    "--sign": {
-        "metavar": "S1,S2,...",
-        "help": "1 where a joint's encoder counts as the joint turns, -1 where it does not",
-    },
-    "--zero": {
-        "metavar": "Q1,Q2,...",
-        "help": "what each encoder shows where its joint stands at the zero of the arm, degrees",
-    },
-    "--into": {
-        "metavar": "FILE",
-        "help": "write the arm's numbers into a copy of the robot's own URDF or UR kinematics",
-    },
-    "--picture": {"metavar": "SVG", "help": "picture of the arm and its axes"},
-    "--cones": {"type": int, "default": 8, "help": "number of cones (8)"},
-    "--poses": {"type": int, "default": 12, "help": "poses in each cone (12)"},
-    "--lean": {
-        "type": float, "default": 60.0, "metavar": "DEG",
-        "help": "how far the probe may lean from the vertical in a cone, degrees (60)",
-    },
+    "arm --probe": _value("X,Y,Z", "probe centre in the last frame, mm, for --dh"),
+    "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
+    "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
+    "--picture": _value("SVG", "picture of the arm and its axes"),
+    "--cones": _number("N", "number of cones (8)", int, default=8),
+    "--poses": _number("N", "poses in each cone (12)", int, default=12),
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
-}  # fmt: skip
+}
 
 
 class _Parser(argparse.ArgumentParser):

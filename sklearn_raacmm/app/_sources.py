@@ -14,7 +14,6 @@ from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
 from sklearn_raacmm.app._cells import (
     Dialect,
@@ -29,14 +28,10 @@ from sklearn_raacmm.app._cells import (
 _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
 _HEAD_CHARACTERS = 1 << 20
-# A sheet of a million rows unpacks to some 100 MB; more than this, or so many times the size of
-# the file, is no table.
-_MOST_BYTES, _MOST_RATIO = 1 << 30, 300
 _SHEETS = (".xlsx", ".xlsm")
-_ARRAYS = (".npy", ".npz", ".mat")
 _SAVE_AS = (
     ".parquet", ".feather", ".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf", ".h5", ".hdf5",
-    ".bag", ".mcap", ".db3", ".mdb", ".accdb", ".rds", ".7z",
+    ".bag", ".mcap", ".db3", ".mdb", ".accdb", ".rds", ".7z", ".mat", ".npy", ".npz",
 )  # fmt: skip
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
@@ -76,8 +71,6 @@ def find_source(path, n_numbers, sheet=None):
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
-    if kind in _ARRAYS:
-        return _arrays(path, n_numbers)
     try:
         if ".jsonl" in path.suffixes or ".ndjson" in path.suffixes:
             return _json_lines(path)
@@ -93,47 +86,33 @@ def find_source(path, n_numbers, sheet=None):
 def _find_sheet(path, n_numbers, wanted):
     """The sheet that is wanted, or the first with rows of so many numbers; and its decimal sign."""
     with _open_book(path) as book:
-        names = list(book.sheetnames)
+        names = [sheet.title for sheet in book.worksheets]  # of charts there are none
     candidates = [name for name in names if wanted in (None, name)]
     candidates = candidates or [name for i, name in enumerate(names, 1) if wanted == str(i)]
     if not candidates:
         raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
-    hidden = ", rows that a filter hides among them" if _hides_rows(path) else ""
     for name in candidates:
         others = ", ".join(other for other in names if other != name)
         more = f" (--sheet takes another: {others})" if others else ""
-        what = f"Spreadsheet, sheet {name!r}{hidden}{more}"
+        what = f"Spreadsheet, sheet {name!r}{more}"
         read = partial(sheet_rows, path, name)
-        best, most = None, 0
-        for decimal, separator in ((".", ","), (",", ";")):
-            dialect = Dialect(path, "utf-8-sig", separator, decimal, what, read)
-            counts = [dialect.count(cells) for _, cells in islice(dialect.rows(), _LOOKED_AT)]
-            found = sum(count for count in counts if count >= n_numbers)
-            if found > most:
-                best, most = dialect, found
-        if best is not None:
-            return best
+        rows = [cells for _, cells in islice(read(), _LOOKED_AT)]
+        dialects = [
+            Dialect(path, separator=separator, decimal=decimal, what=what, read=read)
+            for separator, decimal in ((",", "."), (";", ","))
+        ]
+        counts = [[dialect.count(cells) for cells in rows] for dialect in dialects]
+        found = [sum(count for count in one if count >= n_numbers) for one in counts]
+        if any(found):
+            return dialects[np.argmax(found)]
     sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
-    advice = ""
-    if any(
-        "=" in str(cell)[:1]
-        for n in candidates
-        for _, row in sheet_rows(path, n, False)
-        for cell in row
-    ):
-        advice = " It holds formulas without their values: save it in a spreadsheet program."
-    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.{advice}")
+    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
 
 
-def sheet_rows(path, name, values=True):
-    """Yield (row number from 1, cells) of each row of a sheet that is not empty.
-
-    The cells are the values of formulas, or else the formulas themselves.
-    """
-    with _open_book(path, values) as book:
+def sheet_rows(path, name):
+    """Yield (row number from 1, cells) of each row of a sheet that is not empty."""
+    with _open_book(path) as book:
         sheet = book[name]
-        if not hasattr(sheet, "iter_rows"):  # a sheet that is a chart
-            return
         sheet.reset_dimensions()  # some programs state fewer rows than they write
         for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
             cells = [clean(cell) for cell in row]
@@ -141,15 +120,8 @@ def sheet_rows(path, name, values=True):
                 yield number, cells
 
 
-def _hides_rows(path):
-    """Whether rows of any sheet are hidden: they are read none the less."""
-    with zipfile.ZipFile(path) as archive:
-        sheets = [name for name in archive.namelist() if "worksheets/" in name]
-        return any(re.search(rb'<row [^>]*hidden="1"', archive.read(name)) for name in sheets)
-
-
 @contextmanager
-def _open_book(path, values=True):
+def _open_book(path):
     """A workbook, which is closed afterwards."""
     check_installed("openpyxl")
     import openpyxl
@@ -157,17 +129,10 @@ def _open_book(path, values=True):
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size > _MOST_BYTES or size > _MOST_RATIO * max(path.stat().st_size, 1 << 20):
-            raise TableError(
-                f"{path} of {path.stat().st_size / 1e6:.1f} MB unpacks to {size / 1e6:.0f} MB, "
-                "which is no table: save the sheet as CSV."
-            )
         # A file of our own: of a sheet that is not read to its end some versions leave theirs open.
         with (
             open(path, "rb") as file,
-            closing(openpyxl.load_workbook(file, read_only=True, data_only=values)) as book,
+            closing(openpyxl.load_workbook(file, read_only=True, data_only=True)) as book,
         ):
             yield book
     except TableError:
@@ -195,41 +160,6 @@ def _json_lines(path):
     names = list(dict.fromkeys(chain(*rows)))
     cells = [names, *([row.get(name, "") for name in names] for row in rows)]
     return Dialect(path, what="Lines of JSON", read=partial(enumerate, cells))
-
-
-# -- arrays of NumPy and MATLAB -------------------------------------------------------------------
-
-
-def _arrays(path, n_numbers):
-    """A table of the arrays of a file that have as many rows as the longest one."""
-    try:
-        if path.suffix.lower() == ".mat":
-            content = loadmat(path, squeeze_me=True)
-        else:
-            loaded = np.load(path, allow_pickle=False)
-            content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
-    except NotImplementedError:  # HDF5
-        raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
-    except Exception as error:  # no such file, or one that would have to be unpickled
-        raise TableError(f"{path} cannot be read: {error}.") from None
-    columns: dict = {}
-    for name, values in content.items():
-        if name.startswith("__") or not np.ndim(values):
-            continue
-        if values.dtype.names:
-            columns |= {field: values[field] for field in values.dtype.names}
-        elif values.ndim == 1:
-            columns[name] = values
-        else:
-            columns |= {f"{name}{i}": column for i, column in enumerate(values.T, 1)}
-    n_rows = max(map(len, columns.values()), default=0)
-    columns = {k: v for k, v in columns.items() if len(v) == n_rows and np.ndim(v) == 1}
-    if len(columns) < n_numbers:
-        raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
-    cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
-    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
-    rows = [(0, names)] * bool(names) + list(enumerate(map(list, zip(*cells, strict=True)), 1))
-    return Dialect(path, what="Arrays", read=partial(iter, rows))
 
 
 # -- programs of robots ---------------------------------------------------------------------------

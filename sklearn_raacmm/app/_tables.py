@@ -70,9 +70,8 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl), arrays (.npy, .npz,
-        .mat), or a robot's program; text may be packed (.gz, .zip). Rows that a column "valid"
-        says no of are left out.
+        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl) or a robot's program;
+        text may be packed (.gz, .zip). Rows that a column "valid" says no of are left out.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None

@@ -347,7 +347,7 @@ def places(tmp_path, monkeypatch):
         ("learn t.csv --arm ur10 --out o --counts-per-turn x", "'x' is not a number"),
         ("correct t.csv --model . --out o.csv", "has no correction.json"),
         ("export --model old", "say what to write: --c FOLDER"),
-        ("arm", "give an arm: a file"),
+        ("arm", "give one arm: a file or name, --dh"),
         ("arm nosuch", "raacmm arm: there is no file nosuch, and as a name must be one of ['aa"),
         ("arm ur10 --dh x.csv", "give one arm: a file or name, --dh"),
         ("arm ur10 --probe 0,0,1", "--modified and --probe belong to --dh"),
