@@ -203,6 +203,6 @@ def find_encoding(path):
                 pass
             return encoding
     raise TableError(
-        f"{path} is no table of text: it holds bytes that are no letters in UTF-8, in UTF-16 "
-        "with its mark, or in the encoding of Windows (cp1252)."
+        f"{path} is no table of text in UTF-8, in UTF-16 with its mark, or in the encoding of "
+        "Windows (cp1252): save it as .xlsx or CSV."
     )

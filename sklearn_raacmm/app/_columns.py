@@ -28,13 +28,6 @@ _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*(?!\d+\s*[\])]?$)([^\])/]+?)\s*[\])]?$|^(.*?)(°)$|"
     r"^(.*?)[\s_]+(deg|rad|mm|m|gon|mrad|mdeg)$"
 )
-# Columns that say whether a row is to be used, and what they hold.
-_VALID = re.compile(r"(is[\s_]?)?valid(ity)?|ok|gü?u?e?ltig")
-_YES = ("1", "1.0", "true", "yes", "ja", "wahr", "ok")
-_NO = ("0", "0.0", "false", "no", "nein", "falsch")
-# What loggers write where a reading is missing.
-_LEAST_MARK = 999
-_MISSING = re.compile(r"[+-]?9{3,}([.,](0+|9+))?")
 _POSITION_NAMES = (
     "position", "pos", "positions", "cone", "seat", "socket", "hole", "place", "placement",
     "point", "label", "group", "station", "location", "nest",
@@ -147,10 +140,6 @@ class Columns:
         self.names, self.units = zip(*map(split_unit, self.header), strict=True)
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
-        self.valid: Any = next(
-            (i for i, name in enumerate(self.names) if self._says_valid(i, name)), None
-        )
-        self.first = [row for row in self.first if not self._is_invalid(row[1])]
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -172,37 +161,21 @@ class Columns:
 
     # -- rows -------------------------------------------------------------------------------
 
-    def _says_valid(self, column, name):
-        """Whether a column says by yes and no which rows are to be used."""
-        said = {str(cell).lower() for cell in self._cells(column)}
-        return bool(_VALID.fullmatch(name)) and said <= {*_YES, *_NO}
-
-    def _is_invalid(self, cells):
-        said = cells[self.valid : self.valid + 1] if self.valid is not None else []
-        return any(str(cell).lower() in _NO for cell in said)
-
     def rows(self, columns):
         """Yield (row number, cells) of the data, each with as many cells as the header.
 
         Comments are left out, and rows at the end without a number in any of these columns, which
         a note then names.
         """
-        held, found, invalid = [], False, []
+        held, found = [], False
         for number, cells in self.source.rows():
             has_number = self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
-                continue
-            if self._is_invalid(cells):
-                invalid.append(number)
                 continue
             held.append((number, cells))
             if has_number:
                 yield from map(self._check_width, held)
                 held, found = [], True
-        if invalid:
-            says_no = f"where the column {self.header[self.valid]} says no"
-            note = f"{len(invalid)} rows left out, {says_no}: first row {invalid[0]}."
-            self.notes += [note] * (note not in self.notes)
         if not found:
             yield from map(self._check_width, held)
         elif held:
@@ -243,15 +216,6 @@ class Columns:
                 raise self.fault(rows[first][0], column, what)
             values[:, j] = found
         return values
-
-    def refuse_marks(self, values, rows, columns):
-        """Refuse numbers (n_rows, n_columns) such as 999, which loggers write for a missing one."""
-        for row, j in np.argwhere(np.abs(values) >= _LEAST_MARK):
-            number, cells = rows[row]
-            is_angle = self.names[columns[j]] not in "xyz"  # 999 mm is a coordinate
-            if is_angle and _MISSING.fullmatch(str(cells[columns[j]])):
-                what = f"{cells[columns[j]]!r} marks a missing value: leave the row out"
-                raise self.fault(number, columns[j], what)
 
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
@@ -303,7 +267,6 @@ class Columns:
             i
             for i, name in enumerate(self.names)
             if not _TIME_NAMES.fullmatch(name)
-            and i != self.valid
             and not _OTHER_QUANTITY.search(name)
             and all(self._has_number(cells, [i]) for cells in rows)
         ]
@@ -399,7 +362,7 @@ class Columns:
     def _guess_unit(self, columns):
         """Unit of angles whose names state none."""
         cells = (cell for i in columns for cell in self._cells(i))
-        values = [self.source.number(c) for c in cells if not _MISSING.fullmatch(str(c))]
+        values = map(self.source.number, cells)
         largest = max((abs(value) for value in values if value is not None), default=0.0)
         if largest > _SURELY_COUNTS:
             raise TableError(

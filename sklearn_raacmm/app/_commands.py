@@ -32,7 +32,7 @@ from sklearn_raacmm.app._files import (
     read_tools,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import parse_length, read_lengths, read_places
+from sklearn_raacmm.app._lengths import known_lengths
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import (
@@ -67,9 +67,7 @@ def learn(options):
     layout = find_rows(options, arm)
     table = layout.read()
     print_notes(table.notes + _REGIONS * (table.positions is None))
-    lengths = [parse_length(text) for text in options.length or ()]
-    lengths += read_places(options.places, options.length_sd) if options.places else []
-    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    lengths = known_lengths(options)
     like = [load_correction(folder).model for folder in options.like or ()]
     _progress(-1, 1, "calibration")
     # Findings stand in the result, and are printed with it.

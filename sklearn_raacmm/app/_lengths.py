@@ -11,6 +11,16 @@ from sklearn_raacmm.app._sources import find_source
 from sklearn_raacmm.calibration import lengths_of_places
 
 
+def known_lengths(options):
+    """All known lengths that the options of a word name."""
+    lengths = [parse_length(text) for text in options.length or ()]
+    if getattr(options, "places", None):
+        lengths += read_places(options.places, options.length_sd)
+    if options.lengths:
+        lengths += read_lengths(options.lengths, options.length_sd)
+    return lengths
+
+
 def parse_length(text):
     """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them."""
     try:

@@ -5,7 +5,6 @@
 
 import contextlib
 import io
-import json
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -25,7 +24,7 @@ from sklearn_raacmm.app._files import (
     print_notes,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import parse_length, read_lengths
+from sklearn_raacmm.app._lengths import known_lengths
 from sklearn_raacmm.app._report import with_history
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
@@ -68,8 +67,6 @@ def register(options):
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
-    if hasattr(new.model, "linear_model_"):
-        _print_sizes(saved, new)
     _save(new, options, facts, layout)
     return (OK if holds else CHANGED), facts
 
@@ -115,29 +112,10 @@ def move(options):
     saved = _open_correction(options)
     new = saved.move(parse_vector(options.probe))
     facts = _print_moves(None, saved, new)
-    old_mm, new_mm = _print_sizes(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    facts = step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
+    facts = step_of("move", None, facts)
     _save(new, options, facts)
     return OK, facts
-
-
-def _print_sizes(saved, new):
-    """Print how large corrections and their deviations are with both probes; return the first."""
-    sizes = []
-    for one in (saved, new):
-        tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
-        parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
-        sizes += [float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in parts]
-    old, old_sd, now, now_sd = sizes
-    advice = " Learn with two probes: the first alone shows less of the last joints."
-    print(
-        f"The corrections are now of {now:.3f} mm (rms over all poses), before {old:.3f} mm; their "
-        f"standard deviation is {now_sd:.3f} mm, before {old_sd:.3f} mm."
-        + advice
-        * (now_sd * old > old_sd * now)
-    )
-    return old, now
 
 
 def check(options):
@@ -163,10 +141,9 @@ def check(options):
     if has_causes:
         changed, facts, slipped, advice = _check_model(saved, today, lengths, rate, options)
     if by_spread:
-        if slipped:  # they are left out where each position keeps two or more
-            kept = np.delete(np.arange(len(today.angles)), slipped)
-            if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
-                today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
+        kept = np.delete(np.arange(len(today.angles)), list(slipped))
+        if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
+            today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
         changed = _check_spread(saved, today, rate, changed, facts, advice)
     elif changed:
         print(advice)
@@ -175,10 +152,8 @@ def check(options):
         print(f"It holds: {_describe_poses(today)}, {usual}.")
     facts |= {"holds": not changed}
     try:
-        _refuse_other_writers(saved, files[0].parent)
-        step = step_of("check", today, facts)
-        if by_spread:
-            step = step_of("check", today, facts, "mean 2S", facts["before_mm"], facts["after_mm"])
+        spread = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
+        step = step_of("check", today, facts, *spread)
         save_step(saved, files[0].parent, step, _page_of(options))
     except (OSError, ValueError, ImportError) as error:
         print_notes([f"This check is not in the history of {files[0].parent}: {error}"])
@@ -281,8 +256,7 @@ def _read_today(options, arm):
     layout = find_rows(options, arm, labelled=not by_tracker)
     table = layout.read()
     print_notes(table.notes)
-    lengths = [parse_length(text) for text in options.length or ()]
-    lengths += read_lengths(options.lengths, options.length_sd) if options.lengths else []
+    lengths = known_lengths(options)
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit
@@ -383,8 +357,6 @@ def _save(correction, options, step, layout=None, learnt=None):
         file = io.StringIO(newline="")
         write_corrected(layout, correction, options, False, file)
         contents["corrected.csv"] = file.getvalue().encode(layout.source.encoding)
-    if not options.out:
-        _refuse_other_writers(correction, out)
     with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
         (out / "corrected.csv").replace(aside)
         print(f"The corrected points of before are now in {aside.name}.")
@@ -396,13 +368,6 @@ def _page_of(options):
     """The report in the folder of the model, empty where there is none."""
     path = correction_files(options.model)[0].with_name("report.html")
     return path.read_text(encoding="utf-8") if path.is_file() else ""
-
-
-def _refuse_other_writers(saved, folder):
-    """Refuse to replace what another process has written since the correction was read."""
-    now = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
-    if now.get("fingerprint") != saved.facts.get("fingerprint"):
-        raise TableError(f"{folder} was changed by another process meanwhile: run this again.")
 
 
 def step_of(what, today, facts, measure=None, before_mm=np.nan, after_mm=np.nan):

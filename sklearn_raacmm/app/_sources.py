@@ -29,10 +29,6 @@ _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
 _HEAD_CHARACTERS = 1 << 20
 _SHEETS = (".xlsx", ".xlsm")
-_SAVE_AS = (
-    ".parquet", ".feather", ".xls", ".ods", ".numbers", ".xlsb", ".docx", ".pdf", ".h5", ".hdf5",
-    ".bag", ".mcap", ".db3", ".mdb", ".accdb", ".rds", ".7z", ".mat", ".npy", ".npz",
-)  # fmt: skip
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
 # joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
@@ -64,10 +60,7 @@ def find_source(path, n_numbers, sheet=None):
     path = Path(path)
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
-    kind = path.suffix.lower()
-    if kind in _SAVE_AS:
-        raise TableError(f"{path}: files {kind} are not read; save the table as .xlsx or CSV.")
-    if kind in _SHEETS:
+    if path.suffix.lower() in _SHEETS:
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")

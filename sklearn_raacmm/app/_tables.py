@@ -71,7 +71,7 @@ def read_table(
     ----------
     path : str or path-like
         Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl) or a robot's program;
-        text may be packed (.gz, .zip). Rows that a column "valid" says no of are left out.
+        text may be packed (.gz, .zip).
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
@@ -195,16 +195,14 @@ class Layout:
         if self.point_columns:
             points = self.columns.numbers(rows, self.point_columns) * self.point_factor
         angles = self.columns.numbers(rows, self.angle_columns)
-        if self.turns is None:
-            self.columns.refuse_marks(angles, rows, self.angle_columns)
-            angles = self.columns.factor * angles
+        angles = self.columns.factor * angles if self.turns is None else 360 * angles / self.turns
         others = {}
         for name, column in self.others.items():
             cells = [cells[column] for _, cells in rows]
             values = self.source.numbers(cells)
             others[name] = np.array(list(map(str, cells)) if values is None else values)
         return Table(
-            angles=angles if self.turns is None else 360.0 * angles / self.turns,
+            angles=angles,
             angle_unit=self.angle_unit,
             positions=positions,
             points=points,

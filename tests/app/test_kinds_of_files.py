@@ -162,13 +162,6 @@ def of_places(text):
 
 
 GON = (RAD / np.pi * 200).round(5)
-MARKED = np.vstack([DEG[:2], np.full((1, 6), 999), DEG[2:]])
-FLAGS = [["time", "valid"], [1, 1], [2, 1], [3, 0], [4, 1], [5, 1]]
-with_mark = joined(
-    [extra + row for extra, row in zip(
-        FLAGS, [["station", *Q], *([lab, *row] for lab, row in zip("AACBB", MARKED, strict=True))],
-        strict=True)]
-)  # fmt: skip
 PLAIN = as_table([f"{q} [deg]" for q in Q])
 # Name of the kind -> name of the file and its bytes or text; all are read without any option.
 READ = {
@@ -183,9 +176,6 @@ READ = {
     "units in capitals": ("a.csv", as_table([f"{q} [DEG]" for q in Q])),
     "units in a row": ("a.csv", "station,q1,q2,q3,q4,q5,q6\n,deg,deg,deg,deg,deg,deg\n"
                        + as_table(Q).split("\n", 1)[1]),
-    "a mark beside valid": ("a.csv", with_mark),
-    "a mark beside valid in words": ("a.csv", with_mark.replace(",1,", ",True,", 2).replace(
-        "3,0,", "3,False,").replace("4,1,", "4,True,").replace("5,1,", "5,True,")),
     "packed by gzip": ("a.csv.gz", gzip.compress(PLAIN.encode())),
     "packed by gzip in utf-16": ("a.txt.gz", gzip.compress(PLAIN.encode("utf-16"))),
     "packed by zip": ("a.zip", zipped(PLAIN, zipfile.ZIP_DEFLATED)),
@@ -204,14 +194,7 @@ READ = {
 }  # fmt: skip
 # What is asked or refused, and the words of the sentence.
 NAMED = {
-    "a mark without a word": (
-        "a.csv",
-        as_table(Q, MARKED[[0, 1, 2, 4]]),
-        "marks a missing",
-    ),
-    "a mark in radians": ("a.csv", as_table(Q, np.where(np.eye(4, 6), 9999, RAD)), "deg or --unit"),
-    "parquet": ("a.parquet", b"PAR1", "save the table as"),
-    "hdf5": ("a.h5", b"\x89HDF", "save the table as"),
+    "hdf5": ("a.h5", bytes(range(256)), "is no table of text.*: save it as .xlsx or CSV"),
     "two files": ("a.zip", b"", "cannot be unpacked"),
     "half a file": ("a.csv.gz", gzip.compress(PLAIN.encode())[:60], "cannot be unpacked"),
     "no unit": ("a.csv", as_table(Q, RAD), "degrees or in radians"),
@@ -233,23 +216,6 @@ def test_kinds_that_are_asked_about(kind, tmp_path):
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(TableError, match=said):
         read_table(tmp_path / name, 6)
-
-
-def test_999_mm_are_a_coordinate(tmp_path):
-    """The sheets of acceptance tests are read as three columns of numbers, too."""
-    (tmp_path / "a.csv").write_text("x,y,z\n999,1,2\n3,9999.9,5\n")
-    table = read_table(tmp_path / "a.csv", 3, angles=list("xyz"), angle_unit="deg", labelled=False)
-    assert table.angles.tolist() == [[999, 1, 2], [3, 9999.9, 5]]
-
-
-def test_rows_left_out_are_told(tmp_path):
-    (tmp_path / "a.csv").write_text(with_mark)
-    table = read_table(tmp_path / "a.csv", 6)
-    assert any(
-        note == "1 rows left out, where the column valid says no: first row 4."
-        for note in table.notes
-    )
-    assert table.rows.tolist() == [2, 3, 5, 6]
 
 
 def write_points(path, kind="spatialanalyzer"):
@@ -346,8 +312,6 @@ def test_damaged_files_get_a_sentence(book, tmp_path):
     for name, content, options, message in (
         ("long.csv", b"k;q1;q2\n" + b"x" * 200_000 + b";1;2\n", {}, "as a table: field larger"),
         ("long.csv", b"k;q1;q2\n", {"sheet": "1"}, "--sheet is for spreadsheets"),
-        ("old.xls", b"\xd0\xcf\x11\xe0", {}, r"files \.xls are not read; save the table as \.xlsx"),
-        ("bytes.csv", bytes(range(256)) * 8, {}, r"bytes\.csv is no table of text: it holds bytes"),
         ("log.jsonl", b"{", {}, r"log\.jsonl cannot be read"),
         ("log.jsonl", b"[1]", {}, r"log\.jsonl cannot be read"),
     ):
