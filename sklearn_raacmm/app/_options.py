@@ -128,23 +128,14 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--sheet": _value("NAME", "sheet of a spreadsheet, name or number"),
     "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),
     "--points-sd": _number("MM", "sd of a tracker's coordinate, not the arm's", default=0.0),
-    "--length": _value(
-        "FROM:TO:MM:SD",
-        "a known distance in mm and its sd: of a bar in two cones, or of a cone plate moved",
-        action="append",
-    ),
+    "--length": _value("FROM:TO:MM:SD", "a known distance in mm and its sd", action="append"),
     "--lengths": _value("CSV", "known lengths: from, to, mm, sd in mm"),
     "--places": _value("CSV", "a plate of known points: position, x, y, z, sd in mm"),
     "--length-sd": _number("MM", "sd of all known lengths"),
-    "--extra": _value(
-        "NAME[=COLUMN]",
-        "a cause that a column holds, such as temperature=T1, payload, time",
-        nargs="+",
-    ),
+    "--extra": _value("NAME[=COLUMN]", "causes, such as temperature=T1, payload, time", nargs="+"),
     "correct --std": _choice(
         ("no", "point", "all"),
-        "standard deviations to write: none, of the coordinates, or also within a position and of "
-        "a distance of 1 m (all)",
+        "standard deviations to write: none, of coordinates, or also within a position and of 1 m",
         "all",
     ),
     "--in-order": _flag("rows are in the order of measurement: use the directions of the joints"),
@@ -156,24 +147,14 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--open": _flag("open the report in the browser"),
     "--force": _flag("replace the correction that the folder holds"),
     "--like": _value("FOLDER", "corrections of earlier arms of this make", nargs="+"),
-    "--take": _value(
-        "CODE",
-        "change the arm as a finding proposes: reversed-2-4, other-convention",
-        action="append",
-    ),
+    "--take": _value("CODE", "change the arm as a finding proposes: reversed-2-4", action="append"),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "for the report"),
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": _value("CSV", "file to append the line of this check to"),
-    "--accept": _value(
-        "CODE", "go on in spite of a finding, such as corrected-already", action="append"
-    ),
-    "move --probe": _value(
-        "X,Y,Z",
-        "vector of the new probe in the last frame, mm; --probe=-5,0,250 before a sign",
-        required=True,
-    ),
+    "--accept": _value("CODE", "go on in spite of a finding: corrected-already", action="append"),
+    "move --probe": _value("X,Y,Z", "in the last frame, mm; --probe=-5,0,250", required=True),
     "--c": _value("FOLDER", "C source and header"),
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
@@ -186,9 +167,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
     "--template": _flag("write RUN without numbers, .xlsx or a folder of CSV, for this arm"),
     "--language": _choice(("en", "de"), "of the sheet (en)", "en"),
-    "--rule": _choice(
-        ("guarded", "simple"), "decision rule: with a guard of 1.645 u, or without", "guarded"
-    ),
+    "--rule": _choice(("guarded", "simple"), "with a guard of 1.645 u, or without", "guarded"),
     "--dcc": _value("XML", "Digital Calibration Certificate to write, too"),
     # -- arms
     "--lengths-222": _number(_LENGTHS, "lengths in mm of a 2-2-2 arm", nargs=4),
@@ -208,17 +187,19 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+KNOWN = sorted({"--help", "--version", *WORDS, *(name.split()[-1] for name in OPTIONS)})
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser that asks whether a similar word was meant."""
 
-    known: Any = ()
     as_json = False
 
     def refuse_unknown(self, words):
         """Refuse a mistyped option before the right one is reported as missing."""
         _Parser.as_json = "--json" in words
         for name in (word.split("=")[0] for word in words):
-            if name.startswith("--") and not any(one.startswith(name) for one in self.known):
+            if name.startswith("--") and not any(one.startswith(name) for one in KNOWN):
                 self.error(f"unrecognized arguments: {name}")
 
     def error(self, message):
@@ -226,10 +207,9 @@ class _Parser(argparse.ArgumentParser):
         if wrong:
             given = (wrong[1] or wrong[2]).split("=")[0]
             words = [word for word, (*_, names) in WORDS.items() if given in names.split()]
-            near = get_close_matches(given, self.known, 1)
             if words:
                 message = f"{given} is an option of {', '.join(words)} only"
-            elif near:
+            elif near := get_close_matches(given, KNOWN, 1):
                 message = f"{message}. Was {near[0]} meant?"
         if self.as_json:
             print(json.dumps({"exit_code": 2, "error": message}))
@@ -237,7 +217,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def make_parser():
-    """The parser of the command; its `known` are all options and words."""
+    """The parser of the command."""
     parser = _Parser(
         "raacmm",
         description="Residual correction for articulated arm coordinate measuring machines.",
@@ -245,18 +225,12 @@ def make_parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     words = parser.add_subparsers(dest="word", required=True, metavar="WORD")
-    known = {"--help", "--version"}
     for word, (module, text, example, names) in WORDS.items():
         own = words.add_parser(
             word, help=text, description=text, epilog=f"example:\n  {example}\n\n{_EPILOG}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
+        own.set_defaults(module=module)
         for option in (*names.split(), "--json", "--quiet"):
             own.add_argument(option, **(OPTIONS.get(f"{word} {option}") or OPTIONS[option]))
-        # Lists of numbers may begin with a negative one: --up -1,0,0.
-        own._negative_number_matcher = re.compile(r"^-\.?\d[-\d.,e]*$")
-        own.set_defaults(module=module)
-        own.known = (word, *own._option_string_actions)
-        known.update(own.known)
-    parser.known = sorted(known)
     return parser
