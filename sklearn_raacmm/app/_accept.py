@@ -69,7 +69,7 @@ def accept(options):
     arm = load_arm(options.arm) if options.arm else None
     run_path = Path(options.run)
     if options.template:
-        return _write_template(run_path, arm or getattr(saved, "arm", None), options.language)
+        return _write_template(run_path, arm or getattr(saved, "arm", None))
     check_installed("jinja2")
     out = Path(options.out)
     read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
@@ -242,8 +242,15 @@ def _limit(path, row):
 # -- the template ---------------------------------------------------------------------------------
 
 
-def _write_template(path, arm, language):
-    """Write the tables of a whole run without its numbers: a spreadsheet, or a folder of CSV."""
+def _write_template(path, arm):
+    """Write a spreadsheet with the tables of a whole run, without its numbers."""
+    check_installed("openpyxl")
+    import openpyxl
+
+    if path.suffix.lower() not in _SHEETS:
+        raise TableError(f"a template is a spreadsheet, such as run.xlsx, got {path}.")
+    if path.exists():
+        raise TableError(f"{path} is there already: a template never replaces readings.")
     numbers = ["x [mm]", "y [mm]", "z [mm]"]
     if arm is not None:
         numbers = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
@@ -256,7 +263,7 @@ def _write_template(path, arm, language):
             row = {"test": test, "artefact": artefact, **dict(zip(columns, labels, strict=True))}
             if isinstance(row["artefact"], int):
                 row["artefact"] = f"length {row['artefact']}"
-            readings += n * [[row.get(name, "") for name in LABELS] + [""] * len(numbers)]
+            readings += n * [[row.get(name) for name in LABELS]]
             names.append(row["artefact"])
     tables = {
         "readings": readings,
@@ -264,38 +271,15 @@ def _write_template(path, arm, language):
         "limits": [list(_LIMITS), *([name] for name in VALUES)],
         "sheet": [["entry", "value"], *([label] for label in ENTRIES.values()), [_TIP]],
     }
-    tables = {k: [row + [""] * (len(t[0]) - len(row)) for row in t] for k, t in tables.items()}
-    if path.suffix.lower() in _SHEETS:
-        made = {path: _spreadsheet(tables)}
-    else:
-        made = {path / f"{n}.csv": _csv(rows, language) for n, rows in tables.items()}
-    if there := [str(file) for file in made if file.exists()]:
-        raise TableError(f"{there[0]} is there already: a template never replaces readings.")
-    next(iter(made)).parent.mkdir(parents=True, exist_ok=True)
-    write_whole(made)
-    print(f"Written: {', '.join(map(str, made))}")
-    print("Fill in what you measure, and delete the rows of tests that you leave out.")
-    return OK, {"files": [str(file) for file in made]}
-
-
-def _csv(rows, language):
-    """A table as spreadsheet programs of the language read it, as bytes."""
-    stream = io.StringIO(newline="")
-    csv.writer(stream, delimiter=";" if language == "de" else ",").writerows(rows)
-    return stream.getvalue().encode("utf-8-sig")
-
-
-def _spreadsheet(tables):
-    """A workbook of these tables, as bytes."""
-    check_installed("openpyxl")
-    import openpyxl
-
     book, stream = openpyxl.Workbook(), io.BytesIO()
-    for sheet in book.worksheets:  # the empty one of a new book
-        book.remove(sheet)
+    book.remove(book.active)
     for name, rows in tables.items():
         sheet = book.create_sheet(name)
         for row in rows:
-            sheet.append([cell or None for cell in row])
+            sheet.append(row)
     book.save(stream)
-    return stream.getvalue()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole({path: stream.getvalue()})
+    print(f"Written: {path}")
+    print("Fill in what you measure, and delete the rows of tests that you leave out.")
+    return OK, {"files": [str(path)]}

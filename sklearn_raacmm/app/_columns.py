@@ -42,13 +42,11 @@ _OTHER_QUANTITY = re.compile(
     r"velocity|speed|qdd?(?![a-z])|(?<![a-z])vel|accel|effort|torque|moment|current|strom|voltage|"
     r"temperature|temp(?![a-z])|force|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs"
 )
-_COMMANDED = re.compile(r"target|command|desired|setpoint|reference|goal|soll")
+_NOT_COMMANDED = re.compile(r"^(?!.*(target|command|desired|setpoint|reference|goal|soll))")
 _MEASURED = re.compile(r"actual|measured|encoder|feedback|(?<![a-z])ist(?![a-z])")
 # Units that a format states without writing them into the file: UR RTDE guide, actual_q and
 # target_q; ROS, sensor_msgs/JointState.
-_KNOWN_UNITS = (
-    (re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?states?\W"), "rad"),
-)
+_IN_RADIANS = re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?states?\W")
 # Rows looked at to find text columns and the unit.
 _LOOKED_AT = 200
 
@@ -149,9 +147,8 @@ class Columns:
             if len(found) == 1:
                 return found[0]
             if found:
-                raise TableError(
-                    f"{self.path} has {len(found)} columns {wanted!r}; {option} needs one."
-                )
+                many = f"{len(found)} columns {wanted!r}"
+                raise TableError(f"{self.path} has {many}; {option} needs one.")
         if wanted.isdigit() and 1 <= int(wanted) <= len(self.header):
             return int(wanted) - 1
         raise TableError(f"{self.path} has no column {wanted!r} ({option}); it has {self}.")
@@ -234,9 +231,8 @@ class Columns:
         """Columns of the joint angles in the order of the arm."""
         if wanted is not None:
             if len(wanted) != self.n_joints:
-                raise TableError(
-                    f"--angles names {len(wanted)} columns, the arm has {self.n_joints} joints."
-                )
+                columns = f"--angles names {len(wanted)} columns"
+                raise TableError(f"{columns}, the arm has {self.n_joints} joints.")
             return [self.column(name, "--angles") for name in wanted]
         found = self._by_names_of_joints(joint_names) or self._by_names_in_cells(joint_names)
         if found:
@@ -330,12 +326,8 @@ class Columns:
     def _measured_angles(self, columns):
         """Those of these columns that are angles; of measured and commanded ones, the measured."""
         columns = [i for i in columns if not _OTHER_QUANTITY.search(self.names[i])]
-        for is_wanted in (
-            lambda name: _MEASURED.search(name),
-            lambda name: "position" in name,
-            lambda name: not _COMMANDED.search(name),
-        ):
-            wanted = [i for i in columns if is_wanted(self.names[i])]
+        for pattern in (_MEASURED, re.compile("position"), _NOT_COMMANDED):
+            wanted = [i for i in columns if pattern.search(self.names[i])]
             if len(columns) > 1 and wanted:
                 columns = wanted
         return columns
@@ -372,10 +364,9 @@ class Columns:
         if largest > _SURELY_DEGREES:
             self.notes.append(f"Angles in degrees: they reach {largest:.4g}.")
             return "deg"
-        for pattern, unit in _KNOWN_UNITS:
-            if all(pattern.search(self.names[i]) for i in columns):
-                self.notes.append(f"Angles in {unit}, as such columns are defined.")
-                return unit
+        if all(_IN_RADIANS.search(self.names[i]) for i in columns):
+            self.notes.append("Angles in rad, as such columns are defined.")
+            return "rad"
         raise TableError(
             f"{self.path}: are the angles in degrees or in radians? They reach {largest:.4g} in "
             "the first rows, and the header does not say; say it with --unit deg or --unit rad."

@@ -165,7 +165,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "accept --model": _value("FOLDER", "folder written by raacmm learn: the arm as left"),
     "accept --arm": _value("ARM", "as found (the table of --model, without its correction)"),
     "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
-    "--template": _flag("write RUN without numbers, .xlsx or a folder of CSV, for this arm"),
+    "--template": _flag("write RUN, a spreadsheet for this arm, without its numbers"),
     "--language": _choice(("en", "de"), "of the sheet (en)", "en"),
     "--rule": _choice(("guarded", "simple"), "with a guard of 1.645 u, or without", "guarded"),
     "--dcc": _value("XML", "Digital Calibration Certificate to write, too"),

@@ -154,10 +154,8 @@ class Layout:
         if counts_per_turn is not None:
             self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
             if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
-                raise TableError(
-                    "--counts-per-turn needs a positive number, or one for each of "
-                    f"{n_joints} joints."
-                )
+                each = f"one for each of {n_joints} joints"
+                raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
         self.angle_unit = angle_unit or columns.find_unit(self.angle_columns)
         self.point_factor = find_point_factor(columns, self.point_columns)
         self.others = {name: columns.column(name, "others") for name in others}
@@ -168,13 +166,7 @@ class Layout:
 
     def read(self):
         """All rows as one table."""
-        # Numbers take less memory than their cells, which are read block by block.
-        blocks = [block for block, _ in self.blocks(100_000)]
-        names = ("angles", "positions", "points", "rows")
-        parts = {name: [getattr(block, name) for block in blocks] for name in names}
-        joined: Any = {k: None if v[0] is None else np.concatenate(v) for k, v in parts.items()}
-        others = {name: np.concatenate([b.others[name] for b in blocks]) for name in self.others}
-        table = Table(angle_unit=self.angle_unit, notes=self.notes, others=others, **joined)
+        table = self._read(list(self.columns.rows(self.angle_columns)))
         if self.points_file:
             return _with_points(self, table, self.points_file)
         if self.labelled:
@@ -207,6 +199,7 @@ class Layout:
             positions=positions,
             points=points,
             rows=np.array([number for number, _ in rows]),
+            notes=self.notes,
             others=others,
         )
 
@@ -214,12 +207,11 @@ class Layout:
 def _refuse_lonely_labels(path, table):
     labels, first, counts = np.unique(table.positions, return_index=True, return_counts=True)
     several = labels[counts > 1].tolist()
-    for label, row in zip(labels[counts == 1].tolist(), first[counts == 1], strict=True):
+    lonely = counts == 1
+    for label, row in zip(labels[lonely].tolist(), table.rows[first[lonely]], strict=True):
         near = get_close_matches(label, several, 1)
         hint = f" Was {near[0]!r} meant?" if near else ""
-        raise TableError(
-            f"{path}: row {table.rows[row]}: the position {label!r} occurs in this row only.{hint}"
-        )
+        raise TableError(f"{path}: row {row}: the position {label!r} is in this row only.{hint}")
 
 
 # -- points of a tracker --------------------------------------------------------------------------
@@ -229,9 +221,8 @@ def find_point_factor(columns, point_columns):
     """Millimetres in the unit of the columns of points."""
     units = {columns.units[i] for i in point_columns} or {"mm"}
     if len(units) != 1 or not units <= set(_MM_PER_UNIT):
-        raise TableError(
-            f"{columns.path}: the points are in {', '.join(sorted(units))}, not in mm."
-        )
+        given = ", ".join(sorted(units))
+        raise TableError(f"{columns.path}: the points are in {given}, not in mm.")
     return _MM_PER_UNIT[units.pop()]
 
 

@@ -256,31 +256,31 @@ def test_a_bad_run_is_not_judged(learned, data, tmp_path, capsys):
 
 
 def test_a_template_is_a_whole_run_but_for_its_numbers(learned, data, tmp_path, capsys):
-    folder, book = tmp_path / "new" / "run", tmp_path / "run.xlsx"
-    for path in (folder, book):
-        assert main(["accept", str(path), "--template", "--model", str(learned[1])]) == 0
-        assert main(["accept", str(path), "--template"]) == 2
-        assert "is there already" in capsys.readouterr().err
-        words = ["accept", str(path), "--model", str(learned[1]), "--out", f"{tmp_path}/s.html"]
-        assert main(words) == 2
-        assert "none of the 592 rows of the table readings holds numbers" in capsys.readouterr().err
-    assert openpyxl.load_workbook(book).sheetnames == ["readings", "artefacts", "limits", "sheet"]
-    with open(folder / "readings.csv", encoding="utf-8-sig", newline="") as file:
-        rows = list(csv.reader(file))
+    path = tmp_path / "new" / "run.xlsx"
+    words = ["accept", str(path), "--model", str(learned[1])]
+    assert main([*words, "--template"]) == 0
+    for wrong, said in (
+        ([*words, "--template"], "is there already"),
+        (["accept", str(tmp_path / "run"), "--template"], "a template is a spreadsheet"),
+        (words, "none of the 592 rows of the table readings holds numbers"),
+    ):
+        assert main([*wrong, "--out", f"{tmp_path}/s.html"]) == 2
+        assert said in capsys.readouterr().err
+    book = openpyxl.load_workbook(path)
+    assert book.sheetnames == ["readings", "artefacts", "limits", "sheet"]
+    rows = [["" if cell is None else str(cell) for cell in row] for row in book["readings"].values]
     assert rows[0] == [*LABELS, *(f"q{i} [deg]" for i in range(1, 7))]
     # Filled with the angles of a simulated run, in its order, every test of it is whole.
     run, order = data.run, {}
     for i, test in enumerate(run.test):
         order.setdefault(test, []).append(i)
-    filled = [rows[0]]
+    book["readings"].delete_rows(2, len(rows))
     for row in rows[1:]:
         if order.get(row[0]) and not (row[0] == "articulation" and row[2] not in "12"):
             angles = np.rad2deg(run.angles[order[row[0]].pop(0)])
-            filled.append([*row[:6], *(f"{v:.6f}" for v in angles)])
-    with open(folder / "readings.csv", "w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(filled)
-    assert main(["accept", str(folder), "--model", str(learned[1]),
-                 "--out", f"{tmp_path}/s.html"]) == 4  # fmt: skip
+            book["readings"].append([*row[:6], *angles.tolist()])
+    book.save(path)
+    assert main([*words, "--out", f"{tmp_path}/s.html"]) == 4
     said = capsys.readouterr().out
     assert "is not stated: size_mm, expanded_mm, expansion_per_k, temperature_degc, cert" in said
     assert "readings, " not in said
