@@ -51,9 +51,6 @@ from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP, NOT_JUDGED = 0, 3, 4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
-_REGIONS = [
-    "No row names its position: regions of neighbouring points, 01 to 10, take their place."
-]
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
@@ -66,10 +63,9 @@ def learn(options):
         arm = take(arm, code)
     layout = find_rows(options, arm)
     table = layout.read()
-    print_notes(table.notes + _REGIONS * (table.positions is None))
+    print_notes(table.notes)
     lengths = known_lengths(options)
     like = [load_correction(folder).model for folder in options.like or ()]
-    _progress(-1, 1, "calibration")
     # Findings stand in the result, and are printed with it.
     with numbered_rows(table.rows), collected_findings():
         result: Any = learn_correction(
@@ -88,12 +84,10 @@ def learn(options):
             tools=read_tools(table, options),
             points_sd=options.points_sd,
         )
-    _progress(30, 30, "report")
     corrected = io.StringIO(newline="")
-    in_order = any(name.startswith("direction") for name in result.causes)
-    write_corrected(layout, result, options, in_order, corrected)
-    named = {"serial number": options.serial, "operator": options.operator}
-    facts = {"file": Path(options.table).name} | {k: v for k, v in named.items() if v}
+    write_corrected(layout, result, options, corrected)
+    named = ("serial number", options.serial), ("operator", options.operator)
+    facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
     contents = {"corrected.csv": corrected.getvalue().encode(layout.source.encoding)}
@@ -147,7 +141,7 @@ def correct(options):
             raise TableError(f"--out is written as CSV, and {options.out} says something else.")
         check_places([options.out], [options.table, *correction_files(options.model)])
     saved = load_correction(options.model)
-    _warn_if_it_does_not_help(saved)
+    print_notes([saved.verdict] * (not saved.helps))
     if unknown := find_cause_columns(options).keys() - saved.causes.keys():
         raise TableError(
             f"--extra names {', '.join(map(repr, sorted(unknown)))}, and this correction takes "
@@ -163,9 +157,7 @@ def correct(options):
         else open_beside(options.out, layout.source.encoding)
     )
     with stream as file:
-        n_rows, largest = write_corrected(
-            layout, saved, options, options.in_order, file, options.std
-        )
+        n_rows, largest = write_corrected(layout, saved, options, file, options.std)
     check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return OK, {"rows": n_rows}
@@ -179,7 +171,7 @@ def export(options):
     sources = [folder / f"{options.name}{end}" for end in (".c", ".h")] if options.c else []
     check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
     saved = load_correction(options.model)
-    _warn_if_it_does_not_help(saved)
+    print_notes([saved.verdict] * (not saved.helps))
     if (unnamed := find_unnamed_probe(saved)) and not (options.c and options.any_probe):
         print_notes([f"{unnamed}: what is written is for this one."])
     paths = []
@@ -249,14 +241,6 @@ def demo(options):
     return learn(options)
 
 
-def _warn_if_it_does_not_help(saved):
-    if not saved.helps:
-        print_notes([saved.verdict])
-
-
-def _progress(done, total, stage=None):
-    """Draw how far the whole command is; the folds come between two other stages."""
+def _progress(done, total):
     if sys.stderr.isatty():
-        bar = "#" * (30 * (done + 1) // (total + 2))
-        stage = stage or ("fit of all rows" if done == total else f"fold {done + 1} of {total}")
-        print(f"\r[{bar:<30}] {stage:<20}", end="", file=sys.stderr, flush=True)
+        print(f"\r{done} of {total} folds", end="", file=sys.stderr, flush=True)

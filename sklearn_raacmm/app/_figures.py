@@ -8,7 +8,7 @@ import re
 from typing import Any
 
 import numpy as np
-from scipy.stats import t
+from scipy import stats
 
 from sklearn_raacmm.display import RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
@@ -33,7 +33,7 @@ _TITLES = {
     "joints": "Deviation against the angle of each joint",
     "volume": "Points of the probe and poses of the arm",
     "lengths": "Errors of known lengths, before and after",
-    "arm": "The arm at zero from two sides",
+    "arm": "The arm with each joint at 30 degrees",
     "plan": "Where the cones stand, and poses that reach them",
 }
 
@@ -48,12 +48,11 @@ def make_svg(draw, name, style=None):
 
     file = io.StringIO()
     plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
+    about = {"Date": None, "Creator": None, "Title": _TITLES[name]}
     with matplotlib.rc_context(plain | (style or {})):
         figure = Figure(layout="constrained")
         draw(figure)
-        figure.savefig(
-            file, format="svg", metadata={"Date": None, "Creator": None, "Title": _TITLES[name]}
-        )
+        figure.savefig(file, format="svg", metadata=about)
     return file.getvalue().replace("<svg ", '<svg role="img" ', 1)
 
 
@@ -104,12 +103,8 @@ def _intervals(scores, left):
         sizes = [len(rows) for rows in scores.rows_by_position]
         groups = np.repeat(np.arange(len(sizes)), sizes)
         return repeatability_interval(left[counted], groups, aggregate=None)
-    ends = []
-    for rows in scores.rows_by_position:
-        size = np.linalg.norm(left[rows], axis=1)
-        half = t.ppf(0.975, len(size) - 1) * size.std(ddof=1) / np.sqrt(len(size))
-        ends.append(size.mean() + half * np.array([-1, 1]))
-    return np.array(ends)
+    sizes = [np.linalg.norm(left[rows], axis=1) for rows in scores.rows_by_position]
+    return np.array([stats.t.interval(0.95, len(s) - 1, s.mean(), stats.sem(s)) for s in sizes])
 
 
 def _joints(figure, result):
@@ -120,16 +115,13 @@ def _joints(figure, result):
     axes = figure.subplots(-(-n // columns), columns, sharey=True, squeeze=False).ravel()
     rows = np.flatnonzero(np.isfinite(result.scores.left_before[:, 0]))
     rows = rows[:: -(-len(rows) // _MOST_POINTS)]
-    for j, ax in enumerate(axes):
-        if j >= n:
-            ax.remove()
-            continue
+    left = (result.scores.left_before, _BEFORE), (result.scores.left_after, _AFTER)
+    sizes = [(1000 * np.linalg.norm(mm[rows], axis=1), color) for mm, color in left]
+    for ax in axes[n:]:
+        ax.remove()
+    for j, ax in enumerate(axes[:n]):
         angle = np.rad2deg(result.angles[rows, j])
-        for left, color in (
-            (result.scores.left_before, _BEFORE),
-            (result.scores.left_after, _AFTER),
-        ):
-            size = 1000 * np.linalg.norm(left[rows], axis=1)
+        for size, color in sizes:
             ax.plot(angle, size, ".", color=color, markersize=2.5, alpha=0.7)
         ax.set_xlabel(f"joint {j + 1}, °")
         ax.set_ylim(bottom=0)
@@ -162,48 +154,25 @@ def _volume(figure, arm, angles, places=()):
 def _lengths(figure, scores):
     figure.set_size_inches(7.2, 2.4)
     ax = figure.subplots()
-    nominal = np.array([entry[2] for entry in scores.lengths])
-    for errors, color, name in (
-        (scores.length_errors_before, _BEFORE, "before"),
-        (scores.length_errors_after, _AFTER, "after"),
-    ):
-        ax.plot(nominal, 1000 * errors, "o", color=color, markersize=4, label=name)
+    nominal = [entry[2] for entry in scores.lengths]
+    for name, color in (("before", _BEFORE), ("after", _AFTER)):
+        errors = 1000 * getattr(scores, f"length_errors_{name}")
+        ax.plot(nominal, errors, "o", color=color, markersize=4, label=name)
     ax.axhline(0, color=_INK, linewidth=0.8)
     ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
     ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
 
 
 def draw_arm(arm):
-    """Links, axes of the joints and probe of an arm, all angles at zero, as a whole SVG file."""
-    zero = np.zeros((1, arm.n_joints))
-    frames, probe = arm.frames(zero)[0], arm.forward(zero)
-    corners = np.concatenate([frames[:, :, 3], probe])
+    """An arm with each joint at 30 degrees, the joints numbered, as a whole SVG file."""
+    pose = np.full((1, arm.n_joints), np.pi / 6)
     # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
     first = 0 if arm.convention == "standard" else 1
-    length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
-
-    def draw(figure):
-        figure.set_size_inches(8, 4)
-        views = ((0, "x and z, mm"), (1, "y and z, mm"))
-        for ax, (across, title) in zip(figure.subplots(1, 2), views, strict=True):
-            ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
-            for i in range(arm.n_joints):
-                axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
-                ends = origin + length * np.outer([-1, 1], axis)
-                ax.plot(ends[:, across], ends[:, 2], color=_AFTER, linewidth=1)
-                # Seen along itself an axis is a point.
-                ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
-                ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
-            ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
-            ax.set(title=title, aspect="equal")
-
-    return make_svg(draw, "arm")
+    joints = arm.frames(pose)[0, first : first + arm.n_joints, :, 3]
+    return make_svg(lambda figure: _volume(figure, arm, pose, joints), "arm")
 
 
 def draw_plan(arm, plan):
     """Where the cones of a plan stand, with their numbers and some of its poses, as an element."""
-
-    def draw(figure):
-        _volume(figure, arm, plan.angles, plan.positions)
-
-    return _on_page(make_svg(draw, "plan", _STYLE))
+    page = make_svg(lambda fig: _volume(fig, arm, plan.angles, plan.positions), "plan", _STYLE)
+    return _on_page(page)

@@ -55,11 +55,8 @@ def load_arm(source, base=None, tip=None):
 
 def load_correction(source) -> Any:
     """Saved correction from its folder, or from a file in it."""
-    folder = Path(source)
-    if folder.is_file():
-        folder = folder.parent
     try:
-        return Correction.load(folder)
+        return Correction.load(correction_files(source)[0].parent)
     except (ValueError, OSError) as error:
         raise TableError(f"--model: {error}") from None
 
@@ -71,7 +68,7 @@ def correction_files(source):
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
-def write_corrected(layout, correction, options, in_order, file, std="all"):
+def write_corrected(layout, correction, options, file, std="all"):
     """Copy a table with the corrected points beside its columns, block by block.
 
     Each row is corrected by its probe; in the order of measurement the directions of the joints are
@@ -86,7 +83,7 @@ def write_corrected(layout, correction, options, in_order, file, std="all"):
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         angles, causes = in_rad(block), read_causes(block, columns)
-        if in_order:
+        if getattr(options, "in_order", False):
             # From the last row of the block before; a joint that stands still keeps its direction.
             ways = directions_of(np.vstack([angles[:1] if before is None else before, angles]))[1:]
             ways = np.where(ways == 0, came, ways)
@@ -150,10 +147,8 @@ def find_rows(options, arm, labelled=True):
     if points and not Path(points).is_file():
         points = points.split(",")
         if len(points) != 3:
-            raise TableError(
-                "--points needs three columns, such as x,y,z, or a file that is there, got "
-                f"{options.points!r}."
-            )
+            needed = "three columns, such as x,y,z, or a file that is there"
+            raise TableError(f"--points needs {needed}, got {options.points!r}.")
     counts = options.counts_per_turn
     if counts is not None:
         counts = [parse_number(text) for text in counts.split(",")]

@@ -355,7 +355,7 @@ def _save(correction, options, step, layout=None, learnt=None):
     contents, aside = {}, out / f"corrected_before_{step['what']}.csv"
     if layout is not None:
         file = io.StringIO(newline="")
-        write_corrected(layout, correction, options, False, file)
+        write_corrected(layout, correction, options, file)
         contents["corrected.csv"] = file.getvalue().encode(layout.source.encoding)
     with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
         (out / "corrected.csv").replace(aside)

@@ -104,7 +104,6 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         parameters=_parameters(result.calibration),
         harmonics=_harmonics(result.model),
         outliers=list_outliers(result, row_numbers),
-        doubtful=_doubtful(result, row_numbers),
         row_numbers=row_numbers,
         figures=draw_figures(result, limit_2s),
         most_rows=_MOST_ROWS,
@@ -192,11 +191,10 @@ def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
         word, what = "FAIL", "is above the limit"
     else:
         word, what = "OPEN", "cannot be told from the limit"
-    above = int(np.sum(scores.table["after"] > limit))
+    after = scores.table["after"]
     return word, (
         f"Mean 2S after correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), {what} of "
-        f"{limit:.4f} mm; {above} of "
-        f"{len(scores.table['after'])} positions are above it."
+        f"{limit:.4f} mm; {np.sum(after > limit)} of {len(after)} positions are above it."
     )
 
 
@@ -221,11 +219,13 @@ def _sheet(scores):
     """Quantities of single-point articulation and length tests: name, standard, before, after."""
     rows = []
     if scores.measure == "2S":
-        for name, how in (("mean over positions", np.mean), ("worst position", np.max)):
-            values = [float(how(scores.table[when])) for when in ("before", "after")]
-            rows.append((f"2S, {name}", "single-point articulation, ASME B89.4.22", *values))
-        values = [float(scores.table[f"{when}_max"].max()) for when in ("before", "after")]
-        rows.append(("largest deviation", "single-point articulation, ASME B89.4.22", *values))
+        for name, column, how in (
+            ("2S, mean over positions", "", np.mean),
+            ("2S, worst position", "", np.max),
+            ("largest deviation", "_max", np.max),
+        ):
+            values = [float(how(scores.table[when + column])) for when in ("before", "after")]
+            rows.append((name, "single-point articulation, ASME B89.4.22", *values))
     if scores.lengths:
         errors = scores.length_errors_before, scores.length_errors_after
         # The ends are means of many readings: no quantity of a standard, which take single ones.
@@ -255,14 +255,6 @@ def list_outliers(result, row_numbers=None):
     outliers = result.outliers
     rows = outliers["row"] if row_numbers is None else np.asarray(row_numbers)[outliers["row"]]
     return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
-
-
-def _doubtful(result, row_numbers):
-    """Numbers of the rows that calibration left out, and the error model explains."""
-    rows = np.setdiff1d(
-        np.flatnonzero(result.calibration.sample_weight == 0), result.outliers["row"]
-    )
-    return (rows if row_numbers is None else np.asarray(row_numbers)[rows]).tolist()
 
 
 def _parameters(calibration):

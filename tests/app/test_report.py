@@ -93,7 +93,6 @@ def numbers_of(result):
     found += (sds / np.hypot(c, s)).tolist()
     counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 0]
     counts += (result.outliers["row"] + 500).tolist()
-    counts += (np.flatnonzero(calibration.sample_weight == 0) + 500).tolist()
     shown = [100 * scores.coverage, scores.std_factor, *scores.summary["ratio"], 40.0]
     return np.concatenate([um, *table, found, counts, shown])
 

@@ -164,7 +164,7 @@ def test_directions_in_blocks_are_those_of_the_whole_table(write, monkeypatch):
         columns=lambda X: np.hstack([X, np.zeros((len(X), 8))]),
     )
     monkeypatch.setattr(_files, "_BLOCK_ROWS", 4)
-    file, options = io.StringIO(), SimpleNamespace(extra=None, tool=None)
-    assert _files.write_corrected(layout, correction, options, True, file)[0] == 60
+    file, options = io.StringIO(), SimpleNamespace(extra=None, tool=None, in_order=True)
+    assert _files.write_corrected(layout, correction, options, file)[0] == 60
     found = np.loadtxt(file.getvalue().splitlines()[1:], delimiter=",")
     np.testing.assert_array_equal(found[:, 2:4], directions_of(angles))
