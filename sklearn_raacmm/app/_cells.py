@@ -6,10 +6,7 @@
 import codecs
 import contextlib
 import csv
-import gzip
-import io
 import re
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -56,22 +53,9 @@ def parse_number(text):
     return float(text.strip().replace(",", "."))
 
 
-def open_bytes(path):
-    """A file of bytes, unpacked where its name ends in .gz or .zip."""
-    if path.suffix.lower() == ".gz":
-        return gzip.open(path)
-    if path.suffix.lower() != ".zip":
-        return open(path, "rb")
-    with zipfile.ZipFile(path) as archive:
-        names = [name for name in archive.namelist() if not name.endswith("/")]
-        if len(names) != 1:
-            raise TableError(f"{path} holds {len(names)} files, {', '.join(names)}: unpack it.")
-        return archive.open(names[0])
-
-
 def open_text(path, encoding):
-    """The same as text, its ends of lines as they are."""
-    return io.TextIOWrapper(open_bytes(path), encoding=encoding, newline="")
+    """A file of text, its ends of lines as they are."""
+    return open(path, encoding=encoding, newline="")
 
 
 @dataclass(frozen=True)
@@ -192,7 +176,7 @@ def find_dialect(path, n_numbers):
 
 def find_encoding(path):
     """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
-    with open_bytes(path) as file:
+    with open(path, "rb") as file:
         head = file.read(3)
     for mark, name in _MARKS:
         if head.startswith(mark):

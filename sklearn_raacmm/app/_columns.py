@@ -138,6 +138,7 @@ class Columns:
         self.names, self.units = zip(*map(split_unit, self.header), strict=True)
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
+        self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -382,7 +383,7 @@ class Columns:
         """Column of the label of the position; `taken` are columns of other things."""
         if wanted is not None:
             return self.column(wanted, "--position")
-        found = [i for i in self.labelled if i not in taken] or self._columns_of_text(taken)
+        found = [i for i in self.label_columns if i not in taken] or self._columns_of_text(taken)
         if len(found) == 1:
             self.notes.append(f"Labels of the positions: {self.header[found[0]]}.")
             return found[0]
@@ -391,22 +392,14 @@ class Columns:
             f"NAME; the columns are {self}."
         )
 
-    @property
-    def labelled(self):
-        """Columns whose names are those of labels."""
-        return [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
-
     def _columns_of_text(self, taken):
         """Columns that may hold labels: if there are any, those with one in every row."""
         found = {}
         for i, name in enumerate(self.names):
-            if i not in taken and not _TIME_NAMES.fullmatch(name) and not _NO_LABEL.search(name):
-                cells = self._cells(i)
-                # A label that is missing here and there is a fault, which is reported on reading.
-                given = [cell for cell in cells if cell != ""]
-                if given and not any(
-                    self.source.number(cell) is not None or _TIME.search(str(cell))
-                    for cell in given
-                ):
-                    found[i] = len(given) == len(cells)
+            # A label that is missing here and there is a fault, which is reported on reading.
+            given = [cell for cell in self._cells(i) if cell != ""]
+            is_other = i in taken or _TIME_NAMES.fullmatch(name) or _NO_LABEL.search(name)
+            is_time = any(_TIME.search(str(cell)) for cell in given)
+            if given and not (is_other or is_time or self.source.count(given)):
+                found[i] = len(given) == len(self._cells(i))
         return [i for i, whole in found.items() if whole] or list(found)

@@ -3,11 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import gzip
 import json
 import re
-import zipfile
-import zlib
 from contextlib import closing, contextmanager
 from functools import partial
 from itertools import chain, islice
@@ -64,13 +61,9 @@ def find_source(path, n_numbers, sheet=None):
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
-    try:
-        if ".jsonl" in path.suffixes or ".ndjson" in path.suffixes:
-            return _json_lines(path)
-        return _program(path, n_numbers) or find_dialect(path, n_numbers)
-    # RuntimeError: a password is needed, or the method of packing is not known.
-    except (EOFError, zipfile.BadZipFile, zlib.error, gzip.BadGzipFile, RuntimeError) as error:
-        raise TableError(f"{path} cannot be unpacked: {error}.") from None
+    if path.suffix.lower() == ".jsonl":
+        return _json_lines(path)
+    return _program(path, n_numbers) or find_dialect(path, n_numbers)
 
 
 # -- spreadsheets ---------------------------------------------------------------------------------

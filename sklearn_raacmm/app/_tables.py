@@ -70,8 +70,7 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl) or a robot's program;
-        text may be packed (.gz, .zip).
+        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl) or a robot's program.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None
@@ -128,7 +127,7 @@ def read_table(
     ).read()  # fmt: skip
 
 
-class Layout:
+class Layout(Columns):
     """Where a file holds what: found once, then rows are read block by block.
 
     Parameters as for `read_table`.
@@ -138,27 +137,25 @@ class Layout:
         self, path, n_joints, *, angles=None, position=None, points=None, angle_unit=None,
         labelled=True, joint_names=(), counts_per_turn=None, sheet=None, others=(),
     ):  # fmt: skip
-        columns = self.columns = Columns(path, n_joints, sheet)
-        self.source, self.header, self.notes = columns.source, columns.header, columns.notes
-        self.angle_columns = columns.find_angles(angles, joint_names)
+        super().__init__(path, n_joints, sheet)
+        self.angle_columns = self.find_angles(angles, joint_names)
         self.points_file = points if isinstance(points, str | PathLike) else None
-        self.labelled = labelled and points is None
         named: Any = () if self.points_file else points or ()
-        self.point_columns = [columns.column(name, "--points") for name in named]
-        self.position_column = None
+        self.point_columns = [self.column(name, "--points") for name in named]
+        self.labelled, self.position_column = labelled and points is None, None
         # A tracker's points need no labels: those that are there are taken.
-        if labelled and (not points or position is not None or columns.labelled):
+        if labelled and (not points or position is not None or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
-            self.position_column = columns.find_position(position, taken)
+            self.position_column = self.find_position(position, taken)
         self.turns = None
         if counts_per_turn is not None:
             self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
             if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
                 each = f"one for each of {n_joints} joints"
                 raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
-        self.angle_unit = angle_unit or columns.find_unit(self.angle_columns)
-        self.point_factor = find_point_factor(columns, self.point_columns)
-        self.others = {name: columns.column(name, "others") for name in others}
+        self.angle_unit = angle_unit or self.find_unit(self.angle_columns)
+        self.point_factor = find_point_factor(self, self.point_columns)
+        self.others = {name: self.column(name, "others") for name in others}
         used = {*self.angle_columns, *self.point_columns, self.position_column}
         used |= set(self.others.values())
         if unused := [name for i, name in enumerate(self.header) if i not in used]:
@@ -166,42 +163,35 @@ class Layout:
 
     def read(self):
         """All rows as one table."""
-        table = self._read(list(self.columns.rows(self.angle_columns)))
+        table = self._table(list(self.rows(self.angle_columns)))
         if self.points_file:
             return _with_points(self, table, self.points_file)
         if self.labelled:
-            _refuse_lonely_labels(self.columns.path, table)
+            _refuse_lonely_labels(self.path, table)
         return table
 
     def blocks(self, n_rows):
         """Yield tables of at most so many rows, and their cells as they are in the file."""
-        rows = self.columns.rows(self.angle_columns)
+        rows = self.rows(self.angle_columns)
         while block := list(islice(rows, n_rows)):
-            yield self._read(block), [cells for _, cells in block]
+            yield self._table(block), [cells for _, cells in block]
 
-    def _read(self, rows):
+    def _table(self, rows):
         """The table of some rows."""
         positions = points = None
         if self.position_column is not None:
-            positions = self.columns.labels(rows, self.position_column)
+            positions = self.labels(rows, self.position_column)
         if self.point_columns:
-            points = self.columns.numbers(rows, self.point_columns) * self.point_factor
-        angles = self.columns.numbers(rows, self.angle_columns)
-        angles = self.columns.factor * angles if self.turns is None else 360 * angles / self.turns
+            points = self.numbers(rows, self.point_columns) * self.point_factor
+        angles = self.numbers(rows, self.angle_columns)
+        angles = self.factor * angles if self.turns is None else 360 * angles / self.turns
         others = {}
         for name, column in self.others.items():
             cells = [cells[column] for _, cells in rows]
             values = self.source.numbers(cells)
             others[name] = np.array(list(map(str, cells)) if values is None else values)
-        return Table(
-            angles=angles,
-            angle_unit=self.angle_unit,
-            positions=positions,
-            points=points,
-            rows=np.array([number for number, _ in rows]),
-            notes=self.notes,
-            others=others,
-        )
+        numbers = np.array([number for number, _ in rows])
+        return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
 
 
 def _refuse_lonely_labels(path, table):
@@ -232,7 +222,7 @@ def read_points(path):
     The columns are x, y and z by name, or else names and then three numbers in each row.
     """
     columns = Columns(path, 3)
-    if {"x", "y", "z"} <= set(columns.names):
+    if set("xyz") <= set(columns.names):
         found = [columns.names.index(name) for name in "xyz"]
     else:  # names, then x, y, z, then what else is known of a point
         _, cells = columns.first[0]
@@ -253,7 +243,7 @@ def _with_points(layout, table, source):
     order, how = np.arange(len(points)), "in the order of the rows"
     row_of_name = {name: i for i, name in enumerate(names or ())}
     if len(row_of_name) == len(points):
-        rows = (map(str, cells) for _, cells in layout.columns.rows(layout.angle_columns))
+        rows = (map(str, cells) for _, cells in layout.rows(layout.angle_columns))
         for name, cells in zip(layout.header, zip(*rows, strict=True), strict=True):
             if row_of_name.keys() >= set(cells) and len(set(cells)) == len(cells):
                 order = np.array([row_of_name[cell] for cell in cells])
@@ -261,7 +251,7 @@ def _with_points(layout, table, source):
                 break
     if len(order) != len(table.angles):
         raise TableError(
-            f"{source} holds {len(points)} points, {layout.columns.path} {len(table.angles)} rows, "
+            f"{source} holds {len(points)} points, {layout.path} {len(table.angles)} rows, "
             "and no column of names says which belong together."
         )
     table.notes.append(f"Points of {source}, {how}.")

@@ -4,7 +4,6 @@ All hold the same four poses of a UR-like arm, so that one comparison judges all
 """
 
 import datetime
-import gzip
 import io
 import json
 import zipfile
@@ -146,13 +145,6 @@ def decimal_commas(text):
     return text.replace(".", ",")
 
 
-def zipped(text, method):
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", method) as archive:
-        archive.writestr("logs/log.csv", text)
-    return file.getvalue()
-
-
 def of_places(text):
     """The names of a robot's points, by which two and two belong together."""
     for i, name in enumerate(["A_1", "A_2", "B_1", "B_2"]):
@@ -176,10 +168,6 @@ READ = {
     "units in capitals": ("a.csv", as_table([f"{q} [DEG]" for q in Q])),
     "units in a row": ("a.csv", "station,q1,q2,q3,q4,q5,q6\n,deg,deg,deg,deg,deg,deg\n"
                        + as_table(Q).split("\n", 1)[1]),
-    "packed by gzip": ("a.csv.gz", gzip.compress(PLAIN.encode())),
-    "packed by gzip in utf-16": ("a.txt.gz", gzip.compress(PLAIN.encode("utf-16"))),
-    "packed by zip": ("a.zip", zipped(PLAIN, zipfile.ZIP_DEFLATED)),
-    "stored by zip": ("a.zip", zipped(PLAIN, zipfile.ZIP_STORED)),
     "bars": ("a.txt", as_table(Q, separator="|")),
     "tabs and decimal commas": ("a.txt", decimal_commas(as_table(Q, separator="\t"))),
     "blanks of any width": ("a.txt", as_table(Q, separator="    ")),
@@ -195,8 +183,6 @@ READ = {
 # What is asked or refused, and the words of the sentence.
 NAMED = {
     "hdf5": ("a.h5", bytes(range(256)), "is no table of text.*: save it as .xlsx or CSV"),
-    "two files": ("a.zip", b"", "cannot be unpacked"),
-    "half a file": ("a.csv.gz", gzip.compress(PLAIN.encode())[:60], "cannot be unpacked"),
     "no unit": ("a.csv", as_table(Q, RAD), "degrees or in radians"),
 }
 
