@@ -155,53 +155,37 @@ def of_places(text):
 
 GON = (RAD / np.pi * 200).round(5)
 PLAIN = as_table([f"{q} [deg]" for q in Q])
-# Name of the kind -> name of the file and its bytes or text; all are read without any option.
+# Name of the kind -> text; all are read without any option.
 READ = {
-    "joints in brackets": ("a.csv", as_table([f"j[{i}]" for i in range(6)])),
-    "joints and units in brackets": ("a.csv", as_table([f"j[{i}] [rad]" for i in range(6)], RAD)),
-    "gon": ("a.csv", as_table([f"{q} [gon]" for q in Q], GON)),
-    "gon behind the name": ("a.csv", as_table([f"{q}_gon" for q in Q], GON)),
-    "mrad": ("a.csv", as_table([f"{q} (mrad)" for q in Q], 1000 * RAD)),
-    "mrad behind the name": ("a.csv", as_table([f"{q}_mrad" for q in Q], 1000 * RAD)),
-    "turns": ("a.csv", as_table([f"{q} [turns]" for q in Q], (RAD / 2 / np.pi).round(8))),
-    "unit behind a slash": ("a.csv", as_table([f"{q}/rad" for q in Q], RAD)),
-    "units in capitals": ("a.csv", as_table([f"{q} [DEG]" for q in Q])),
-    "units in a row": ("a.csv", "station,q1,q2,q3,q4,q5,q6\n,deg,deg,deg,deg,deg,deg\n"
-                       + as_table(Q).split("\n", 1)[1]),
-    "bars": ("a.txt", as_table(Q, separator="|")),
-    "tabs and decimal commas": ("a.txt", decimal_commas(as_table(Q, separator="\t"))),
-    "blanks of any width": ("a.txt", as_table(Q, separator="    ")),
-    "ends of lines of Windows": ("a.csv", as_table(Q, end="\r\n")),
-    "a separator at the end": ("a.csv", as_table(Q, end=",\n")),
-    "dates before": ("a.csv", as_table(Q, more=[["when"], *([f"2026-11-22 10:00:0{i}"]
-                     for i in range(4))])),
-    "empty lines between": ("a.csv", PLAIN.replace("\nB", "\n\n\nB", 1)),
-    "rapid, names of places": ("a.mod", of_places(PROGRAM["abb rapid"])),
-    "krl, names of places": ("a.dat", of_places(PROGRAM["kuka krl"])),
-    "ls, names of places": ("a.ls", of_places(PROGRAM["fanuc ls"])),
+    "joints in brackets": as_table([f"j[{i}]" for i in range(6)]),
+    "joints and units in brackets": as_table([f"j[{i}] [rad]" for i in range(6)], RAD),
+    "gon": as_table([f"{q} [gon]" for q in Q], GON),
+    "mrad": as_table([f"{q} (mrad)" for q in Q], 1000 * RAD),
+    "turns": as_table([f"{q} [turns]" for q in Q], (RAD / 2 / np.pi).round(8)),
+    "unit behind a slash": as_table([f"{q}/rad" for q in Q], RAD),
+    "units in capitals": as_table([f"{q} [DEG]" for q in Q]),
+    "units in a row": as_table(Q).replace("\n", "\n,deg,deg,deg,deg,deg,deg\n", 1),
+    "bars": as_table(Q, separator="|"),
+    "tabs and decimal commas": decimal_commas(as_table(Q, separator="\t")),
+    "blanks of any width": as_table(Q, separator="    "),
+    "ends of lines of Windows": as_table(Q, end="\r\n"),
+    "a separator at the end": as_table(Q, end=",\n"),
+    "dates before": as_table(
+        Q, more=[["when"], *([f"2026-11-22 10:00:0{i}"] for i in range(4))]
+    ),
+    "empty lines between": PLAIN.replace("\nB", "\n\n\nB", 1),
+    "rapid, names of places": of_places(PROGRAM["abb rapid"]),
+    "krl, names of places": of_places(PROGRAM["kuka krl"]),
+    "ls, names of places": of_places(PROGRAM["fanuc ls"]),
 }  # fmt: skip
-# What is asked or refused, and the words of the sentence.
-NAMED = {
-    "hdf5": ("a.h5", bytes(range(256)), "is no table of text.*: save it as .xlsx or CSV"),
-    "no unit": ("a.csv", as_table(Q, RAD), "degrees or in radians"),
-}
 
 
 @pytest.mark.parametrize("kind", READ)
 def test_kinds_that_are_read_without_an_option(kind, tmp_path):
-    name, content = READ[kind]
-    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-    table = read_table(tmp_path / name, 6)
+    (tmp_path / "log.txt").write_text(READ[kind], newline="")
+    table = read_table(tmp_path / "log.txt", 6)
     np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
     assert table.positions.tolist() == LABELS
-
-
-@pytest.mark.parametrize("kind", NAMED)
-def test_kinds_that_are_asked_about(kind, tmp_path):
-    name, content, said = NAMED[kind]
-    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(TableError, match=said):
-        read_table(tmp_path / name, 6)
 
 
 def write_points(path, kind="spatialanalyzer"):
@@ -298,6 +282,7 @@ def test_damaged_files_get_a_sentence(book, tmp_path):
     for name, content, options, message in (
         ("long.csv", b"k;q1;q2\n" + b"x" * 200_000 + b";1;2\n", {}, "as a table: field larger"),
         ("long.csv", b"k;q1;q2\n", {"sheet": "1"}, "--sheet is for spreadsheets"),
+        ("a.h5", bytes(range(256)), {}, r"is no table of text.*: save it as \.xlsx or CSV"),
         ("log.jsonl", b"{", {}, r"log\.jsonl cannot be read"),
         ("log.jsonl", b"[1]", {}, r"log\.jsonl cannot be read"),
     ):

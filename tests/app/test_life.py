@@ -97,16 +97,6 @@ def run(capsys, *words):
 POINTS = ("--points", "x,y,z")
 
 
-def test_load_is_the_other_half_of_save(folder):
-    saved = Correction.load(folder / "tracker")
-    assert saved.arm == saved.model.arm_
-    rotation, translation = saved.base
-    # The base that was simulated, as well as 128 poses of 10 um show it beside the arm's errors.
-    assert np.abs(rotation - TURN).max() < 1e-3
-    assert np.abs(translation - SHIFT).max() < 0.5
-    assert Correction.load(folder / "cones").base is None
-
-
 @pytest.mark.parametrize(("learnt", "table", "more"), [
     ("cones", "new.csv", ()), ("cones", "new_points.csv", POINTS),
     ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()), ("warm", "new.csv", ()),
@@ -205,22 +195,19 @@ def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):
 
 
 def test_the_same_poses_update_a_correction_once(folder, tmp_path, capsys):
-    """In another order, and with other digits, they are the same."""
+    """In another order, with other digits and in a table that has grown they are the same."""
     words = ["--model", folder / "cones", "--out", tmp_path / "out"]
     code, printed = run(capsys, "update", folder / "more.csv", *words, "--json")
     assert (code, '"rows"' in printed) == (0, False)  # of use to the next update only
     head, *rows = (folder / "more.csv").read_text().splitlines()
-    again = tmp_path / "again.csv"
-    again.write_text("\n".join([head, *(f"{row}01" for row in rows[::-1])]) + "\n")
-    before = (tmp_path / "out" / "correction.json").read_text()
-    code, printed = run(capsys, "update", again, "--model", tmp_path / "out")
-    assert (code, "40 of these 40 poses have updated this correction on 20" in printed) == (2, True)
-    # A file to which the logger has added poses: the first ones count once.
     new = (folder / "new.csv").read_text().splitlines()[1:]
-    again.write_text("\n".join([head, *rows[:15], *new]) + "\n")
-    code, printed = run(capsys, "update", again, "--model", tmp_path / "out")
-    said = f"15 of these {15 + len(new)} poses have updated this correction on 20"
-    assert (code, said in printed) == (2, True)
+    again = tmp_path / "again.csv"
+    before = (tmp_path / "out" / "correction.json").read_text()
+    for lines, used in (([f"{row}01" for row in rows[::-1]], 40), ([*rows[:15], *new], 15)):
+        again.write_text("\n".join([head, *lines]) + "\n")
+        code, printed = run(capsys, "update", again, "--model", tmp_path / "out")
+        said = f"{used} of these {len(lines)} poses have updated this correction on 20"
+        assert (code, said in printed) == (2, True)
     assert (tmp_path / "out" / "correction.json").read_text() == before
     printed = run(capsys, "check", folder / "more.csv", "--model", tmp_path / "out")[1]
     assert "40 of these 40 poses have updated" in printed
@@ -302,12 +289,9 @@ def test_labels_of_tools_are_the_same_in_every_block():
 
 @pytest.mark.parametrize(("learnt", "words", "sentence"), [
     ("cones", "correct new.csv --extra payload", "names 'payload', and this correction takes no c"),
-    ("cones", "correct new.csv --extra =cone", "names '', and"),
     ("warm", "correct new.csv --extra temperature=cone", "'temperature', and this correction"),
     ("cones", "register new_points.csv --points x,y", "needs three columns"),
-    pytest.param("cones", "register on_a_line.csv --points x,y,z", "spread in all directions",
-                 marks=pytest.mark.exhaustive),
-    ("cones", "update more_points.csv --points x,y,z --lengths new.csv", "length"),
+    ("cones", "register on_a_line.csv --points x,y,z", "spread in all directions"),
     ("cones", "update more_points.csv --points x,y,z --length 0:1:500:0.01", "--lengths are betw"),
     ("cones", "register new.csv --length 0:1:500:0.01", "no samples; groups are cone 0, cone 1."),
     ("cones", "move --probe 0,250", "three numbers"),
@@ -349,9 +333,8 @@ def in_radians(folder):
     return path
 
 
-@pytest.mark.parametrize("name", ["new.csv", "more.csv"])
-def test_a_longer_probe_is_to_be_registered_and_no_unit_is_doubted(folder, capsys, name):
-    code, printed = run(capsys, "check", folder / name, "--model", folder / "cones")
+def test_a_longer_probe_is_to_be_registered_and_no_unit_is_doubted(folder, capsys):
+    code, printed = run(capsys, "check", folder / "more.csv", "--model", folder / "cones")
     assert code == 3
     assert "that ends 150 mm elsewhere explains it: run raacmm register.\n" in printed
     assert "Look at the unit" not in printed
@@ -378,10 +361,9 @@ def test_radians_under_a_header_of_degrees(folder, in_radians, tmp_path, capsys,
 
 
 def test_correct_reads_its_standard_input(folder, tmp_path, capsys, monkeypatch):
-    table = folder / "new.csv"
     words = ["--model", folder / "cones", "--std", "no", "--out"]
-    assert run(capsys, "correct", table, *words, tmp_path / "of_file.csv")[0] == 0
-    with open(table, "rb") as file:
+    assert run(capsys, "correct", folder / "new.csv", *words, tmp_path / "of_file.csv")[0] == 0
+    with open(folder / "new.csv", "rb") as file:
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(file))
         assert run(capsys, "correct", "-", *words, tmp_path / "of_stream.csv")[0] == 0
     assert (tmp_path / "of_file.csv").read_text() == (tmp_path / "of_stream.csv").read_text()
