@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
 from sklearn_raacmm.app._files import load_arm, parse_vector
 from sklearn_raacmm.arm import Arm, usual_pose
-from sklearn_raacmm.utils import check_places, collected_findings, write_whole
+from sklearn_raacmm.utils import check_places, write_whole
 
 # Names that drawings and papers give the columns; the first three are needed.
 _COLUMNS = {
@@ -39,14 +38,10 @@ def arm(options):
     check_places(outputs, filter(None, [options.source, options.dh]))
     if options.picture:
         check_installed("matplotlib")
-    with collected_findings() as notes:
-        shown = _meant_arm(options)
+    shown = _meant_arm(options)
     if options.up:
-        shown = shown.replace(
-            up=parse_vector(options.up, "--up needs three numbers, such as 0,0,1")
-        )
-    for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        up = parse_vector(options.up, "--up needs three numbers, such as 0,0,1")
+        shown = shown.replace(up=up)
     print(shown)
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)

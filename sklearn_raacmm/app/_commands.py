@@ -79,7 +79,6 @@ def learn(options):
             n_jobs=options.jobs,
             progress=_progress,
             extra=read_causes(table, find_cause_columns(options)),
-            in_order=options.in_order,
             like=like,
             tools=read_tools(table, options),
             points_sd=options.points_sd,

@@ -17,7 +17,7 @@ from sklearn_raacmm.app._cells import TableError, parse_number
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction import Correction
-from sklearn_raacmm.measurements import directions_of, within_turn
+from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import numbered_rows
 
 # Rows corrected at a time: some ten MB, whatever the size of the file.
@@ -71,26 +71,18 @@ def correction_files(source):
 def write_corrected(layout, correction, options, file, std="all"):
     """Copy a table with the corrected points beside its columns, block by block.
 
-    Each row is corrected by its probe; in the order of measurement the directions of the joints are
-    found; `std` says which standard deviations are written. Returns the number of rows, and the
-    largest angle of each joint (1, n_joints) in their unit.
+    Each row is corrected by its probe; `std` says which standard deviations are written. Returns
+    the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
     """
-    source, n_rows, largest, before, came = layout.source, 0, 0.0, None, 0.0
+    source, n_rows, largest = layout.source, 0, 0.0
     writer = csv.writer(file, delimiter=source.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS[: _N_COLUMNS[std]]])
-    known, columns = correction.facts["causes"], find_cause_columns(options)
-    columns = {name: column for name, column in columns.items() if name in known}
+    columns = find_cause_columns(options)
+    columns = {name: column for name, column in columns.items() if name in correction.causes}
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
-        angles, causes = in_rad(block), read_causes(block, columns)
-        if getattr(options, "in_order", False):
-            # From the last row of the block before; a joint that stands still keeps its direction.
-            ways = directions_of(np.vstack([angles[:1] if before is None else before, angles]))[1:]
-            ways = np.where(ways == 0, came, ways)
-            before, came = angles[-1:], ways[-1]
-            ways = {f"direction {j + 1}": way for j, way in enumerate(ways.T)}
-            causes |= {name: way for name, way in ways.items() if name in known}
-        new = _corrected(correction, correction.inputs(angles, causes), block, options, std)
+        X = correction.inputs(in_rad(block), read_causes(block, columns))
+        new = _corrected(correction, X, block, options, std)
         for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(source.text, values)])
         n_rows += len(cells)

@@ -19,7 +19,7 @@ _EPILOG = (
 
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
 _LEARNING = "--limit-2s --folds --jobs --open --force"
-_CAUSES = "--extra --in-order --tool"
+_CAUSES = "--extra --tool"
 _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
 # Each word with the module that holds its function, a description, an example, and its options.
@@ -138,7 +138,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "standard deviations to write: none, of coordinates, or also within a position and of 1 m",
         "all",
     ),
-    "--in-order": _flag("rows are in the order of measurement: use the directions of the joints"),
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     # -- learning
     "--limit-2s": _number("MM", "limit of the mean 2S to judge by"),

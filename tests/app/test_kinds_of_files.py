@@ -141,10 +141,6 @@ def as_table(header, values=DEG, separator=",", more=(), end="\n"):
     return "".join(separator.join(map(str, row)) + end for row in rows)
 
 
-def decimal_commas(text):
-    return text.replace(".", ",")
-
-
 def of_places(text):
     """The names of a robot's points, by which two and two belong together."""
     for i, name in enumerate(["A_1", "A_2", "B_1", "B_2"]):
@@ -165,8 +161,6 @@ READ = {
     "unit behind a slash": as_table([f"{q}/rad" for q in Q], RAD),
     "units in capitals": as_table([f"{q} [DEG]" for q in Q]),
     "units in a row": as_table(Q).replace("\n", "\n,deg,deg,deg,deg,deg,deg\n", 1),
-    "bars": as_table(Q, separator="|"),
-    "tabs and decimal commas": decimal_commas(as_table(Q, separator="\t")),
     "blanks of any width": as_table(Q, separator="    "),
     "ends of lines of Windows": as_table(Q, end="\r\n"),
     "a separator at the end": as_table(Q, end=",\n"),

@@ -1,14 +1,9 @@
 """Tables as loggers and spreadsheets write them, and the sentences for what is wrong in them."""
 
-import io
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from sklearn_raacmm import directions_of
-from sklearn_raacmm.app import TableError, _files, read_lengths, read_table
-from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app import TableError, read_lengths, read_table
 
 ANGLES = np.array([[12.5, -3.25, 100.0], [13.0, -2.5, 99.125], [-170.0, 0.5, 98.0]])
 LABELS = ["Kegel 1", "Kegel 1", "Kegel 1"]
@@ -151,20 +146,3 @@ def test_lengths(write):
     ):
         with pytest.raises(TableError, match=message):
             read_lengths(write(text))
-
-
-def test_directions_in_blocks_are_those_of_the_whole_table(write, monkeypatch):
-    """Joints that stand still, over the ends of blocks too, keep the direction they came from."""
-    angles = np.random.default_rng(0).integers(0, 3, (60, 2)) / 10
-    rows = "".join(f"{a},{b}\n" for a, b in angles)
-    layout = Layout(write(f"q1 [rad],q2 [rad]\n{rows}"), 2, labelled=False)
-    correction = SimpleNamespace(
-        facts={"causes": ["direction 1", "direction 2"]},
-        inputs=lambda angles, causes: np.column_stack(list(causes.values())),
-        columns=lambda X: np.hstack([X, np.zeros((len(X), 8))]),
-    )
-    monkeypatch.setattr(_files, "_BLOCK_ROWS", 4)
-    file, options = io.StringIO(), SimpleNamespace(extra=None, tool=None, in_order=True)
-    assert _files.write_corrected(layout, correction, options, file)[0] == 60
-    found = np.loadtxt(file.getvalue().splitlines()[1:], delimiter=",")
-    np.testing.assert_array_equal(found[:, 2:4], directions_of(angles))
