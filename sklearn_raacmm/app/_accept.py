@@ -72,30 +72,29 @@ def accept(options):
         return _write_template(run_path, arm or getattr(saved, "arm", None))
     check_installed("jinja2")
     out = Path(options.out)
-    read = [run_path] if run_path.is_file() else [run_path / f"{name}.csv" for name in _TABLES]
-    models = correction_files(options.model) if options.model else []
-    check_places(filter(None, [out, options.dcc]), filter(None, [*read, *models, options.arm]))
-    any_arm, any_model = (saved.arm, saved.model) if saved else (arm, None)
-    run, rows, entries, limits, digest = _read_run(run_path, any_arm)
+    read = [run_path / f"{name}.csv" for name in _TABLES] if run_path.is_dir() else [run_path]
+    read += correction_files(options.model) if options.model else []
+    check_places(filter(None, [out, options.dcc]), filter(None, [*read, options.arm]))
+    left_arm = saved.arm if saved else arm
+    run, rows, entries, limits, digest = _read_run(run_path, left_arm)
+    found = arm if saved else None
     with numbered_rows(rows):
         result = evaluate_acceptance(
-            run, any_arm, saved, found=arm if saved else None, limits=limits, rule=options.rule
+            run, left_arm, saved, found=found, limits=limits, rule=options.rule
         )
-    expected = {}
-    if not result.findings and run.angles is not None and hasattr(any_model, "sample_y"):
-        expected = predict_acceptance(saved, run)
+    expected, words = {}, WORDS[options.language]
     software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}
     if saved:
         software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
-    shown = {"result": result, "artefacts": run.artefacts, "entries": entries}
+        if not result.findings and run.angles is not None and hasattr(saved.model, "sample_y"):
+            expected = predict_acceptance(saved, run)
+    shown = {"result": result, "artefacts": run.artefacts, "entries": entries, "labels": ENTRIES}
     shown |= {"expected": expected, "software": software, "left": saved is not None}
     shown |= {"counts": Counter(run.test.tolist()), "tip_mm": run.tip_mm}
-    words = WORDS[options.language]
-    made = {out: _page(shown, limits, words, options.language)}
+    shown |= {"language": options.language, "t": lambda text: words.get(text, text)}
+    made = {out: _page(shown, limits)}
     if options.dcc:
-        made[Path(options.dcc)] = certificate(
-            shown, lambda text: words.get(text, text), ENTRIES, options.language
-        )
+        made[Path(options.dcc)] = certificate(shown)
     write_whole(made)
     print(result)
     print(f"Written to {', '.join(map(str, made))}")
@@ -108,12 +107,12 @@ def accept(options):
     return (NOT_JUDGED if findings else failed), facts
 
 
-def _page(shown, limits, words, language):
+def _page(shown, limits):
     """The sheet."""
 
     def number(value, digits, factor=1.0):
         text = "-" if value is None else f"{factor * value:.{digits}f}"
-        return text.replace(".", ",") if language == "de" else text
+        return text.replace(".", ",") if shown["language"] == "de" else text
 
     def limit_of(value):
         if value.name not in limits:
@@ -126,8 +125,7 @@ def _page(shown, limits, words, language):
     # Of text that comes from outside, what a string of CSS may hold.
     page_number = re.sub(r"[^\w .,/#:-]", "", shown["entries"]["number"], flags=re.ASCII)
     return render(
-        "_accept.html", t=lambda text: words.get(text, text), language=language, labels=ENTRIES,
-        number=number, um=lambda mm: number(mm, 1, 1e3), limit_of=limit_of,
+        "_accept.html", number=number, um=lambda mm: number(mm, 1, 1e3), limit_of=limit_of,
         page_number=page_number or "_" * 10, **shown,
     )  # fmt: skip
 
@@ -138,8 +136,7 @@ def _page(shown, limits, words, language):
 def _read_run(path, arm):
     """A run, numbers of its rows, entries of the sheet, limits, fingerprint of the readings."""
     tables = {name: _cells(path, name) for name in _TABLES[1:]}
-    readings = path if path.is_file() else path / "readings.csv"
-    sheet = "readings" if readings.suffix.lower() in _SHEETS else None
+    readings, sheet = (path / "readings.csv", None) if path.is_dir() else (path, "readings")
     table = _read_readings(readings, arm, sheet)
     print_notes(table["notes"])
     entries, tip = dict.fromkeys(ENTRIES, ""), 0.0
@@ -159,7 +156,7 @@ def _read_run(path, arm):
 
 def _read_readings(path, arm, sheet):
     """Labels, angles and points of the table of readings."""
-    rows = _cells(path, "readings")
+    rows = _cells(path if sheet else path.parent, "readings")
     if rows and not any(cell for row in rows for name, cell in row.items() if name not in LABELS):
         raise TableError(
             f"{path}: none of the {len(rows)} rows of the table readings holds numbers: fill in "
@@ -188,8 +185,8 @@ def _read_readings(path, arm, sheet):
 
 def _cells(path, name):
     """Rows of a small table, by its headings without units; none where there is no such table."""
-    source = (path.parent if path.is_file() else path) / f"{name}.csv"
-    if path.suffix.lower() in _SHEETS:
+    source = path / f"{name}.csv"
+    if not path.is_dir():
         rows = [cells for _, cells in sheet_rows(path, name)]
     elif source.is_file():
         text = source.read_text(encoding=find_encoding(source))

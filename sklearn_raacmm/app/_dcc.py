@@ -23,9 +23,9 @@ _SIDES = (
 )  # fmt: skip
 
 
-def certificate(shown, t, labels, language):
+def certificate(shown):
     """What the sheet shows as XML."""
-    entries = shown["entries"]
+    entries, labels = shown["entries"], shown["labels"]
     if missing := [labels[name] for name in _NEEDED if not entries[name]]:
         raise TableError(f"The certificate needs of the table sheet: {'; '.join(missing)}.")
     if not re.fullmatch("[A-Z]{2}", entries["country"]):
@@ -34,7 +34,7 @@ def certificate(shown, t, labels, language):
         )
     days = {name: _days(labels[name], entries[name]) for name in ("received", "tested", "issued")}
     page = render(
-        "_accept.xml", t=t, labels=labels, language=language, version=_VERSION, plain=_plain,
+        "_accept.xml", version=_VERSION, plain=_plain,
         um=lambda mm: f"{1e3 * mm:.1f}", sides=_SIDES[: 1 + shown["left"]],
         days=days, methods={one.standard: one for one in shown["result"].values}, **shown,
     )  # fmt: skip

@@ -41,10 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
         check found that it no longer holds or that something has changed; 4: not judged, for
         something in the data has to be repaired first.
     """
-    parser = make_parser()
     words = sys.argv[1:] if arguments is None else arguments
-    parser.refuse_unknown(words)
-    options = parser.parse_args(words)
+    options = make_parser("--json" in words).parse_args(words)
     streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
     for stream in streams:
         # Labels that a terminal cannot show must not end the work.

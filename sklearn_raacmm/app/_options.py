@@ -186,37 +186,28 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-KNOWN = sorted({"--help", "--version", *WORDS, *(name.split()[-1] for name in OPTIONS)})
-
-
 class _Parser(argparse.ArgumentParser):
-    """A parser that asks whether a similar word was meant."""
+    """A parser that asks whether a similar word was meant, in JSON if that is asked for."""
 
     as_json = False
 
-    def refuse_unknown(self, words):
-        """Refuse a mistyped option before the right one is reported as missing."""
-        _Parser.as_json = "--json" in words
-        for name in (word.split("=")[0] for word in words):
-            if name.startswith("--") and not any(one.startswith(name) for one in KNOWN):
-                self.error(f"unrecognized arguments: {name}")
-
     def error(self, message):
-        wrong = re.search(r"unrecognized arguments: (\S+)|invalid choice: '([^']*)'", message)
+        wrong = re.search(r"unrecognized arguments: ([^\s=]+)|invalid choice: '([^']*)'", message)
         if wrong:
-            given = (wrong[1] or wrong[2]).split("=")[0]
+            given = wrong[1] or wrong[2]
             words = [word for word, (*_, names) in WORDS.items() if given in names.split()]
             if words:
                 message = f"{given} is an option of {', '.join(words)} only"
-            elif near := get_close_matches(given, KNOWN, 1):
+            elif near := get_close_matches(given, [*WORDS, *OPTIONS], 1):
                 message = f"{message}. Was {near[0]} meant?"
-        if self.as_json:
+        if _Parser.as_json:
             print(json.dumps({"exit_code": 2, "error": message}))
         super().error(message)
 
 
-def make_parser():
+def make_parser(as_json=False):
     """The parser of the command."""
+    _Parser.as_json = as_json
     parser = _Parser(
         "raacmm",
         description="Residual correction for articulated arm coordinate measuring machines.",

@@ -292,7 +292,6 @@ def test_a_word_nearly_right_is_named(capsys):
     for arguments, near in (
         ("lern", "learn"),
         ("learn t --arm=a --out=b --limt-2s=1", "--limit-2s"),
-        ("learn t --arm=a --ot=b", "--out"),
     ):
         with pytest.raises(SystemExit):
             main(arguments.split())
