@@ -3,11 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import io
 import shlex
 import sys
 import webbrowser
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._figures import draw_plan
 from sklearn_raacmm.app._files import (
     WRITTEN,
+    corrected_file,
     correction_files,
     find_cause_columns,
     find_rows,
@@ -83,13 +82,11 @@ def learn(options):
             tools=read_tools(table, options),
             points_sd=options.points_sd,
         )
-    corrected = io.StringIO(newline="")
-    write_corrected(layout, result, options, corrected)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
-    contents = {"corrected.csv": corrected.getvalue().encode(layout.source.encoding)}
+    contents = corrected_file(layout, result, options)
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
@@ -150,12 +147,7 @@ def correct(options):
         raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
     layout = find_rows(options, saved.arm, labelled=False)
     print_notes(layout.notes)
-    stream = (
-        nullcontext(options.stdout)
-        if options.out == "-"
-        else open_beside(options.out, layout.source.encoding)
-    )
-    with stream as file:
+    with open_beside(options.out, layout.source.encoding, options.stdout) as file:
         n_rows, largest = write_corrected(layout, saved, options, file, options.std)
     check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
@@ -167,7 +159,8 @@ def export(options):
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
     folder = Path(options.c or ".")
-    sources = [folder / f"{options.name}{end}" for end in (".c", ".h")] if options.c else []
+    source = folder / f"{options.name}.c"
+    sources = [source, source.with_suffix(".h")] if options.c else []
     check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
     saved = load_correction(options.model)
     print_notes([saved.verdict] * (not saved.helps))
@@ -176,7 +169,6 @@ def export(options):
     paths = []
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
-        source = folder / f"{options.name}.c"
         card = describe(saved.model)
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
@@ -195,9 +187,8 @@ def export(options):
 def plan(options):
     """Plan a first single-point test for an arm, and write the sheet of it."""
     out = Path(options.out)
-    paths = {name: out / name for name in ("plan.html", "plan.csv")}
     check_installed("jinja2", "matplotlib")
-    check_places(paths.values(), [options.arm])
+    check_places([out / "plan.html", out / "plan.csv"], [options.arm])
     arm = load_arm(options.arm)
     found = plan_poses(arm, options.cones, options.poses)
     out.mkdir(parents=True, exist_ok=True)
@@ -207,10 +198,9 @@ def plan(options):
     lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
     shown = {"plan": found, "names": names, "poses": poses}
     page = render("_plan.html", arm=repr(arm), figure=draw_plan(arm, found), **shown)
-    write_whole({paths["plan.csv"]: "\n".join(lines) + "\n", paths["plan.html"]: page})
-    print(
-        f"{options.cones} cones, {options.poses} poses in each: about {found.minutes:.0f} minutes."
-    )
+    write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
+    size = f"{options.cones} cones, {options.poses} poses in each"
+    print(f"{size}: about {found.minutes:.0f} minutes.")
     print("What matters is that the cones are spread over the places where you will measure.")
     print(f"Written to {out}: plan.html, plan.csv")
     return 0, {"minutes": found.minutes, "positions_mm": found.positions.tolist()}

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import csv
+import io
 import os
 import warnings
 from contextlib import contextmanager
@@ -89,6 +90,13 @@ def write_corrected(layout, correction, options, file, std="all"):
     return n_rows, largest
 
 
+def corrected_file(layout, correction, options):
+    """Content of the corrected table, by the name of its file."""
+    file = io.StringIO(newline="")
+    write_corrected(layout, correction, options, file)
+    return {"corrected.csv": file.getvalue().encode(layout.source.encoding)}
+
+
 def _corrected(correction, X, block, options, std):
     """The new columns of a block, each row by its probe."""
     tools, new = read_tools(block, options), np.empty((len(X), _N_COLUMNS[std]))
@@ -105,8 +113,11 @@ def _corrected(correction, X, block, options, std):
 
 
 @contextmanager
-def open_beside(path, encoding):
+def open_beside(path, encoding, stdout=None):
     """A text stream whose file gets its name when it is complete; without it, it is kept."""
+    if path == "-":
+        yield stdout
+        return
     path = Path(path)
     beside = path.with_name(f"{path.name}.{os.getpid():x}.tmp")
     try:

@@ -4,17 +4,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import contextlib
-import io
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
 import numpy as np
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._files import (
     WRITTEN,
+    corrected_file,
     correction_files,
     find_rows,
     find_unnamed_probe,
@@ -22,7 +23,6 @@ from sklearn_raacmm.app._files import (
     load_correction,
     parse_vector,
     print_notes,
-    write_corrected,
 )
 from sklearn_raacmm.app._lengths import known_lengths
 from sklearn_raacmm.app._report import with_history
@@ -51,12 +51,13 @@ _NAMED_TAU = 0.1
 def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved = _open_correction(options)
-    layout, today, lengths = _read_today(options, saved.arm)
-    new = saved.register(today.angles, today.positions, today.points, lengths)
+    layout, today, measured = _read_today(options, saved.arm)
+    new = saved.register(*measured)
     y = new.calibration.residuals(today.angles, today.points, today.positions)
     left = _mean_deviation(y - new.model.predict(new.inputs(today.angles)), today.positions)
     usual = _check_left(left, saved, today)
-    facts = _print_moves(f"Registered with {_describe_poses(today)}.", saved, new)
+    print(f"Registered with {_describe_poses(today)}.")
+    facts = _print_moves(saved, new)
     before = _mean_deviation(y, today.positions)
     print(f"Mean deviation {before:.3f} -> {left:.3f} mm.")
     holds = usual is None or left <= _MUCH_MORE * usual
@@ -74,19 +75,18 @@ def register(options):
 def update(options):
     """Register, and bring the correction up to date with the same poses."""
     saved = _open_correction(options)
-    layout, today, lengths = _read_today(options, saved.arm)
+    layout, today, measured = _read_today(options, saved.arm)
     if used := _used_poses(saved, today):  # they count once
         raise TableError(used)
-    new = saved.update(
-        today.angles, today.positions, today.points, lengths,
-        date=date.today().isoformat(), accept=options.accept or (),
-    )  # fmt: skip
+    day = date.today().isoformat()
+    new = saved.update(*measured, date=day, accept=options.accept or ())
     y = new.calibration.residuals(today.angles, today.points, today.positions)
     X = saved.inputs(today.angles)
     was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
     before, after = (_mean_deviation(y - mm, today.positions) for mm in (was, now))
     _check_left(after, saved, today)
-    facts = _print_moves(f"Updated with {_describe_poses(today)}.", saved, new)
+    print(f"Updated with {_describe_poses(today)}.")
+    facts = _print_moves(saved, new)
     updates = vars(new.model).get("updates_", ())
     if len(updates) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
@@ -111,7 +111,7 @@ def move(options):
     """Move the correction to a probe whose vector is known."""
     saved = _open_correction(options)
     new = saved.move(parse_vector(options.probe))
-    facts = _print_moves(None, saved, new)
+    facts = _print_moves(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
     facts = step_of("move", None, facts)
     _save(new, options, facts)
@@ -133,13 +133,13 @@ def check(options):
         )
     if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: check with this one."])
-    _, today, lengths = _read_today(options, saved.arm)
+    _, today, measured = _read_today(options, saved.arm)
     if used := _used_poses(saved, today):
         print_notes([f"{used} A check by them says that the correction holds, whatever happened."])
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
     changed, facts, slipped, advice = False, {}, (), ""
     if has_causes:
-        changed, facts, slipped, advice = _check_model(saved, today, lengths, rate, options)
+        changed, facts, slipped, advice = _check_model(saved, today, measured, rate, options)
     if by_spread:
         kept = np.delete(np.arange(len(today.angles)), list(slipped))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
@@ -160,12 +160,9 @@ def check(options):
     return (CHANGED if changed else OK), facts
 
 
-def _check_model(saved, today, lengths, rate, options):
+def _check_model(saved, today, measured, rate, options):
     """Whether the model sees a change, the facts of it, rows that slipped, and what to do."""
-    found = saved.check(
-        today.angles, today.positions, today.points, lengths,
-        new_base=options.new_base, false_alarm_rate=rate,
-    )  # fmt: skip
+    found = saved.check(*measured, new_base=options.new_base, false_alarm_rate=rate)
     changed = bool(found.matters and not found.holds)
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
@@ -251,7 +248,7 @@ def _open_correction(options):
 
 
 def _read_today(options, arm):
-    """What was measured today: where it stands, a table with angles in rad, and known lengths."""
+    """What was measured today: where it stands, a table in rad, and what a correction takes."""
     by_tracker = bool(options.points)
     layout = find_rows(options, arm, labelled=not by_tracker)
     table = layout.read()
@@ -260,7 +257,8 @@ def _read_today(options, arm):
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit
-    return layout, replace(table, angles=in_rad(table), angle_unit="rad"), lengths
+    today = replace(table, angles=in_rad(table), angle_unit="rad")
+    return layout, today, (today.angles, today.positions, today.points, lengths)
 
 
 def _describe_poses(today):
@@ -294,26 +292,23 @@ def _check_left(left, saved, today):
     return usual
 
 
-def _print_moves(title, old, new):
-    """Print how far probe and base have moved, below a title, and return it as plain values."""
+def _print_moves(old, new):
+    """Print how far probe and base have moved, and return it as plain values."""
     probe = float(np.linalg.norm(new.arm.probe - old.arm.probe))
     x, y, z = new.arm.probe
-    lines = [f"Probe: ({x:.3f}, {y:.3f}, {z:.3f}) mm, {probe:.3f} mm from where it was."]
+    print(f"Probe: ({x:.3f}, {y:.3f}, {z:.3f}) mm, {probe:.3f} mm from where it was.")
     facts = {"probe_mm": new.arm.probe.tolist(), "probe_moved_mm": probe}
     if new.tools:
-        lines.append(f"The vectors of the tools {', '.join(new.tools)} stay as they were learnt.")
+        print(f"The vectors of the tools {', '.join(new.tools)} stay as they were learnt.")
     if old.base is not None:
-        turn = old.base[0].T @ new.base[0]
-        angle = float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+        turn = Rotation.from_matrix(old.base[0].T @ new.base[0])
+        angle = float(np.rad2deg(turn.magnitude()))
         shift = float(np.linalg.norm(new.base[1] - old.base[1]))
-        lines.append(
-            f"Base: moved by {shift:.3f} mm and turned by {angle:.4f} degrees in the tracker's "
-            "frame."
-        )
+        moved = f"moved by {shift:.3f} mm and turned by {angle:.4f} degrees"
+        print(f"Base: {moved} in the tracker's frame.")
         facts |= {"base_moved_mm": shift, "base_turned_deg": angle}
     elif new.base is not None:
-        lines.append("Base: found for the first time.")
-    print(*filter(None, [title]), *lines, sep="\n")
+        print("Base: found for the first time.")
     return facts
 
 
@@ -352,11 +347,8 @@ def _short(step):
 def _save(correction, options, step, layout=None, learnt=None):
     """Write the folder with what was done, and with the points of today where there are any."""
     out = Path(options.out) if options.out else correction_files(options.model)[0].parent
-    contents, aside = {}, out / f"corrected_before_{step['what']}.csv"
-    if layout is not None:
-        file = io.StringIO(newline="")
-        write_corrected(layout, correction, options, file)
-        contents["corrected.csv"] = file.getvalue().encode(layout.source.encoding)
+    contents = {} if layout is None else corrected_file(layout, correction, options)
+    aside = out / f"corrected_before_{step['what']}.csv"
     with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
         (out / "corrected.csv").replace(aside)
         print(f"The corrected points of before are now in {aside.name}.")

@@ -35,9 +35,22 @@ def with_points(text):
     return {"text": text, "options": {"points": "points"}}
 
 
-def labelled(header, *, separator=",", more=""):
-    rows = [[*header, "station"], *([*row, lab] for row, lab in zip(DEG, LABELS, strict=True))]
-    return {"text": joined(rows, separator) + more}
+Q, DAY = [f"q{i}" for i in range(1, 7)], "2026-11-22 10:00:00"
+
+
+def as_table(header, values=DEG, separator=",", end="\n"):
+    """Text of labels and values."""
+    rows = [["station", *header]]
+    rows += [[lab, *row] for lab, row in zip(LABELS, values, strict=True)]
+    return "".join(separator.join(map(str, row)) + end for row in rows)
+
+
+def of_places(text):
+    """The names of a robot's points, by which two and two belong together."""
+    for i, name in enumerate(["A_1", "A_2", "B_1", "B_2"]):
+        text = text.replace(f"XP{i}=", f"{name}=").replace(f" j{i}:=", f" {name}:=")
+        text = text.replace(f'P[{i + 1}:"p{i + 1}"]', f'P[{i + 1}:"{name}"]')
+    return text
 
 
 RTDE = [
@@ -106,80 +119,39 @@ KINDS = {
         "named": "--counts-per-turn",
     },
     # Loggers that end with comments, and those that begin with some: NumPy's savetxt.
-    "closing comments": labelled(
-        [f"q{i}" for i in range(6)], more="# end of log, 4 rows\n# ok 17\n"
-    ),
-    "numpy savetxt": {
-        "text": "# measured in the lab\n# " + labelled([f"q{i}_deg" for i in range(6)])["text"],
-    },
+    "closing comments": {"text": as_table(Q) + "# end of log, 4 rows\n# ok 17\n"},
+    "numpy savetxt": {"text": "# measured in the lab\n# " + as_table([f"{q}_deg" for q in Q])},
     # Spreadsheet programs in English with a German computer: commas, quoted decimal commas.
     "quoted decimal commas": {
-        "text": joined([["station", *(f"q{i}" for i in range(1, 7))], *(
-            [lab, *(f'"{v:.4f}"'.replace(".", ",") for v in row)]
-            for lab, row in zip(LABELS, DEG, strict=True))]),
+        "text": as_table(Q, [[f'"{v:.4f}"'.replace(".", ",") for v in row] for row in DEG]),
     },
     "german semicolons": {
-        "text": joined([["Messprotokoll"], ["Kegel", *(f"A{i} [°]" for i in range(1, 7))], *(
-            [lab, *(f"{v:.4f}".replace(".", ",") for v in row)]
-            for lab, row in zip(LABELS, DEG, strict=True))], ";"),
+        "text": "Messprotokoll\n" + as_table(
+            [f"A{i} [°]" for i in range(1, 7)],
+            [[f"{v:.4f}".replace(".", ",") for v in row] for row in DEG], ";"
+        ).replace("station", "Kegel"),
         "encoding": "cp1252",
     },
-    "tabs in utf-16": {
-        **labelled([f"J{i}" for i in range(1, 7)], separator="\t"), "encoding": "utf-16",
+    "tabs in utf-16": {"text": as_table(Q, separator="\t"), "encoding": "utf-16"},
+    "joints in brackets": {"text": as_table([f"j[{i}]" for i in range(6)])},
+    "joints and units in brackets": {"text": as_table([f"j[{i}] [rad]" for i in range(6)], RAD)},
+    "gon": {"text": as_table([f"{q} [gon]" for q in Q], (RAD / np.pi * 200).round(5))},
+    "mrad": {"text": as_table([f"{q} (mrad)" for q in Q], 1000 * RAD)},
+    "turns": {"text": as_table([f"{q} [turns]" for q in Q], (RAD / 2 / np.pi).round(8))},
+    "unit behind a slash": {"text": as_table([f"{q}/rad" for q in Q], RAD)},
+    "units in capitals": {"text": as_table([f"{q} [DEG]" for q in Q])},
+    "units in a row": {"text": as_table(Q).replace("\n", "\n,deg,deg,deg,deg,deg,deg\n", 1)},
+    "blanks of any width": {"text": as_table(Q, separator="    ")},
+    "ends of lines of Windows": {"text": as_table(Q, end="\r\n")},
+    "a separator at the end": {"text": as_table(Q, end=",\n")},
+    "dates before": {
+        "text": "when," + as_table(Q).replace("\nA", f"\n{DAY},A").replace("\nB", f"\n{DAY},B"),
     },
+    "empty lines between": {"text": as_table(Q).replace("\nB", "\n\n\nB", 1)},
+    "rapid, names of places": {"text": of_places(PROGRAM["abb rapid"])},
+    "krl, names of places": {"text": of_places(PROGRAM["kuka krl"])},
+    "ls, names of places": {"text": of_places(PROGRAM["fanuc ls"])},
 }  # fmt: skip
-
-
-Q = [f"q{i}" for i in range(1, 7)]
-
-
-def as_table(header, values=DEG, separator=",", more=(), end="\n"):
-    """Text of labels and values with further columns before them, one list for each row."""
-    rows = [["station", *header]]
-    rows += [[lab, *row] for lab, row in zip(LABELS, values, strict=True)]
-    rows = [[*extra, *row] for extra, row in zip(more, rows, strict=True)] if more else rows
-    return "".join(separator.join(map(str, row)) + end for row in rows)
-
-
-def of_places(text):
-    """The names of a robot's points, by which two and two belong together."""
-    for i, name in enumerate(["A_1", "A_2", "B_1", "B_2"]):
-        text = text.replace(f"XP{i}=", f"{name}=").replace(f" j{i}:=", f" {name}:=")
-        text = text.replace(f'P[{i + 1}:"p{i + 1}"]', f'P[{i + 1}:"{name}"]')
-    return text
-
-
-GON = (RAD / np.pi * 200).round(5)
-PLAIN = as_table([f"{q} [deg]" for q in Q])
-# Name of the kind -> text; all are read without any option.
-READ = {
-    "joints in brackets": as_table([f"j[{i}]" for i in range(6)]),
-    "joints and units in brackets": as_table([f"j[{i}] [rad]" for i in range(6)], RAD),
-    "gon": as_table([f"{q} [gon]" for q in Q], GON),
-    "mrad": as_table([f"{q} (mrad)" for q in Q], 1000 * RAD),
-    "turns": as_table([f"{q} [turns]" for q in Q], (RAD / 2 / np.pi).round(8)),
-    "unit behind a slash": as_table([f"{q}/rad" for q in Q], RAD),
-    "units in capitals": as_table([f"{q} [DEG]" for q in Q]),
-    "units in a row": as_table(Q).replace("\n", "\n,deg,deg,deg,deg,deg,deg\n", 1),
-    "blanks of any width": as_table(Q, separator="    "),
-    "ends of lines of Windows": as_table(Q, end="\r\n"),
-    "a separator at the end": as_table(Q, end=",\n"),
-    "dates before": as_table(
-        Q, more=[["when"], *([f"2026-11-22 10:00:0{i}"] for i in range(4))]
-    ),
-    "empty lines between": PLAIN.replace("\nB", "\n\n\nB", 1),
-    "rapid, names of places": of_places(PROGRAM["abb rapid"]),
-    "krl, names of places": of_places(PROGRAM["kuka krl"]),
-    "ls, names of places": of_places(PROGRAM["fanuc ls"]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", READ)
-def test_kinds_that_are_read_without_an_option(kind, tmp_path):
-    (tmp_path / "log.txt").write_text(READ[kind], newline="")
-    table = read_table(tmp_path / "log.txt", 6)
-    np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
-    assert table.positions.tolist() == LABELS
 
 
 def write_points(path, kind="spatialanalyzer"):
