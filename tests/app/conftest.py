@@ -1,9 +1,10 @@
-"""A measuring arm of another make, in NumPy and SciPy: it shares nothing with the package.
+"""A measuring arm of another make, which shares nothing with the package; a reader of pages.
 
 Seven joints (2-2-3). Its encoders are eccentric, its upper arm sags, and its lengths are not those
 of the drawing. Poses at a cone are found by Gauss-Newton from random starts.
 """
 
+from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,3 +88,40 @@ def write_log(path, readings, cones):
 def other_make():
     """What stands here."""
     return SimpleNamespace(OtherMake=OtherMake, DRAWING=DRAWING, write_log=write_log)
+
+
+class Page(HTMLParser):
+    """What is in a page: text outside figures and style, rows of tables, links, names, blanks."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.text, self.rows, self.links, self.ids, self.blanks = [], [], [], [], [], 0
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.links += [attrs[k] for k in ("src", "href", "xlink:href") if k in attrs]
+        self.ids += [attrs["id"]] if "id" in attrs else []
+        self.blanks += attrs.get("class") == "blank"
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag not in ("meta", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if {"td", "th"} & set(self.open):
+            self.rows[-1][-1] += data
+        if not {"svg", "style"} & set(self.open):
+            self.text.append(data)
+
+
+@pytest.fixture(scope="session")
+def read_page():
+    """What parses a page."""
+    return Page

@@ -6,7 +6,6 @@ import json
 import os
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -26,33 +25,6 @@ LIMITS = {
     "P_Size": (0.03, 0.0, np.inf), "E_Uni": (0.06, 1 / 10_000, 0.15), "2S far": (0.2, 0.0, np.inf),
 }  # fmt: skip
 ENTRY = {"number": '7"; } body { display: none }', "laboratory": "<Labor>", "tested": "2026-11-23"}
-
-
-class Cells(HTMLParser):
-    """Rows of all tables; tags that are left open; how many blanks there are."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.rows, self.blanks, self.outside = [], [], 0, []
-        self.feed(text)
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.blanks += ("class", "blank") in attrs
-        self.outside += [v for k, v in attrs if k in ("src", "href")]
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-        if tag not in ("meta", "br"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if {"td", "th"} & set(self.open):
-            self.rows[-1][-1] += data
 
 
 def tables_of(run, limits=LIMITS, entries=ENTRY):
@@ -133,14 +105,14 @@ def judged(learned, data, tmp_path_factory):
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_every_number_of_the_sheet_is_one_of_the_result(judged, language):
+def test_every_number_of_the_sheet_is_one_of_the_result(read_page, judged, language):
     result, code, pages = judged
-    page = Cells(pages[language])
+    page = read_page(pages[language])
 
     def t(text):
         return WORDS[language].get(text, text)
 
-    assert page.outside == []
+    assert page.links == []
     rows = {row[0]: row for row in page.rows if len(row) == 9 and row[0] != "sphere"}
 
     def um(value):
@@ -166,20 +138,20 @@ def test_every_number_of_the_sheet_is_one_of_the_result(judged, language):
     assert code == (3 if failed else 0)
 
 
-def test_what_nobody_stated_is_a_visible_blank(judged):
-    page = Cells(judged[2]["en"])
+def test_what_nobody_stated_is_a_visible_blank(read_page, judged):
+    page = read_page(judged[2]["en"])
     # Entries without number and country, the seat's two numbers, who authorises, and the signature.
     assert page.blanks == len(ENTRIES) - len(ENTRY) - 2 + 2 + 1 + 1
     for text in ("This is no statement of conformance", "k = 2", "this item only", "1.645 u"):
         assert text in judged[2]["en"]
 
 
-def test_the_sheet_shows_what_its_uncertainties_are_made_of(judged, data):
-    rows = {row[0]: row for row in Cells(judged[2]["de"]).rows}
+def test_the_sheet_shows_what_its_uncertainties_are_made_of(read_page, judged, data):
+    rows = {row[0]: row for row in read_page(judged[2]["de"]).rows}
     (bar,) = (one for one in data.run.artefacts if one.name == "bar 600")
     assert [bar.expansion_per_k, bar.u_expansion_per_k, bar.u_temperature_k] == [11.5e-6, 1e-6, 0.3]
     assert rows["bar 600"][4:] == ["4,00", "0,0", "11,5 (1,0)", "21,0 (0,3)", "1,0"]
-    methods = [row for row in Cells(judged[2]["en"]).rows if len(row) == 6]
+    methods = [row for row in read_page(judged[2]["en"]).rows if len(row) == 6]
     assert {row[0]: int(row[1]) for row in methods[1:]} == {
         test: np.sum(data.run.test == test) for test in dict.fromkeys(data.run.test.tolist())
     }
@@ -337,12 +309,12 @@ def certified(learned, data, tmp_path_factory):
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_a_certificate_says_what_the_sheet_says(judged, certified, language):
+def test_a_certificate_says_what_the_sheet_says(read_page, judged, certified, language):
     result, _, _ = judged
     assert result["E_Uni"].limit_before != result["E_Uni"].limit_after  # of other lengths
     root = ElementTree.parse(certified / f"{language}.xml").getroot()
     check_orders(root)
-    page = Cells((certified / f"{language}.html").read_text(encoding="utf-8"))
+    page = read_page((certified / f"{language}.html").read_text(encoding="utf-8"))
     rows = {row[0]: row for row in page.rows if len(row) == 9 and row[0] != "sphere"}
     sides = root.findall(".//dcc:measurementResult", SPACES)
     for side, column, found in zip(("before", "after"), (2, 5), sides, strict=True):

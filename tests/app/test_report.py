@@ -1,7 +1,6 @@
 """The report: every number in it is one of the result's, and it needs no network."""
 
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -13,35 +12,6 @@ from sklearn_raacmm.datasets import make_gauge, make_single_point
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
-
-
-class Words(HTMLParser):
-    """Text of a page, its figures and style left out; tags that are left open."""
-
-    def __init__(self):
-        super().__init__()
-        self.open, self.text, self.links, self.ids = [], [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        attrs = dict(attrs)
-        self.links += [attrs[k] for k in ("src", "href", "xlink:href") if k in attrs]
-        self.ids += [attrs["id"]] if "id" in attrs else []
-        if tag not in ("meta", "br", "link"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not {"svg", "style"} & set(self.open):
-            self.text.append(data)
-
-
-def read(text):
-    page = Words()
-    page.feed(text)
-    assert page.open == []
-    return page
 
 
 @pytest.fixture(scope="module")
@@ -97,8 +67,8 @@ def numbers_of(result):
     return np.concatenate([um, *table, found, counts, shown])
 
 
-def test_every_number_is_one_of_the_result(result, page):
-    text = " ".join(read(page).text)
+def test_every_number_is_one_of_the_result(read_page, result, page):
+    text = " ".join(read_page(page).text)
     # Sentences of the result itself.
     for sentence in (result.verdict, *(finding.text for finding in result.findings)):
         text = text.replace(sentence, "")
@@ -118,8 +88,8 @@ def test_every_number_is_one_of_the_result(result, page):
         assert np.abs(known - float(word)).min() <= 0.5001 * 10.0**-digits, word
 
 
-def test_the_page_says_what_it_is_about(result, page):
-    text = " ".join(" ".join(read(page).text).split())
+def test_the_page_says_what_it_is_about(read_page, result, page):
+    text = " ".join(" ".join(read_page(page).text).split())
     before, after = (1000 * result.scores.table[when].mean() for when in ("before", "after"))
     for shown in (
         f"new positions: 2S {before:.0f} -> {after:.0f} µm, ", "<17>", "serial number",
@@ -133,8 +103,8 @@ def test_the_page_says_what_it_is_about(result, page):
     assert "Scale: points of one position" not in text  # lengths are known
 
 
-def test_no_network_and_no_names_twice(page):
-    found = read(page)
+def test_no_network_and_no_names_twice(read_page, page):
+    found = read_page(page)
     assert [link for link in found.links if not link.startswith("#")] == []
     assert len(found.ids) == len(set(found.ids))
     assert not re.search("@import|<script", page)
@@ -143,13 +113,13 @@ def test_no_network_and_no_names_twice(page):
     assert all("w3.org" in a or "purl.org" in a or "creativecommons" in a for a in addresses)
 
 
-def test_a_tracker_and_a_model_without_harmonics(tmp_path):
+def test_a_tracker_and_a_model_without_harmonics(read_page, tmp_path):
     data = make_single_point(5, 10, random_state=2)
     tracker = data.simulation.true_points[:, [1, 2, 0]]
     labels = np.array([f"$x^{{${i}" for i in range(5)])[data.groups]  # text, and no formulae
     result = learn_correction(data.nominal_arm, data.data, labels, tracker, model=Ridge(), cv=3)
     page = write_report(result, tmp_path / "report.html")
-    text = " ".join(read(page).text)
+    text = " ".join(read_page(page).text)
     assert "$x^{$3" in page
     assert "mean deviation before" in text
     # Nobody has stated where the base stands; and zero has no sign.
