@@ -22,11 +22,9 @@ _COLUMNS = {
     "d": ("d", "joint offset", "d_i"),
     "theta_offset": ("theta_offset", "theta offset", "offset", "theta", "theta0"),
     "joint_signs": ("sign", "joint_signs", "direction"),
-    "low": ("lower", "min", "low"),
-    "high": ("upper", "max", "high"),
     "names": ("joint", "name", "joint name"),
 }
-_ANGLES = ("alpha", "theta_offset", "low", "high")
+_ANGLES = ("alpha", "theta_offset")
 _FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
 
 
@@ -103,31 +101,27 @@ def _meant_arm(options):
 def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
     """Arm of a table, text or a spreadsheet, with one row for each joint.
 
-    Columns are a, alpha, d and, if there are any, theta_offset, sign, lower, upper and joint, in mm
-    and degrees or what the header says; the probe (3,) is in mm.
+    Columns are a, alpha, d and, if there are any, theta_offset, sign and joint, in mm and degrees
+    or what the header says; the probe (3,) is in mm.
     """
     table = Columns(path, 3)
-    found = {
-        field: next((table.names.index(word) for word in words if word in table.names), None)
-        for field, words in _COLUMNS.items()
-    }
-    missing = [field for field in ("a", "alpha", "d") if found[field] is None]
-    if missing:
-        raise TableError(f"{path} has no column {missing[0]!r}; it has {table}.")
+    found = {}
+    for field, words in _COLUMNS.items():
+        if words := [word for word in words if word in table.names]:
+            found[field] = table.names.index(words[0])
+        elif field in ("a", "alpha", "d"):
+            raise TableError(f"{path} has no column {field!r}; it has {table}.")
     rows = list(table.rows([found["a"]]))
     values = {}
     for field, column in found.items():
-        if field == "names" and column is not None:
+        if field == "names":
             values[field] = table.labels(rows, column).tolist()
-        elif column is not None:
+        else:
             units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
             unit = table.units[column] or units[0]
             if unit not in units:
                 raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
             values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
-    low, high = values.pop("low", None), values.pop("high", None)
-    if low is not None and high is not None:
-        values["limits"] = list(zip(low, high, strict=True))
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
     return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)
