@@ -13,16 +13,13 @@ from sklearn_raacmm.app._main import main
 
 if TYPE_CHECKING:
     from sklearn_raacmm.app._cells import TableError
-    from sklearn_raacmm.app._lengths import read_lengths
-    from sklearn_raacmm.app._report import judge_limit, write_report
+    from sklearn_raacmm.app._report import write_report
     from sklearn_raacmm.app._tables import Table, read_table
 
 __all__ = [
     "Table",
     "TableError",
-    "judge_limit",
     "main",
-    "read_lengths",
     "read_table",
     "write_report",
 ]
@@ -31,7 +28,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import what is asked for, when it is, as the package itself does."""
     if name in __all__:
-        for module in ("_cells", "_lengths", "_tables", "_report"):
+        for module in ("_cells", "_tables", "_report"):
             if hasattr(found := importlib.import_module(f"{__name__}.{module}"), name):
                 return getattr(found, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -17,12 +17,12 @@ from sklearn_raacmm.app._sources import find_source
 _SURELY_DEGREES, _SURELY_COUNTS = 4 * np.pi, 36_000
 _DEGREES = ("deg", "degree", "degrees", "°", "º", "grad")
 _RADIANS = ("rad", "radian", "radians")
-# Other units of angles: the known one that they are parts of, and how many of it they are.
-_PARTS = {
-    "gon": ("deg", 0.9), "mrad": ("rad", 1e-3), "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600),
-    "turns": ("deg", 360.0),
+# Units of angles: degrees or radians, and how many of them each is.
+_ANGLES = {
+    "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
+    "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
-_UNITS = (*_DEGREES, *_RADIANS, *_PARTS, "mm", "m", "s", "ms", "-", "°c")
+_UNITS = (*_DEGREES, *_RADIANS, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*(?!\d+\s*[\])]?$)([^\])/]+?)\s*[\])]?$|^(.*?)(°)$|"
@@ -336,11 +336,10 @@ class Columns:
     def find_unit(self, columns):
         """Unit of the angles: from the header, the kind of columns, or their size."""
         found = {self.units[i] for i in columns}
-        if found in ({"deg"}, {"rad"}):
-            return found.pop()
-        if len(found) == 1 and (unit := min(found)) in _PARTS:
-            known, self.factor = _PARTS[unit]
-            self.notes.append(f"Angles in {unit}, {self.factor:.6g} {known} each.")
+        if len(found) == 1 and (unit := min(found)) in _ANGLES:
+            known, self.factor = _ANGLES[unit]
+            if unit != known:
+                self.notes.append(f"Angles in {unit}, {self.factor:.6g} {known} each.")
             return known
         if found != {""}:
             units = ", ".join(self.header[i] for i in columns)

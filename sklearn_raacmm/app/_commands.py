@@ -63,16 +63,13 @@ def learn(options):
     layout = find_rows(options, arm)
     table = layout.read()
     print_notes(table.notes)
-    lengths = known_lengths(options)
+    measured = table.angles, table.positions, table.points, known_lengths(options)
     like = [load_correction(folder).model for folder in options.like or ()]
     # Findings stand in the result, and are printed with it.
     with numbered_rows(table.rows), collected_findings():
         result: Any = learn_correction(
             arm,
-            table.angles,
-            table.positions,
-            table.points,
-            lengths,
+            *measured,
             angle_unit=table.angle_unit,
             cv=options.folds,
             n_jobs=options.jobs,
@@ -106,10 +103,11 @@ def _check_learning(options):
     """Refuse what can be refused before minutes of learning."""
     if options.folds is not None and options.folds < 2:
         raise TableError(f"--folds must be 2 or more, got {options.folds}.")
-    if options.limit_2s is not None and not 0 < options.limit_2s < np.inf:
-        raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
-    if options.limit_2s is not None and options.points:
-        raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
+    if options.limit_2s is not None:
+        if not 0 < options.limit_2s < np.inf:
+            raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
+        if options.points:
+            raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
     check_installed("jinja2", "matplotlib", "skops")
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
     check_places([out / name for name in WRITTEN], filter(None, read))

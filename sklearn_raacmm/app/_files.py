@@ -155,7 +155,6 @@ def find_rows(options, arm, labelled=True):
     counts = options.counts_per_turn
     if counts is not None:
         counts = [parse_number(text) for text in counts.split(",")]
-        counts = counts[0] if len(counts) == 1 else counts
     return Layout(
         options.table,
         arm.n_joints,

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from os import PathLike
 from typing import Any
 
 from sklearn_raacmm.app._cells import TableError, parse_number
@@ -33,26 +32,8 @@ def parse_length(text):
         ) from None
 
 
-def read_lengths(path: str | PathLike[str], sd: float | None = None) -> list[Any]:
-    """Read known lengths: two labels, a length and its standard deviation a row, mm.
-
-    Parameters
-    ----------
-    path : str or path-like
-        A table of three or four columns, with or without a header.
-    sd : float, default=None
-        Standard deviation in mm where the table has no fourth column.
-
-    Returns
-    -------
-    list of (label, label, length, standard deviation)
-        As `learn_correction` takes them.
-
-    Raises
-    ------
-    TableError
-        If a row does not hold these; the sentence has its number.
-    """
+def read_lengths(path, sd=None):
+    """Known lengths: two labels, a length and its standard deviation a row, mm."""
     return list(_read_rows(path, 2, 1, sd, "two labels and a length in mm"))
 
 

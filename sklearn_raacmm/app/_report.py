@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._figures import draw_figures
-from sklearn_raacmm.correction import Correction, CorrectionScores
+from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.display import HarmonicDisplay
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import write_whole
@@ -160,26 +160,8 @@ def micrometres(mm):
     return f"{1000 * mm:.1f}"
 
 
-def judge_limit(scores: CorrectionScores, limit: float) -> tuple[str, str]:
-    """Judge the mean 2S at positions left out against a limit.
-
-    Parameters
-    ----------
-    scores : CorrectionScores
-    limit : float
-        In mm.
-
-    Returns
-    -------
-    word : {"PASS", "FAIL", "OPEN"}
-        "OPEN" where the limit lies in the 95 % interval.
-    sentence : str
-
-    Raises
-    ------
-    ValueError
-        If the scores have no 2S, or the limit is not positive.
-    """
+def judge_limit(scores, limit):
+    """PASS, FAIL or OPEN where the 95 % interval of the mean 2S holds the limit, mm; a sentence."""
     if scores.measure != "2S":
         raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
     if not 0 < limit < np.inf:

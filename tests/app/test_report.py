@@ -7,7 +7,8 @@ import pytest
 from sklearn.linear_model import Ridge
 
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
-from sklearn_raacmm.app import judge_limit, write_report
+from sklearn_raacmm.app import write_report
+from sklearn_raacmm.app._report import judge_limit
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 
 pytest.importorskip("jinja2")
