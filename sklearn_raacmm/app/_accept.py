@@ -268,8 +268,7 @@ def _write_template(path, arm):
         "limits": [list(_LIMITS), *([name] for name in VALUES)],
         "sheet": [["entry", "value"], *([label] for label in ENTRIES.values()), [_TIP]],
     }
-    book, stream = openpyxl.Workbook(), io.BytesIO()
-    book.remove(book.active)
+    book, stream = openpyxl.Workbook(write_only=True), io.BytesIO()
     for name, rows in tables.items():
         sheet = book.create_sheet(name)
         for row in rows:

@@ -7,6 +7,7 @@ import contextlib
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -141,6 +142,7 @@ def check(options):
     if has_causes:
         changed, facts, slipped, advice = _check_model(saved, today, measured, rate, options)
     if by_spread:
+        # Rows that slipped are left out where each position keeps two or more.
         kept = np.delete(np.arange(len(today.angles)), list(slipped))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
@@ -152,7 +154,7 @@ def check(options):
         print(f"It holds: {_describe_poses(today)}, {usual}.")
     facts |= {"holds": not changed}
     try:
-        spread = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
+        spread: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
         step = step_of("check", today, facts, *spread)
         save_step(saved, files[0].parent, step, _page_of(options))
     except (OSError, ValueError, ImportError) as error:
