@@ -53,11 +53,6 @@ def parse_number(text):
     return float(text.strip().replace(",", "."))
 
 
-def open_text(path, encoding):
-    """A file of text, its ends of lines as they are."""
-    return open(path, encoding=encoding, newline="")
-
-
 @dataclass(frozen=True)
 class Dialect:
     """How a file is written; `separator` and `decimal` of what is no text are those to write with.
@@ -77,7 +72,7 @@ class Dialect:
         if self.read is not None:
             yield from self.read()
             return
-        with open_text(self.path, self.encoding) as file:
+        with open(self.path, encoding=self.encoding, newline="") as file:
             for number, cells in self.split(file):
                 if any(cells):
                     yield number, cells
@@ -151,7 +146,7 @@ def strip_mark(cells):
 def find_dialect(path, n_numbers):
     """How a file of text is written, by its first rows with at least so many numbers."""
     encoding = find_encoding(path)
-    with open_text(path, encoding) as file:
+    with open(path, encoding=encoding, newline="") as file:
         lines = [line for line in islice(file, _SNIFFED_LINES) if line.strip()]
     # Decimal commas between commas stand in quotation marks.
     quoted = any('"' in line for line in lines)
@@ -182,7 +177,7 @@ def find_encoding(path):
         if head.startswith(mark):
             return name
     for encoding in ("utf-8", "cp1252"):
-        with contextlib.suppress(UnicodeDecodeError), open_text(path, encoding) as file:
+        with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
             while file.read(_CHUNK):
                 pass
             return encoding

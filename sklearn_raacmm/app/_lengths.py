@@ -39,11 +39,7 @@ def read_lengths(path, sd=None):
 
 def read_places(path, sd=None):
     """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm."""
-    rows = list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm"))
-    try:
-        return lengths_of_places(rows)
-    except ValueError as error:
-        raise TableError(f"{path}: {error}") from None
+    return lengths_of_places(list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm")))
 
 
 def _read_rows(path, n_labels, n_numbers, sd, what):

@@ -10,8 +10,6 @@ from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
-import numpy as np
-
 from sklearn_raacmm.app._cells import (
     Dialect,
     TableError,
@@ -19,7 +17,6 @@ from sklearn_raacmm.app._cells import (
     clean,
     find_dialect,
     find_encoding,
-    open_text,
 )
 
 _LOOKED_AT = 300
@@ -90,7 +87,7 @@ def _find_sheet(path, n_numbers, wanted):
         counts = [[dialect.count(cells) for cells in rows] for dialect in dialects]
         found = [sum(count for count in one if count >= n_numbers) for one in counts]
         if any(found):
-            return dialects[np.argmax(found)]
+            return dialects[found.index(max(found))]
     sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
     raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
 
@@ -134,9 +131,7 @@ def _json_lines(path):
     """A table of messages, one a line; lists in them become columns of their own."""
     rows = []
     try:
-        with open_text(path, "utf-8-sig") as file:
-            lines = file.read().splitlines()
-        for line in filter(str.strip, lines):
+        for line in filter(str.strip, path.read_text("utf-8-sig").splitlines()):
             rows.append(row := {})
             for name, value in json.loads(line).items():
                 values = enumerate(value) if isinstance(value, list) else [("", value)]
@@ -154,13 +149,12 @@ def _json_lines(path):
 def _program(path, n_joints):
     """A program or log of a robot's controller that holds joint positions; None if it is none."""
     encoding = find_encoding(path)
-    with open_text(path, encoding) as file:
+    with open(path, encoding=encoding, newline="") as file:
         head = file.read(_HEAD_CHARACTERS)
     for what, record, value in _PROGRAMS:
         if not re.search(record, head):
             continue
-        with open_text(path, encoding) as file:
-            text, rows = file.read(), []
+        text, rows = path.read_text(encoding), []
         for match in re.finditer(record, text):
             values = re.findall(value, match[2])
             # Coupled or external axes may follow the robot's own.

@@ -355,5 +355,5 @@ def test_known_lengths_and_places_of_the_command_line(tmp_path):
         ("A;0;0;0;0.004\nA;300;400;0;0.004\n", None, "two different labels"),
     ):
         path.write_text(text)
-        with pytest.raises(TableError, match=message):
+        with pytest.raises(ValueError, match=message):
             read_places(path, sd)
