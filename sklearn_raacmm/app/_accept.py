@@ -38,13 +38,12 @@ from sklearn_raacmm.app._files import (
     text_of_label,
 )
 from sklearn_raacmm.app._report import render
-from sklearn_raacmm.app._sources import sheet_rows
+from sklearn_raacmm.app._sources import SHEETS, sheet_rows
 from sklearn_raacmm.app._tables import Layout, find_point_factor
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
 
 OK, FAILED, NOT_JUDGED = 0, 3, 4
-_SHEETS = (".xlsx", ".xlsm")
 _TABLES = ("readings", "artefacts", "limits", "sheet")
 # Columns of the table of artefacts: attribute, heading, factor to its unit; None is text.
 _ARTEFACT = (
@@ -244,7 +243,7 @@ def _write_template(path, arm):
     check_installed("openpyxl")
     import openpyxl
 
-    if path.suffix.lower() not in _SHEETS:
+    if path.suffix.lower() not in SHEETS:
         raise TableError(f"a template is a spreadsheet, such as run.xlsx, got {path}.")
     if path.exists():
         raise TableError(f"{path} is there already: a template never replaces readings.")

@@ -38,8 +38,7 @@ def arm(options):
         check_installed("matplotlib")
     shown = _meant_arm(options)
     if options.up:
-        up = parse_vector(options.up, "--up needs three numbers, such as 0,0,1")
-        shown = shown.replace(up=up)
+        shown = shown.replace(up=parse_vector("--up", options.up))
     print(shown)
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
@@ -92,7 +91,7 @@ def _meant_arm(options):
         return Arm.from_lengths(layout, *lengths, **offsets)
     if options.dh:
         convention = "modified" if options.modified else "standard"
-        return read_dh(options.dh, convention, parse_vector(options.probe or "0,0,0"))
+        return read_dh(options.dh, convention, parse_vector("--probe", options.probe or "0,0,0"))
     if options.source and options.into:
         return load_arm(options.source)  # --base and --tip are those of the other file
     return load_arm(options.source, options.base, options.tip)

@@ -213,15 +213,14 @@ def demo(options):
     names = [f"cone {i + 1}" for i in range(first)] + ["bar, left", "bar, right"]
     lines = ["simulated arm;no real measurement", ";".join(["position", *_DEMO_COLUMNS])]
     for label, angles in zip(test.groups, np.rad2deg(test.data), strict=True):
-        cells = (f"{angle:.6f}".replace(".", ",") for angle in angles)
-        lines.append(f"{names[label]};" + ";".join(cells))
+        lines.append(";".join([names[label], *(f"{v:.6f}".replace(".", ",") for v in angles)]))
     table, arm = out / "cone_test.csv", out / "nominal_arm.json"
     write_whole({table: "\r\n".join(lines) + "\r\n"})
     test.nominal_arm.to_json(arm)
     print(f"A simulated single-point test: {table}")
     known = f"{names[first]}:{names[second]}:{length:.3f}:{sd}"
-    words = ["learn", table, "--arm", arm, "--length", known, "--out", out, "--serial", "simulated"]
-    words = [str(word) for word in words]
+    paths = "--arm", str(arm), "--out", str(out)
+    words = ["learn", str(table), *paths, "--length", known, "--serial", "simulated"]
     print(shlex.join(["raacmm", *words]))
     # Options of the user go before these.
     vars(options).update(vars(make_parser().parse_args(words)) | vars(options))

@@ -170,11 +170,11 @@ def find_rows(options, arm, labelled=True):
     )
 
 
-def parse_vector(text, meant="--probe needs three numbers in mm, such as 0,0,250"):
-    """The three numbers of ``--probe X,Y,Z``, mm, or of another option."""
+def parse_vector(option, text):
+    """The three numbers of an option such as ``--probe X,Y,Z``."""
     vector = [parse_number(cell) for cell in text.split(",")]
     if len(vector) != 3:
-        raise TableError(f"{meant}, got {text!r}.")
+        raise TableError(f"{option} needs three numbers, such as 0,0,1, got {text!r}.")
     return vector
 
 

@@ -111,7 +111,7 @@ def update(options):
 def move(options):
     """Move the correction to a probe whose vector is known."""
     saved = _open_correction(options)
-    new = saved.move(parse_vector(options.probe))
+    new = saved.move(parse_vector("--probe", options.probe))
     facts = _print_moves(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
     facts = step_of("move", None, facts)

@@ -22,7 +22,7 @@ from sklearn_raacmm.app._cells import (
 _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
 _HEAD_CHARACTERS = 1 << 20
-_SHEETS = (".xlsx", ".xlsm")
+SHEETS = (".xlsx", ".xlsm")
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
 # joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
@@ -54,7 +54,7 @@ def find_source(path, n_numbers, sheet=None):
     path = Path(path)
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
-    if path.suffix.lower() in _SHEETS:
+    if path.suffix.lower() in SHEETS:
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")

@@ -120,11 +120,7 @@ def read_table(
     >>> table.angle_unit, table.positions.tolist(), table.angles.tolist()
     ('deg', ['A', 'A'], [[12.5, -3.0], [13.0, -2.5]])
     """
-    return Layout(
-        path, n_joints, angles=angles, position=position, points=points, angle_unit=angle_unit,
-        labelled=labelled, joint_names=joint_names, counts_per_turn=counts_per_turn, sheet=sheet,
-        others=others,
-    ).read()  # fmt: skip
+    return Layout(**locals()).read()
 
 
 class Layout(Columns):
