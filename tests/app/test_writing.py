@@ -134,31 +134,50 @@ def test_killed_at_any_moment_the_next_writer_tidies_up(tmp_path):
     assert seen == ["a", "b"]
 
 
-def test_what_cannot_get_its_name_stays_beside_it(tmp_path, monkeypatch):
-    """As on Windows, where a program holds a table open."""
-    write_folder(tmp_path, {"x": "old"}, {"arm.json": "old", "corrected.csv": "old"})
-    replace = Path.replace
+@pytest.fixture
+def held(monkeypatch):
+    """Names of files that cannot be replaced, as on Windows where a program holds them open."""
+    names, replace = set(), os.replace
 
-    def refuses(self, place):
-        if Path(place).name == refused:
+    def refuses(source, place, **options):
+        if Path(place).name in names:
             raise PermissionError("in use")
-        return replace(self, place)
+        return replace(source, place, **options)
 
-    monkeypatch.setattr(Path, "replace", refuses)
-    for refused, kept in (("corrected.csv", "new"), ("correction.json", "old")):
-        new = {"arm.json": "new", "corrected.csv": f"points of {refused}"}
-        with pytest.raises(
-            OSError, match=rf"{refused} cannot be replaced \(in use\); its conte"
-        ) as e:
-            write_folder(tmp_path, {"x": "new"}, new)
-        beside = Path(re.search(r"its content is in (.*)\.$", str(e.value))[1])
-        assert beside.name.startswith(refused)
-        facts, contents = read_folder(tmp_path, ["arm.json"])
-        assert (facts["x"], contents) == (kept, [kept.encode()])
-        monkeypatch.setattr(Path, "replace", replace)
-        write_folder(tmp_path, {"x": "old"}, {"arm.json": "old", "corrected.csv": "old"})
-        assert not list(tmp_path.glob("*.tmp"))
-        monkeypatch.setattr(Path, "replace", refuses)
+    monkeypatch.setattr(os, "replace", refuses)
+    return names
+
+
+@pytest.mark.parametrize(("name", "kept"), [("corrected.csv", "new"), ("correction.json", "old")])
+def test_what_cannot_get_its_name_stays_beside_it(tmp_path, held, name, kept):
+    write_folder(tmp_path, {"x": "old"}, {"arm.json": "old", "corrected.csv": "old"})
+    held.add(name)
+    new = {"arm.json": "new", "corrected.csv": "points"}
+    with pytest.raises(OSError, match=rf"{name} cannot be replaced \(in use\); its cont") as caught:
+        write_folder(tmp_path, {"x": "new"}, new)
+    beside = Path(re.search(r"its content is in (.*)\.$", str(caught.value))[1])
+    assert beside.name.startswith(name)
+    facts, contents = read_folder(tmp_path, ["arm.json"])
+    assert (facts["x"], contents) == (kept, [kept.encode()])
+    held.clear()
+    write_folder(tmp_path, {"x": "old"}, {"arm.json": "old", "corrected.csv": "old"})
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_a_table_that_another_program_holds_open(tmp_path, held):
+    """It is refused before the work, and after it the result is kept."""
+    table = tmp_path / "corrected.csv"
+    table.write_text("old")
+    held.add(table.name)
+    with pytest.raises(PermissionError, match=r"Close .*corrected\.csv: it cannot be rep.*in use"):
+        check_places([tmp_path / "new.csv", table])
+    with (
+        pytest.raises(OSError, match=r"cannot be replaced \(in use\); its content is in") as caught,
+        open_beside(table, "utf-8") as file,
+    ):
+        file.write("points")
+    beside = re.search(r"content is in (.*)\.$", str(caught.value))[1]
+    assert (table.read_text(), Path(beside).read_text()) == ("old", "points")
 
 
 def test_places_are_checked_before_the_work(tmp_path):
@@ -180,31 +199,6 @@ def test_places_are_checked_before_the_work(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="is no ordinary file"):
         check_places([tmp_path / "pipe"])
-
-
-def test_a_table_that_another_program_holds_open(tmp_path, monkeypatch):
-    """As on Windows: it is refused before the work, and after it the result is kept."""
-    table, new = tmp_path / "corrected.csv", tmp_path / "new.csv"
-    table.write_text("old")
-    replace = os.replace
-
-    def refuses(source, place, **options):
-        if Path(place).name == table.name:
-            raise PermissionError("in use")
-        return replace(source, place, **options)
-
-    monkeypatch.setattr(os, "replace", refuses)
-    with pytest.raises(
-        PermissionError, match=r"Close .*corrected\.csv: it cannot be rep.*\(in use\)"
-    ):
-        check_places([new, table])
-    with (
-        pytest.raises(OSError, match=r"cannot be replaced \(in use\); its content is in") as caught,
-        open_beside(table, "utf-8") as file,
-    ):
-        file.write("points")
-    beside = re.search(r"content is in (.*)\.$", str(caught.value))[1]
-    assert (table.read_text(), Path(beside).read_text()) == ("old", "points")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
