@@ -34,13 +34,7 @@ from sklearn_raacmm.app._files import (
 from sklearn_raacmm.app._lengths import known_lengths
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import (
-    describe_result,
-    judge_limit,
-    list_outliers,
-    render,
-    report_text,
-)  # fmt: skip
+from sklearn_raacmm.app._report import judge_limit, list_outliers, render, report_text
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
@@ -87,8 +81,8 @@ def learn(options):
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
-    training = describe_result(result)["training"]
-    training.pop("hull_corners_mm", None)
+    card = describe(result.model, result.inputs(result.angles), groups=result.positions)
+    training = {k: v for k, v in card["training"].items() if k != "hull_corners_mm"}
     taught = replace(result, facts=result.facts | {"training": training})
     _print_result(result, table.rows, options)  # before what may fail
     save_step(taught, options.out, step, report, contents, learnt=today)
@@ -117,8 +111,6 @@ def _check_learning(options):
 
 def _print_result(result, row_numbers, options):
     """Print what was learnt; the verdict at the end, where it is seen without scrolling."""
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
     verdict, *lines = str(result.scores).split("\n")
     print(*lines, sep="\n")
     for row, label, distance in list_outliers(result, row_numbers)[:10]:
@@ -229,4 +221,5 @@ def demo(options):
 
 def _progress(done, total):
     if sys.stderr.isatty():
-        print(f"\r{done} of {total} folds", end="", file=sys.stderr, flush=True)
+        end = "\n" if done == total else ""
+        print(f"\r{done} of {total} folds", end=end, file=sys.stderr, flush=True)

@@ -6,8 +6,8 @@
 import datetime
 import platform
 import re
-from importlib.resources import files
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,21 +114,12 @@ def render(name, **values):
     """Page of a template in this folder."""
     import jinja2
 
-    folder = files("sklearn_raacmm.app")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        loader=jinja2.FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
     )  # fmt: skip
-    environment.filters |= {"um": micrometres, "in_um": _in_um, "number": _number}
+    environment.filters |= {"um": lambda mm: f"{1000 * mm:.1f}", "in_um": _in_um, "number": _number}
     return environment.get_template(name).render(values)
-
-
-def describe_result(result):
-    """Card of what was learnt, with the rows that it was learnt from and what was found in them."""
-    card = describe(result.model, result.inputs(result.angles), groups=result.positions)
-    if result.findings:
-        card["findings"] = [f"{finding.weight}: {finding}" for finding in result.findings]
-    return card
 
 
 def with_history(page, history):
@@ -155,11 +146,6 @@ def _in_um(sentence):
     return re.sub(r"(\d+\.\d{3,4} (->|to) )?\d+\.\d{3,4} mm", changed, sentence)
 
 
-def micrometres(mm):
-    """Millimetres as text in micrometres."""
-    return f"{1000 * mm:.1f}"
-
-
 def judge_limit(scores, limit):
     """PASS, FAIL or OPEN where the 95 % interval of the mean 2S holds the limit, mm; a sentence."""
     if scores.measure != "2S":
@@ -182,7 +168,7 @@ def judge_limit(scores, limit):
 
 def _facts(result):
     """What was measured, with what, and the fingerprints of both."""
-    card = describe_result(result)
+    card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     rows, model = card["training"], card["fingerprint"]
     return {
         "arm": result.arm.name or "without a name",
