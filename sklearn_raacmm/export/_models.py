@@ -29,7 +29,6 @@ from sklearn_raacmm.export._steps import (
     described,
     extra_columns,
     find_arm,
-    is_flat,
     leaves,
     n_inputs,
 )
@@ -137,7 +136,6 @@ def build_program(model, std=False, any_probe=False, fade="exact", poses=None):
         extra = [name for name, _ in extra_columns(model)]
         extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
         about |= {"angle_unit": chain.unit, "extra": extra}
-    about["flat"] = bool(p.size(y) == 1 and is_flat(model))
     if chain.fade != "exact":
         about["fingerprint"] = hash_program(build_program(model, any_probe=any_probe))
     return p.program(outputs, about)

@@ -86,15 +86,6 @@ def extra_columns(model) -> Any:
     return ()
 
 
-def is_flat(model):
-    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
-    *_, (_, last) = leaves(model)
-    if isinstance(last, ArmResidualRegressor):
-        return False
-    # A linear model without intercept has a scalar for it in either case.
-    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
-
-
 def described(step):
     """What a step is, in a few words for people."""
     name = type(step).__name__
