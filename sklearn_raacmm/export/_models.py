@@ -7,7 +7,7 @@ One function for each kind of step: it adds the step's operations to those befor
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from sklearn.preprocessing import MinMaxScaler, RobustScaler
+from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.error_model import (
@@ -24,7 +24,6 @@ from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_n
 from sklearn_raacmm.export._steps import (
     KNOWN,
     REGRESSORS,
-    SCALERS,
     check_fitted,
     described,
     extra_columns,
@@ -150,13 +149,9 @@ def _read(chain, steps, x):
         if isinstance(step, PoseFeatures):
             _needs_angles(chain, path, x)
             x = pose_features(chain, step)
-        elif isinstance(step, SCALERS):
+        elif isinstance(step, StandardScaler):
             x = scaler(chain.p, step, x)
         elif isinstance(step, REGRESSORS):
-            if rest:
-                raise ValueError(
-                    f"{rest[0][0]} comes after the regressor, which cannot be exported."
-                )
             return _regressor(chain, path, step, x)
         else:
             raise ValueError(
@@ -194,8 +189,6 @@ def _regressor(chain, path, step, x):
 def _cylindrical(chain, path, step, rest, x):
     """A regressor in the cylindrical frame of the probe's azimuth."""
     p, n = chain.p, step.n_features_in_ - 2
-    if any(isinstance(inner, CylindricalResidualTarget) for _, inner in rest):
-        raise ValueError(f"{rest[0][0]} is the second of its kind, which cannot be exported.")
     direction = None
     if step._drops_direction:
         # A direction that comes with the features becomes NaN where its norm is not 1.
@@ -268,18 +261,10 @@ def pose_angles(chain, angles):
 
 
 def scaler(p, step, x):
-    """One of scikit-learn's scalers."""
-    if isinstance(step, MinMaxScaler):
-        x = p("add", p("mul", x, step.scale_), step.min_)
-        clip = step.feature_range if step.clip else None
-    else:
-        center = step.center_ if isinstance(step, RobustScaler) else getattr(step, "mean_", None)
-        if center is not None and getattr(step, "with_mean", True):
-            x = p("sub", x, center)
-        if step.scale_ is not None:
-            x = p("div", x, step.scale_)
-        clip = (-1.0, 1.0) if getattr(step, "clip", False) else None
-    return x if clip is None else p("min", p("max", x, clip[0]), clip[1])
+    """scikit-learn's StandardScaler."""
+    if step.with_mean:
+        x = p("sub", x, step.mean_)
+    return p("div", x, step.scale_) if step.with_std else x
 
 
 # -- the arm's own error model --------------------------------------------------------------------

@@ -14,13 +14,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import (
-    MaxAbsScaler,
-    MinMaxScaler,
-    PolynomialFeatures,
-    RobustScaler,
-    StandardScaler,
-)
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.export import describe, export_c, fingerprint
@@ -143,14 +137,12 @@ def test_every_kernel_and_tail(build, data, kernel, degree):
 @pytest.mark.parametrize(
     "scaler",
     [
-        StandardScaler(with_mean=False), StandardScaler(with_std=False), MinMaxScaler((-1, 2)),
-        StandardScaler(with_mean=False, with_std=False), MinMaxScaler(clip=True), MaxAbsScaler(),
-        *([MaxAbsScaler(clip=True)] if "clip" in MaxAbsScaler().get_params() else []),  # since 1.9
-        RobustScaler(), RobustScaler(with_centering=False, with_scaling=False),
-        make_pipeline(StandardScaler(), "passthrough", MinMaxScaler()),
+        StandardScaler(with_mean=False),
+        StandardScaler(with_std=False),
+        make_pipeline(StandardScaler(with_mean=False, with_std=False), "passthrough"),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_scalers(build, data, scaler):
     model = form_a(data.arm, scaler=scaler).fit(data.data, data.target)
     X = angles_everywhere(6)
