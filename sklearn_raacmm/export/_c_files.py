@@ -8,7 +8,7 @@ import re
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_program import function
-from sklearn_raacmm.export._c_text import Tables, comment, plain
+from sklearn_raacmm.export._c_text import Tables, comment, plain, template
 from sklearn_raacmm.export._program import hash_program, pruned
 
 # What the functions return.
@@ -16,13 +16,6 @@ STATUS = ("OK", "FADED", "NOT_FINITE")
 # A pose is called faded where less than this share of a stage is left: its uncertainty is then
 # larger than the residuals that it was fitted on.
 _FADED_BELOW = 0.5
-# What the standard deviation of a correction is of, and what it is not.
-_DEVIATIONS = """ It is of a coordinate within a
-   position. Where {upper}_SCALE_SD is defined, one reading has, in mm:
-   within a position w = {upper}_STD_FACTOR * hypot(std_mm, {upper}_NOISE_MM);
-   of a coordinate in the base frame at least hypot(w, {upper}_SCALE_SD * (P - S)),
-   P the point and S the shoulder;
-   of a distance L the root of w^2 of both ends along it and ({upper}_SCALE_SD * L)^2."""
 
 
 def sources(program, name, stem, dtype, card=None, notes=()):
@@ -50,25 +43,10 @@ def sources(program, name, stem, dtype, card=None, notes=()):
     pair = f"{name.upper()}_PAIR_{pair.hexdigest()[:16]}"
     guard = f"{name.upper()}_H"
     declared = "".join(f"/* {what} */\n{head};\n\n" for head, what, _ in functions)
-    header = (
-        f"/* {stem}.h\n{banner} */\n#ifndef {guard}\n#define {guard}\n\n#include <stddef.h>\n\n"
-        f"{macros}#define {pair} 1 /* {stem}.c asks for it */\n\n"
-        f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}'
-        "#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
-    )
-    defined = "".join(f"\n{head}\n{{\n{body}}}\n" for head, _, body in functions)
-    source = (
-        f"/* {stem}.c\n{banner} *\n"
-        " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
-        " * changes, so every function may be called from any thread.\n */\n"
-        f'#include "{stem}.h"\n\n#include <math.h>\n\n'
-        f"#ifndef {pair}\n"
-        f'#error "{stem}.c and {stem}.h are of different exports: copy both files of one export."\n'
-        "#endif\n#ifdef __FAST_MATH__\n"
-        '#error "-ffast-math takes away the NaN that stands for a refusal: compile without it."\n'
-        f"#endif\n\n{text}{defined}"
-    )
-    return source, header
+    defined = "\n\n".join(f"{head}\n{{\n{body}}}" for head, _, body in functions)
+    given = {"stem": stem, "banner": banner, "pair": pair}
+    header = template("header", guard=guard, macros=macros, declared=declared, **given)
+    return template("source", text=text, defined=defined, **given), header
 
 
 def _macros(program, name, digest, card, tables):
@@ -130,12 +108,7 @@ def _functions(program, name, real):
         f"int {name}_{verb}_n(const {real} *{x}, {real} *{out}, size_t n)",
         f"The same for n rows of {n} numbers, one after the other; {out} has n rows of {q}.\n"
         "   Returns the largest status of a row.",
-        "int status = 0;",
-        "for (size_t i = 0; i < n; ++i) {",
-        f"    const int one = {name}_{verb}({x} + i * {n}, {out} + i * {q});",
-        "    status = one > status ? one : status;",
-        "}",
-        "return status;",
+        *template("many", function=f"{name}_{verb}", x=x, out=out, n=n, q=q).splitlines(),
     )
     if corrects:
         head = f"int {name}_point({given}, {real} point_mm[3])"
@@ -153,9 +126,11 @@ def _functions(program, name, real):
             "The same with its standard deviation, as predict(return_std=True) gives it: it grows\n"
             "   away from the poses that the model was fitted on."
         )
+        if corrects:
+            what += template("deviations", upper=upper).rstrip()
         call = f"evaluate_std({', '.join([x, out, *['trust'] * fades, spread])});"
         head = f"int {name}_{verb}_std({given}, {result}, {real} {spread}[{q}])"
-        add(head, what + _DEVIATIONS.format(upper=upper) * corrects, *trust, f"return {call}")
+        add(head, what, *trust, f"return {call}")
     what = "SHA-256 of what the model computes: the same for the same model."
     add(f"const char *{name}_fingerprint(void)", what, f"return {upper}_FINGERPRINT;")
     return found

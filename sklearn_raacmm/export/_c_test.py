@@ -8,44 +8,6 @@ import numpy as np
 from sklearn_raacmm.export._c_text import Tables
 from sklearn_raacmm.export._proof import TOLERANCE
 
-_TEST = """\
-/* {stem}_test.c: compares {stem}.c with what predict gave in Python, at {n} rows.
-   {command} */
-#include "{stem}.h"
-
-#include <math.h>
-#include <stdio.h>
-
-{tables}
-int main(void)
-{{
-    {real} largest = 0;
-    int wrong = 0;
-    for (int i = 0; i < {n}; ++i) {{
-        {real} row[{d}], got[{q}];
-        for (int j = 0; j < {d}; ++j)
-            row[j] = input_kind[i][j] == 0 ? input[i][j]
-                : input_kind[i][j] == 1 ? ({real})NAN
-                : input_kind[i][j] == 2 ? ({real})INFINITY : -({real})INFINITY;
-        const int status = {name}_{verb}(row, got);
-        for (int k = 0; k < {q}; ++k) {{
-            const {real} gap = fabs{f}(got[k] - expected[i][k]);
-            if (refused[i] ? !isnan(got[k]) || status != {upper}_NOT_FINITE
-                           : !(gap <= tolerance) || status == {upper}_NOT_FINITE) {{
-                printf("row %d, output %d: got %.17g, expected %.17g, status %d\\n", i, k,
-                    (double)got[k], (double)expected[i][k], status);
-                ++wrong;
-            }}
-            if (!refused[i] && gap > largest)
-                largest = gap;
-        }}
-    }}
-    printf("{name}: %d of %d numbers differ; the largest gap is %.3g.\\n", wrong, {total},
-        (double)largest);
-    return wrong != 0;
-}}
-"""
-
 
 def make_test(rows, gap, name, stem, dtype, corrects):
     """Text of the test program of ``<stem>.c``.
@@ -64,8 +26,8 @@ def make_test(rows, gap, name, stem, dtype, corrects):
     tables += write.table("refused", refused, "1 where all outputs have to be NaN")
     tables += f"static const {dtype} tolerance = {write.literal(tolerance)};\n"
     n, q = expected.shape
-    return _TEST.format(
-        tables=tables, n=n, d=X.shape[1], q=q, f=write.suffix, total=expected.size, real=dtype,
+    return write.c(
+        "test", tables=tables, n=n, d=X.shape[1], q=q, total=expected.size,
         verb="correct" if corrects else "predict", name=name, upper=name.upper(), stem=stem,
         command=f"cc -std=c99 -O2 -o {stem}_test {stem}_test.c {stem}.c -lm && ./{stem}_test",
     )  # fmt: skip
