@@ -36,6 +36,13 @@ def check_name(name):
     return name
 
 
+def comments(**given):
+    """Comments on the public functions, by name."""
+    return dict(
+        re.findall(r"^= (\w+): (.*(?:\n   .*)*)", template("comments", **given), re.MULTILINE)
+    )
+
+
 def plain(text):
     """Text that may stand in a comment or between quotes: it cannot end it, nor splice lines.
 

@@ -46,10 +46,6 @@ class CompiledModel:
         Numbers of a row of X, and of a prediction.
     """
 
-    fingerprint: str
-    n_features_in_: int
-    n_outputs_: int
-
     def __init__(self, program: Any, dtype: Any = "double", flags: Any = _FLAGS) -> None:
         self.fingerprint = hash_program(program)
         self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs

@@ -147,13 +147,6 @@ $less
 //// taken_off
         for (int i = $more; i < $r; ++i)
             sum -= dot[k][i] * dot[k][i];
-//// deviations
- It is of a coordinate within a
-   position. Where ${upper}_SCALE_SD is defined, one reading has, in mm:
-   within a position w = ${upper}_STD_FACTOR * hypot(std_mm, ${upper}_NOISE_MM);
-   of a coordinate in the base frame at least hypot(w, ${upper}_SCALE_SD * (P - S)),
-   P the point and S the shoulder;
-   of a distance L the root of w^2 of both ends along it and (${upper}_SCALE_SD * L)^2.
 //// function
 /* 0: fine, 1: faded, 2: not finite. */
 static int $name(const $real input[$n], $outputs)
@@ -167,6 +160,28 @@ for (size_t i = 0; i < n; ++i) {
     status = one > status ? one : status;
 }
 return status;
+//// comments
+= predict: What the model predicts from $x.
+= correct: How far off the probe is, in the base frame, mm: subtract it from the measured
+   point. Joint angles in $unit, as the encoders give them$then.
+= status: Returns ${upper}_OK, or ${upper}_NOT_FINITE where all are NaN: an input
+   is NaN or infinite, or the model is not defined there.
+= faded:  ${upper}_FADED: the model
+   is less certain of this pose than the residuals that it was fitted on are large.
+= rows: The same for n rows of $n numbers, one after the other; $out has n rows of $q.
+   Returns the largest status of a row.
+= point: The corrected centre of the probe in the base frame, mm; status and NaN as above.
+= trust: The share of the correction that the fading leaves, of its stages the smallest: 1 where
+   the model knows the pose, 0 far away, NaN as above.
+= std: The same with its standard deviation, as predict(return_std=True) gives it: it grows
+   away from the poses that the model was fitted on.
+= deviations:  It is of a coordinate within a
+   position. Where ${upper}_SCALE_SD is defined, one reading has, in mm:
+   within a position w = ${upper}_STD_FACTOR * hypot(std_mm, ${upper}_NOISE_MM);
+   of a coordinate in the base frame at least hypot(w, ${upper}_SCALE_SD * (P - S)),
+   P the point and S the shoulder;
+   of a distance L the root of w^2 of both ends along it and (${upper}_SCALE_SD * L)^2.
+= fingerprint: SHA-256 of what the model computes: the same for the same model.
 //// header
 /* $stem.h
 $banner */
