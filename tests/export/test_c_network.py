@@ -1,17 +1,15 @@
 """Networks in C: processors that round in another way, and standard deviations."""
 
-import ctypes
 import platform
-import re
 import subprocess
 
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
+from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.export import _networks, export_c
 
-from ._chains import COMPILERS, library
+from ._chains import COMPILERS, in_c
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
@@ -52,17 +50,6 @@ def test_other_processors(model, tmp_path, compiler, flags):
     np.testing.assert_allclose(got, model.predict(X), rtol=0, atol=1e-13)
 
 
-def deviations(folder, model, rows):
-    """Standard deviations of the compiled model, and its source."""
-    source, _ = export_c(model, folder / "arm.c", std=True)
-    loaded = library(folder, COMPILERS[0], source, "-O2")
-    out, spread = np.empty(1), np.empty((len(rows), 1))
-    place = ctypes.c_void_p
-    for row, own in zip(np.ascontiguousarray(rows), spread, strict=True):
-        loaded.arm_predict_std(*(place(array.ctypes.data) for array in (row, out, own)))
-    return spread[:, 0], source.read_text()
-
-
 @pytest.mark.parametrize("noise", [1e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize(
     "degree", [*(pytest.param(d, marks=pytest.mark.exhaustive) for d in (-1, 1)), 0]
@@ -76,7 +63,9 @@ def test_the_standard_deviation_of_data_with_little_noise(tmp_path, noise, degre
     new = np.concatenate([X, rng.uniform(-2.5, 2.5, (100, 3))])
     expected = model.predict(new, return_std=True)[1]
     assert expected.min() < 0.1 * expected.max()  # they say something
-    np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=1e-3)
+    np.testing.assert_allclose(
+        in_c(tmp_path, COMPILERS[0], model, new, True)[1][:, 0], expected, rtol=1e-3
+    )
 
 
 @pytest.mark.exhaustive
@@ -89,7 +78,9 @@ def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
     assert len(model.networks_[0].prior_root) < len(model.centers_)
     new = rng.uniform(-1.2, 1.2, (100, 2))
     expected = model.predict(new, return_std=True)[1]
-    np.testing.assert_allclose(deviations(tmp_path, model, new)[0], expected, rtol=0.05)
+    np.testing.assert_allclose(
+        in_c(tmp_path, COMPILERS[0], model, new, True)[1][:, 0], expected, rtol=0.05
+    )
 
 
 def test_too_many_centres_for_a_table_are_refused(model, tmp_path, monkeypatch):
@@ -97,14 +88,3 @@ def test_too_many_centres_for_a_table_are_refused(model, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
         export_c(model, tmp_path / "arm.c", std=True)
     assert export_c(model, tmp_path / "arm.c")
-
-
-def test_the_covariance_is_written_as_a_triangle(tmp_path):
-    arm = Arm.from_name("aacmm6")
-    X = np.random.default_rng(0).uniform(-2, 2, (60, 6))
-    model = ArmResidualRegressor(arm, orders=2, causes=["kinematics", "wobble"], fade=0)
-    model.fit(X, 0.05 * np.cos(X[:, :3]))
-    text = export_c(model, tmp_path / "arm.c", std=True)[0].read_text()
-    n = len(model.coef_)
-    entries = int(re.search(r"root_\d+\[(\d+)\]", text)[1])
-    assert n * (n + 1) / 2 <= entries <= n * (n + 1) / 2 + 4 * n + 64
