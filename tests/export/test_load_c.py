@@ -9,7 +9,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm.export import fingerprint, load_c
 
-from ._chains import COMPILERS, form_b, network
+from ._chains import COMPILERS, form_b
 
 needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
@@ -44,20 +44,6 @@ def test_gives_what_predict_gives(model, data):
     wide = np.repeat(data.data, 2, axis=1).astype(np.float32)[:, ::2]
     expected = model.predict(wide.astype(float))
     np.testing.assert_allclose(compiled.predict(wide), expected, rtol=0, atol=1e-12)
-
-
-@needs_compiler
-def test_models_without_an_arm():
-    rng = np.random.default_rng(0)
-    X, y = rng.normal(size=(40, 2)), rng.normal(size=40)
-    for estimator in (network(), LinearRegression(), LinearRegression(fit_intercept=False)):
-        for target in (y, np.stack([y, -y], axis=1)):
-            compiled = load_c(estimator.fit(X, target))
-            expected = estimator.predict(X).reshape(len(X), -1)
-            np.testing.assert_allclose(compiled.predict(X), expected, rtol=0, atol=1e-12)
-            np.testing.assert_array_equal(compiled.predict(X[0]), compiled.predict(X)[0])
-            with pytest.raises(ValueError, match="no arm and three outputs"):
-                compiled.correct(X)
 
 
 @needs_compiler
@@ -106,5 +92,9 @@ def test_bad_calls_are_refused(model, data):
             compiled.predict(rows)
     with pytest.raises(ValueError, match="without its deviation: std=True"):
         compiled.predict_std(data.data[0])
+    flat = load_c(LinearRegression().fit(data.data, data.target[:, 0]))
+    for call in (flat.correct, flat.point):
+        with pytest.raises(ValueError, match="no arm and three outputs"):
+            call(data.data[0])
     with pytest.raises(TypeError, match="std must be"):
         load_c(model, std="yes")

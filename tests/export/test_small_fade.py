@@ -110,18 +110,3 @@ def test_nothing_fades_where_that_is_asked_for(models, tmp_path):
     header = export_c(model, tmp_path / "arm.c", fade=False)[1].read_text()
     assert "nothing fades" in header
     assert "arm_trust" not in header
-
-
-@needs_compiler
-def test_refuses_what_predict_refuses(models):
-    model, X = models["typical"]
-    compiled = load_c(model, fade="exact")
-    program = build_program(model)
-    for value in (1.1e50, -1e60, 1.8e308, np.inf, np.nan):
-        row = X[:1].copy()
-        row[0, 2] = value
-        with pytest.raises(ValueError, match=r"refused|infinity|NaN"):
-            model.predict(row)
-        assert np.isnan(compiled.predict(row)).all()
-        assert np.isnan(run(program, row)["y"]).all()
-        assert compiled.status(row[0]) == 2
