@@ -61,12 +61,6 @@ class CompiledModel:
         self._many.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
         self._local = threading.local()
 
-    def __repr__(self) -> str:
-        return (
-            f"<CompiledModel {self.fingerprint[:12]}: {self.n_features_in_} inputs, "
-            f"{self.n_outputs_} outputs>"
-        )
-
     def predict(self, X: ArrayLike) -> np.ndarray:
         """What ``predict`` of the model gives, without its checks.
 

@@ -195,12 +195,8 @@ def _cylindrical(chain, path, step, rest, x):
         given, x = p.take(x, [n, n + 1]), p.take(x, np.arange(n))
         low, high = 1 - NORM_TOLERANCE, 1 + NORM_TOLERANCE
         direction = p("within", given, p.length(given), low=low, high=high)
-    elif step._rotates and x != chain.x:
-        raise ValueError(
-            f"{path} takes its azimuth from the joint angles but comes after a transformer, "
-            "which cannot be exported."
-        )
     elif step._rotates:
+        _needs_angles(chain, path, x)
         direction = chain.direction()[0]
     y, v = _read(chain, rest, x)
     if not step._rotates:

@@ -98,7 +98,7 @@ def n_inputs(model):
 
 
 def typical_rows(model, n, seed=0):
-    """Rows (n, n_inputs) that a fitted model may see: angles, or features between centres."""
+    """Rows (n, n_inputs) that a fitted model may see: angles, or features like those of the fit."""
     rng = np.random.default_rng(seed)
     arm, unit = find_arm(model)
     size = n_inputs(model)
@@ -106,10 +106,12 @@ def typical_rows(model, n, seed=0):
         turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
         extra = [rng.choice(known, n) for _, known in extra_columns(model)]
         return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
-    rows, back = rng.normal(size=(n, size)), []
+    rows = rng.normal(size=(n, size))
     for _, step in leaves(model):
         if isinstance(step, StandardScaler):
-            back.append(step)
+            of_scaler = slice(step.n_features_in_)
+            rows[:, of_scaler] = step.inverse_transform(rows[:, of_scaler])
+            break
         if isinstance(step, RBFNetRegressor):
             centers = np.concatenate([part.centers for part in step.networks_])
             if len(centers):
@@ -119,7 +121,4 @@ def typical_rows(model, n, seed=0):
         if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
             turns = rng.uniform(-np.pi, np.pi, n)
             rows[:, -2:] = np.column_stack([np.cos(turns), np.sin(turns)])
-    for step in reversed(back):
-        of_scaler = rows[:, : step.n_features_in_]
-        rows[:, : step.n_features_in_] = step.inverse_transform(of_scaler)
     return rows

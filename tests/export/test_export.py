@@ -364,7 +364,7 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
     scaled = make_pipeline(StandardScaler(), PoseFeatures(arm), network())
     assert "posefeatures comes after another transformer" in refused(scaled)
     behind = CylindricalResidualTarget(network(), azimuth=arm.azimuth)
-    assert "comes after a transformer" in refused(make_pipeline(StandardScaler(), behind))
+    assert "comes after another transformer" in refused(make_pipeline(StandardScaler(), behind))
     free = form_a(arm).set_params(azimuth=no_azimuth)
     assert "only the method of an Arm" in refused(free)
     mixed = form_a(arm).set_params(azimuth=AACMM.azimuth)
