@@ -199,7 +199,7 @@ def test_full_disk_leaves_what_was_there(model, tmp_path, room):
     for act in (
         lambda: ARM.replace(name="other").to_json(tmp_path / "arm.json"),
         lambda: export_c(model, tmp_path / "model.c", name="other"),
-        lambda: to_onnx(model, tmp_path / "model.onnx", dtype="float"),
+        lambda: to_onnx(model, tmp_path / "model.onnx", card="other"),
     ):
         # The system itself refuses to write more, as it does where the disk is full.
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))

@@ -532,7 +532,6 @@ def refused():
     )
     for function, path in (
         (partial(export.export_c, LINEAR), "path"),
-        (partial(export.load_c, LINEAR), "cache_dir"),
         (partial(app.read_table, n_joints=6), "path"),
     ):
         yield (

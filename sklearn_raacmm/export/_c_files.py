@@ -1,4 +1,4 @@
-"""The C files of a program: source and header, with public functions around what it computes."""
+"""The C files of a program: source and header, with public functions, and a test program."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,23 +6,19 @@
 import hashlib
 import re
 
+import numpy as np
+
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_program import function
-from sklearn_raacmm.export._c_text import Tables, comment, plain
+from sklearn_raacmm.export._c_text import Tables, comment, comments, plain, template
 from sklearn_raacmm.export._program import hash_program, pruned
+from sklearn_raacmm.export._proof import TOLERANCE
 
 # What the functions return.
 STATUS = ("OK", "FADED", "NOT_FINITE")
 # A pose is called faded where less than this share of a stage is left: its uncertainty is then
 # larger than the residuals that it was fitted on.
 _FADED_BELOW = 0.5
-# What the standard deviation of a correction is of, and what it is not.
-_DEVIATIONS = """ It is of a coordinate within a
-   position. Where {upper}_SCALE_SD is defined, one reading has, in mm:
-   within a position w = {upper}_STD_FACTOR * hypot(std_mm, {upper}_NOISE_MM);
-   of a coordinate in the base frame at least hypot(w, {upper}_SCALE_SD * (P - S)),
-   P the point and S the shoulder;
-   of a distance L the root of w^2 of both ends along it and ({upper}_SCALE_SD * L)^2."""
 
 
 def sources(program, name, stem, dtype, card=None, notes=()):
@@ -50,25 +46,10 @@ def sources(program, name, stem, dtype, card=None, notes=()):
     pair = f"{name.upper()}_PAIR_{pair.hexdigest()[:16]}"
     guard = f"{name.upper()}_H"
     declared = "".join(f"/* {what} */\n{head};\n\n" for head, what, _ in functions)
-    header = (
-        f"/* {stem}.h\n{banner} */\n#ifndef {guard}\n#define {guard}\n\n#include <stddef.h>\n\n"
-        f"{macros}#define {pair} 1 /* {stem}.c asks for it */\n\n"
-        f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared}'
-        "#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
-    )
-    defined = "".join(f"\n{head}\n{{\n{body}}}\n" for head, _, body in functions)
-    source = (
-        f"/* {stem}.c\n{banner} *\n"
-        " * C99, needs the mathematical library alone; no memory is allocated and nothing static\n"
-        " * changes, so every function may be called from any thread.\n */\n"
-        f'#include "{stem}.h"\n\n#include <math.h>\n\n'
-        f"#ifndef {pair}\n"
-        f'#error "{stem}.c and {stem}.h are of different exports: copy both files of one export."\n'
-        "#endif\n#ifdef __FAST_MATH__\n"
-        '#error "-ffast-math takes away the NaN that stands for a refusal: compile without it."\n'
-        f"#endif\n\n{text}{defined}"
-    )
-    return source, header
+    defined = "\n\n".join(f"{head}\n{{\n{body}}}" for head, _, body in functions)
+    given = {"stem": stem, "banner": banner, "pair": pair}
+    header = template("header", guard=guard, macros=macros, declared=declared, **given)
+    return template("source", text=text, defined=defined, **given), header
 
 
 def _macros(program, name, digest, card, tables):
@@ -93,7 +74,7 @@ def _macros(program, name, digest, card, tables):
 def _functions(program, name, real):
     """Public functions: of each its head, what it does, and its body."""
     about, n, q = program.about, program.n_inputs, program.n_outputs
-    corrects, fades, upper = about["corrects"], "trust" in program.outputs, name.upper()
+    corrects, fades = about["corrects"], "trust" in program.outputs
     x = "joint_angles" if "arm" in about else "features"
     verb, out, spread = "predict", "prediction", "std"
     if corrects:
@@ -104,58 +85,58 @@ def _functions(program, name, real):
     call = f"evaluate({', '.join([x, out, *['point_mm'] * corrects, *['trust'] * fades])});"
     found = []
 
-    def add(head, about, *lines):
-        found.append((head, about, "".join(f"    {line}\n" for line in lines)))
+    def add(head, what, *lines):
+        body = "".join(f"    {line}\n" for line in lines)
+        found.append((head, texts[what], body))
 
-    what = f"What the model predicts from {x.replace('_', ' ')}."
-    if corrects:
-        unit = "degrees" if about["angle_unit"] == "deg" else "rad"
-        then = f";\n   then {', '.join(map(plain, about['extra']))}" if about["extra"] else ""
-        what = (
-            "How far off the probe is, in the base frame, mm: subtract it from the measured\n"
-            f"   point. Joint angles in {unit}, as the encoders give them{then}."
-        )
-    status = (
-        f"Returns {upper}_OK, or {upper}_NOT_FINITE where all are NaN: an input\n"
-        "   is NaN or infinite, or the model is not defined there."
+    then = f";\n   then {', '.join(map(plain, about['extra']))}" if about.get("extra") else ""
+    unit = "degrees" if about.get("angle_unit") == "deg" else "rad"
+    texts = comments(
+        x=x.replace("_", " "), out=out, n=n, q=q, unit=unit, then=then, upper=name.upper()
     )
-    if fades:
-        status += (
-            f" {upper}_FADED: the model\n   is less certain of this pose than the residuals that "
-            "it was fitted on are large."
-        )
+    texts[verb] += "\n   " + texts["status"] + texts["faded"] * fades
     head = f"int {name}_{verb}({given}, {result})"
-    add(head, f"{what}\n   {status}", *point, *trust, f"return {call}")
+    add(head, verb, *point, *trust, f"return {call}")
     add(
         f"int {name}_{verb}_n(const {real} *{x}, {real} *{out}, size_t n)",
-        f"The same for n rows of {n} numbers, one after the other; {out} has n rows of {q}.\n"
-        "   Returns the largest status of a row.",
-        "int status = 0;",
-        "for (size_t i = 0; i < n; ++i) {",
-        f"    const int one = {name}_{verb}({x} + i * {n}, {out} + i * {q});",
-        "    status = one > status ? one : status;",
-        "}",
-        "return status;",
+        "rows",
+        *template("many", function=f"{name}_{verb}", x=x, out=out, n=n, q=q).splitlines(),
     )
     if corrects:
         head = f"int {name}_point({given}, {real} point_mm[3])"
-        what = "The corrected centre of the probe in the base frame, mm; status and NaN as above."
-        add(head, what, f"{result};", *trust, f"return {call}")
+        add(head, "point", f"{result};", *trust, f"return {call}")
+        texts["std"] += texts["deviations"]
     if fades:
-        what = (
-            "The share of the correction that the fading leaves, of its stages the smallest: 1 "
-            "where\n   the model knows the pose, 0 far away, NaN as above."
-        )
         lines = [f"{result};", *point, *trust, f"(void){call}", "return trust[0];"]
-        add(f"{real} {name}_trust({given})", what, *lines)
+        add(f"{real} {name}_trust({given})", "trust", *lines)
     if "std" in program.outputs:
-        what = (
-            "The same with its standard deviation, as predict(return_std=True) gives it: it grows\n"
-            "   away from the poses that the model was fitted on."
-        )
         call = f"evaluate_std({', '.join([x, out, *['trust'] * fades, spread])});"
         head = f"int {name}_{verb}_std({given}, {result}, {real} {spread}[{q}])"
-        add(head, what + _DEVIATIONS.format(upper=upper) * corrects, *trust, f"return {call}")
-    what = "SHA-256 of what the model computes: the same for the same model."
-    add(f"const char *{name}_fingerprint(void)", what, f"return {upper}_FINGERPRINT;")
+        add(head, "std", *trust, f"return {call}")
+    fingerprint = f"return {name.upper()}_FINGERPRINT;"
+    add(f"const char *{name}_fingerprint(void)", "fingerprint", fingerprint)
     return found
+
+
+def make_test(rows, gap, name, stem, dtype, corrects):
+    """Text of the test program of ``<stem>.c``.
+
+    `rows` are test rows and their answers, from which the same operations in Python are `gap` away.
+    ``corrects`` says whether the function is ``correct``, not ``predict``.
+    """
+    write, X, expected = Tables(dtype), rows["X"], rows["y"]
+    refused = np.isnan(expected).any(axis=1)
+    kind = np.select([np.isnan(X), np.inf == X, -np.inf == X], [1, 2, 3], 0)
+    tolerance = TOLERANCE[dtype] * np.abs(expected[~refused]).max(initial=1e-3)
+    tolerance = max(tolerance, 10 * gap)
+    tables = write.table("input", np.where(kind == 0, X, 0.0))
+    tables += write.table("input_kind", kind, "0 a number, 1 NaN, 2 infinity, 3 -infinity")
+    tables += write.table("expected", np.where(refused[:, None], 0.0, expected))
+    tables += write.table("refused", refused, "1 where all outputs have to be NaN")
+    tables += f"static const {dtype} tolerance = {write.literal(tolerance)};\n"
+    n, q = expected.shape
+    return write.c(
+        "test", tables=tables, n=n, d=X.shape[1], q=q, total=expected.size,
+        verb="correct" if corrects else "predict", name=name, upper=name.upper(), stem=stem,
+        command=f"cc -std=c99 -O2 -o {stem}_test {stem}_test.c {stem}.c -lm && ./{stem}_test",
+    )  # fmt: skip

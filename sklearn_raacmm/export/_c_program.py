@@ -9,26 +9,19 @@ once. The others have a loop of their own.
 
 import numpy as np
 
-from sklearn_raacmm.export._c_templates import (
-    ALL_FINITE,
-    FRAMES,
-    HELPERS,
-    KERNELS,
-    LESS,
-    MOST,
-    ROOTS,
-    TURNS,
-    VARIANCES,
-)
 from sklearn_raacmm.utils import LARGEST
 
+# Beyond this exp(-x) is 0, and 0 times what overflows would be NaN: the smallest normal number is
+# exp(-708.4) in double precision.
+_MOST = {"double": 708.0, "float": 87.0}
+_ROOTS = {"gaussian": 1, "matern32": 3, "matern52": 5}
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
 _VECTOR = 8
 # Of each number of a row by itself; {f} is the suffix of the precision.
 _ELEMENTWISE = {
     "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})",
-    "max": "larger({}, {})", "min": "smaller({}, {})", "less": "less({}, {})",
+    "max": "larger({}, {})", "less": "less({}, {})",
     "sqrt": "sqrt{f}({})", "sin": "sin{f}({})",
     "cos": "cos{f}({})", "elevation": "atan2{f}({}, {})",
 }  # fmt: skip
@@ -88,8 +81,8 @@ class _Writer:
     def _expression(self, op, i):
         """An elementwise operation on the numbers i of its values."""
         name, operands = op.name, [self.at(source, i) for source in op.inputs]
-        if name in HELPERS:
-            self.tables.helpers[name] = HELPERS[name].format(real=self.real)
+        if name in ("max", "less"):
+            self.tables.help(name)
         return _ELEMENTWISE[name].format(*operands, f=self.f)
 
     def array(self, number):
@@ -103,6 +96,10 @@ class _Writer:
 
     def put(self, *lines):
         self.lines += lines
+
+    def fill(self, name, /, **given):
+        """Lines of a template; a place for further lines may stay empty."""
+        self.put(*filter(None, self.tables.c(name, **given).splitlines()))
 
     def loop(self, n, body):
         """``for`` over n numbers, or the body itself with 0 in place of i."""
@@ -161,23 +158,19 @@ class _Writer:
         self.declare(number)
         row = f"{rows}[i * {n} + j]" if r > 1 else f"{rows}[j]"
         self.put(f"for (int i = 0; i < {r}; ++i) {{")
-        self.put(*(f"    {line}" for line in self._sum(n, f"{row} * {x}[j]", f"v{number}[i]")))
+        self._sum(n, f"{row} * {x}[j]", f"v{number}[i]")
         self.put("}")
 
     def _sum(self, n, term, result):
-        """Lines that sum up terms of j: several sums side by side where there are many."""
+        """Sum up terms of j within a loop: several sums side by side where there are many."""
+        full, c = n // _VECTOR * _VECTOR, self.tables.c
         if n < 4 * _VECTOR:
-            return [f"{self.real} sum = 0;", f"for (int j = 0; j < {n}; ++j)",
-                    f"    sum += {term};", f"{result} = sum;"]  # fmt: skip
-        full = n // _VECTOR * _VECTOR
-        lines = [f"{self.real} part[{_VECTOR}] = {{0}}, sum = 0;",
-                 f"for (int k = 0; k < {full}; k += {_VECTOR})",
-                 f"    for (int j = 0; j < {_VECTOR}; ++j)",
-                 f"        part[j] += {term.replace('j]', 'k + j]')};",
-                 f"for (int j = 0; j < {_VECTOR}; ++j)", "    sum += part[j];"]  # fmt: skip
-        if full < n:
-            lines += [f"for (int j = {full}; j < {n}; ++j)", f"    sum += {term};"]
-        return [*lines, f"{result} = sum;"]
+            lines = c("sum", n=n, term=term, result=result)
+        else:
+            rest = c("sum_rest", full=full, n=n, term=term) if full < n else ""
+            part = term.replace("j]", "k + j]")
+            lines = c("long_sum", width=_VECTOR, full=full, part=part, rest=rest, result=result)
+        self.put(*(f"    {line}" for line in lines.splitlines() if line))
 
     def _finite(self, number, op):
         y, x = op.inputs
@@ -206,8 +199,7 @@ class _Writer:
             self.declare(number)
             table = self.tables("rows", matrix)
             self.put(f"for (int i = 0; i < {rows}; ++i) {{")
-            lines = self._sum(columns, f"{table}[i][j] * {x}[j]", f"v{number}[i]")
-            self.put(*(f"    {line}" for line in lines))
+            self._sum(columns, f"{table}[i][j] * {x}[j]", f"v{number}[i]")
             self.put(*([f"    v{number}[i] += {self._init(shift)};"] if np.any(shift) else []), "}")
         else:
             n, packed, length = _packed(matrix.T)
@@ -215,12 +207,7 @@ class _Writer:
             self.declare(number, n, " = {0}")
             if np.any(shift):
                 self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift)};")
-            lines = ["for (int i = 0; i < n; ++i)", f"    v{number}[i] += row[i] * {x}[c];"]
-            self.put(
-                "{", f"    const {self.real} *row = {table};",
-                f"    for (int c = 0; c < {columns}; ++c) {{", f"        {length}",
-                *(f"        {line}" for line in lines), "        row += n;", "    }", "}",
-            )  # fmt: skip
+            self.fill("columns", v=f"v{number}", x=x, table=table, columns=columns, length=length)
 
     def _init(self, shift, i="i"):
         if len(shift) == 1:
@@ -233,49 +220,36 @@ class _Writer:
         of, values = self.tables("column", column), self.tables("entry", matrix[row, column])
         self.declare(number)
         first = self._init(shift) if np.any(shift) else "0"
-        self.put(
-            f"for (int i = 0; i < {len(matrix)}; ++i) {{", f"    {self.real} sum = {first};",
-            f"    for (int e = {start}[i]; e < {start}[i + 1]; ++e)",
-            f"        sum += {values}[e] * {x}[{of}[e]];", f"    v{number}[i] = sum;", "}",
+        self.fill(
+            "sparse", v=f"v{number}", x=x, rows=len(matrix), first=first, start=start, of=of,
+            values=values,
         )  # fmt: skip
 
     def _frames(self, number, op):
         table = op.given["table"]
-        text = FRAMES.format(
-            real=self.real, f=self.f, v=f"v{number}", theta=self.array(op.inputs[0]),
-            n=len(table), table=self.tables("dh", table, "cos alpha, sin alpha, a mm, d mm"),
-            turn=TURNS[op.given["convention"]].format(real=self.real),
-        )  # fmt: skip
         self.declare(number)
-        self.put(*text.splitlines())
+        self.fill(
+            "frames", v=f"v{number}", theta=self.array(op.inputs[0]), n=len(table),
+            table=self.tables("dh", table, "cos alpha, sin alpha, a mm, d mm"),
+            turn=self.tables.c(op.given["convention"]),
+        )  # fmt: skip
 
     def _waves(self, number, op):
         """Powers of ``exp(i angle)``: each is the product of two others."""
         joint, order = op.given["joint"], op.given["order"]
         firsts, products, place = _chain(joint, np.abs(order))
         out = np.where(order > 0, 2 * place, np.where(order < 0, 2 * place + 1, 0))
-        m, n, a = len(order), len(firsts) + len(products), self.array(op.inputs[0])
-        first = self.tables("wave_joint", np.array(firsts, dtype=int))
-        self.declare(number)
-        self.put(
-            "{", f"    {self.real} power[{2 * n + 2}] = {{1, 0}}; /* cosines and sines by turns */",
-            f"    for (int i = 0; i < {len(firsts)}; ++i) {{",
-            f"        power[2 * i + 2] = cos{self.f}({a}[{first}[i]]);",
-            f"        power[2 * i + 3] = sin{self.f}({a}[{first}[i]]);", "    }",
-        )  # fmt: skip
+        first, products_text = self.tables("wave_joint", np.array(firsts, dtype=int)), ""
         if products:
             of = self.tables("wave_of", np.array(products, dtype=int))
-            self.put(
-                f"    for (int i = 0; i < {len(products)}; ++i) {{",
-                f"        const {self.real} *a = power + {of}[i][0], *b = power + {of}[i][1];",
-                f"        {self.real} *c = power + 2 * i + {2 * len(firsts) + 2};",
-                "        c[0] = a[0] * b[0] - a[1] * b[1];",
-                "        c[1] = a[0] * b[1] + a[1] * b[0];", "    }",
-            )  # fmt: skip
-        at = self.tables("wave_at", out)
-        self.put(
-            f"    for (int i = 0; i < {m}; ++i)", f"        v{number}[i] = power[{at}[i]];", "}"
-        )
+            start = 2 * len(firsts) + 2
+            products_text = self.tables.c("products", n=len(products), of=of, start=start)
+        self.declare(number)
+        self.fill(
+            "waves", v=f"v{number}", angles=self.array(op.inputs[0]), n=len(order), first=first,
+            n_firsts=len(firsts), size=2 * (len(firsts) + len(products)) + 2,
+            products=products_text, at=self.tables("wave_at", out),
+        )  # fmt: skip
 
     def _radial(self, number, op):
         centers, kernel = op.given["centers"].T, op.given["kernel"]
@@ -286,16 +260,11 @@ class _Writer:
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", centers, note)
-        most, root = (self.tables.literal(x) for x in (MOST[self.real], np.sqrt(ROOTS[kernel])))
-        body = KERNELS[kernel].format(v=v, real=self.real, f=self.f, most=most, root=root)
+        most, root = (self.tables.literal(x) for x in (_MOST[self.real], np.sqrt(_ROOTS[kernel])))
         self.declare(number, fill=" = {0}")
-        self.put(
-            f"for (int i = 0; i < {d}; ++i) {{",
-            f"    const {self.real} z = ({x}[i] - {shift}[i]) * {width}[i];",
-            f"    for (int c = 0; c < {k}; ++c)",
-            f"        {v}[c] += (z - {center}[i][c]) * (z - {center}[i][c]);", "}",
-            f"/* {kernel}, of the squared distance in units of the length scales */",
-            f"for (int c = 0; c < {k}; ++c) {{", *body.splitlines(), "}",
+        self.fill(
+            "radial", v=v, x=x, d=d, k=k, shift=shift, width=width, center=center, kernel=kernel,
+            body=self.tables.c(kernel, v=v, most=most, root=root),
         )  # fmt: skip
 
     def _variances(self, number, op):
@@ -304,14 +273,14 @@ class _Writer:
         n, packed, length = _packed(root)
         more = root.shape[1] - less if less else n
         note = "of the coefficients' covariance, row by row"
-        self.put(*VARIANCES.format(
-            real="float" if root.dtype == np.float32 else self.real, v=f"v{number}",
-            m=len(root), r=n, more=more, less=LESS.format(more=more, r=n) if less else "",
-            axes=self.ops[op.inputs[0]].size // 3, length=length,
+        self.fill(
+            "variances", kind="float" if root.dtype == np.float32 else self.real, v=f"v{number}",
+            m=len(root), r=n, more=more, axes=self.ops[op.inputs[0]].size // 3, length=length,
+            less=self.tables.c("taken_off", more=more, r=n) if less else "",
             vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),
             vector=self.tables("vector", op.given["vector"], "of each column"),
             root=self.tables("root", packed.ravel(), note),
-        ).splitlines())  # fmt: skip
+        )  # fmt: skip
 
 
 def function(program, tables, name, faded_below):
@@ -320,7 +289,7 @@ def function(program, tables, name, faded_below):
     real, ops = tables.real, program.ops
     # What predict takes; single precision ends before.
     most = tables.literal(min(LARGEST, float(np.finfo(tables.dtype).max)))
-    tables.helpers["all_finite"] = ALL_FINITE.format(real=real, most=most)
+    tables.help("all_finite", most=most)
     outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
     for out, i in program.outputs.items():
         writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")
@@ -330,8 +299,9 @@ def function(program, tables, name, faded_below):
         limit = tables.literal(faded_below)
         status = f"return !{finite} ? 2 : trust_out[0] < {limit} ? 1 : 0;"
     body = "\n".join(f"    {line}" for line in [*writer.lines, status])
-    head = f"static int {name}(const {real} input[{program.n_inputs}], {', '.join(outputs)})"
-    return f"/* 0: fine, 1: faded, 2: not finite. */\n{head}\n{{\n{body}\n}}\n"
+    return tables.c(
+        "function", name=name, n=program.n_inputs, outputs=", ".join(outputs), body=body
+    )
 
 
 def _packed(rows):

@@ -5,11 +5,24 @@
 
 import re
 import textwrap
+from pathlib import Path
+from string import Template
 
 import numpy as np
 
 # C99 promises 63 significant characters within a file; the rest is for what is appended.
 _MAX_NAME = 40
+_PARTS = re.split(
+    r"^//// (\w+)\n",
+    Path(__file__).with_name("_templates.c").read_text(encoding="utf-8"),
+    flags=re.MULTILINE,
+)
+_TEMPLATES = dict(zip(_PARTS[1::2], map(Template, _PARTS[2::2]), strict=True))
+
+
+def template(name, /, **given):
+    """One part of ``_templates.c``, its places filled."""
+    return _TEMPLATES[name].substitute(given)
 
 
 def check_name(name):
@@ -21,6 +34,13 @@ def check_name(name):
             f"at most {_MAX_NAME} characters; got {name!r:.60}."
         )
     return name
+
+
+def comments(**given):
+    """Comments on the public functions, by name."""
+    return dict(
+        re.findall(r"^= (\w+): (.*(?:\n   .*)*)", template("comments", **given), re.MULTILINE)
+    )
 
 
 def plain(text):
@@ -62,6 +82,14 @@ class Tables:
             self._names[key] = f"{name}_{len(self._names)}"
             self._texts.append(self.table(self._names[key], array, note))
         return self._names[key]
+
+    def c(self, name, /, **given):
+        """One part of ``_templates.c`` in this precision."""
+        return template(name, **{"real": self.real, "f": self.suffix, **given})
+
+    def help(self, name, /, **given):
+        """Add a function that others call."""
+        self.helpers[name] = self.c(name, **given)
 
     @property
     def text(self):

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._c_files import sources
-from sklearn_raacmm.export._c_test import make_test
+from sklearn_raacmm.export._c_files import make_test, sources
 from sklearn_raacmm.export._c_text import check_name
 from sklearn_raacmm.export._load_c import answers_in_c, check_fade
 from sklearn_raacmm.export._model_card import ModelCard
@@ -24,14 +23,12 @@ from sklearn_raacmm.export._proof import SINGLE_SUMS, check_answers, make_test_r
 from sklearn_raacmm.utils import check_flags, write_whole
 
 
-def _check(dtype, card, fade, **flags):
+def _check(card, fade, **flags):
     """Refuse what cannot be one of these parameters."""
     check_flags(**flags)
     check_fade(fade)
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
-    if not (isinstance(dtype, str) and dtype in ("double", "float")):
-        raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
 
 
 def export_c(
@@ -55,9 +52,8 @@ def export_c(
     ----------
     model : estimator
         Fitted: :class:`ArmResidualRegressor`, :class:`RBFNetRegressor`, LinearRegression or Ridge;
-        a pipeline of these, :class:`PoseFeatures`, scikit-learn's StandardScaler, MinMaxScaler,
-        MaxAbsScaler and RobustScaler, in either form of :class:`CylindricalResidualTarget`; or a
-        search that has found one of all these.
+        a pipeline of these, :class:`PoseFeatures` and scikit-learn's StandardScaler, in either form
+        of :class:`CylindricalResidualTarget`. Of a search give the ``best_estimator_``.
 
     path : str or path-like
         The C file, ending in ".c"; the header beside it ends in ".h". Both are renamed when
@@ -164,7 +160,9 @@ def export_c(
             f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
-    _check(dtype, card, fade, std=std, any_probe=any_probe)
+    _check(card, fade, std=std, any_probe=any_probe)
+    if not (isinstance(dtype, str) and dtype in ("double", "float")):
+        raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
     given = None if isinstance(poses, str) and poses == "random" else poses
     exact = build_program(model, std, any_probe)
     rows = make_test_rows(model, given, std, dtype, any_probe)
@@ -248,7 +246,6 @@ def to_onnx(
     model: Any,
     path: str | PathLike[str] | None = None,
     *,
-    dtype: str = "double",
     std: bool = False,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
@@ -263,9 +260,6 @@ def to_onnx(
 
     path : str or path-like, default=None
         File to write, renamed when complete.
-
-    dtype : {"double", "float"}, default="double"
-        Type of input and output. The model itself computes in double precision.
 
     std : bool, default=False
         Whether there is a second output, the standard deviation.
@@ -304,15 +298,15 @@ def to_onnx(
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    _check(dtype, card, fade, std=std)
+    _check(card, fade, std=std)
     exact = build_program(model, std)
-    rows = make_test_rows(model, poses, std, dtype)
+    rows = make_test_rows(model, poses, std)
     program, notes = _faded(model, exact, rows, poses, fade, std)
-    made = convert(program, dtype)
+    made = convert(program)
     facts = {"sklearn_raacmm_version": __version__, "fingerprint": hash_program(program)}
     found = run_onnx(made, rows["X"])
     if found is not None:
-        notes += check_answers("the ONNX file", rows, found, dtype)
+        notes += check_answers("the ONNX file", rows, found)
     if notes:
         facts["accuracy"] = "; ".join(notes)
     facts["test_rows"] = rows_as_json(rows)

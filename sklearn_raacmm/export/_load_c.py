@@ -4,16 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import ctypes
-import hashlib
 import os
-import platform
 import shutil
-import stat
 import subprocess
 import tempfile
 import threading
 from functools import partial
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -50,16 +46,12 @@ class CompiledModel:
         Numbers of a row of X, and of a prediction.
     """
 
-    fingerprint: str
-    n_features_in_: int
-    n_outputs_: int
-
-    def __init__(self, text: Any, facts: Any, folder: Any, flags: Any) -> None:
-        self._state = text, facts, folder, flags
-        self.fingerprint, self.n_features_in_, self.n_outputs_, dtype, self._about = facts
-        self._verb = "correct" if self._about["corrects"] else "predict"
+    def __init__(self, program: Any, dtype: Any = "double", flags: Any = _FLAGS) -> None:
+        self.fingerprint = hash_program(program)
+        self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs
+        self._verb = "correct" if program.about["corrects"] else "predict"
         self._real = np.float64 if dtype == "double" else np.float32
-        library = _library(text, folder, flags)
+        library = _library(sources(program, NAME, NAME, dtype), flags)
         self._functions = {
             name: getattr(library, f"{NAME}_{name}")
             for name in (self._verb, "point", f"{self._verb}_std")
@@ -68,15 +60,6 @@ class CompiledModel:
         self._many = getattr(library, f"{NAME}_{self._verb}_n")
         self._many.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
         self._local = threading.local()
-
-    def __reduce__(self) -> Any:
-        return CompiledModel, self._state
-
-    def __repr__(self) -> str:
-        return (
-            f"<CompiledModel {self.fingerprint[:12]}: {self.n_features_in_} inputs, "
-            f"{self.n_outputs_} outputs>"
-        )
 
     def predict(self, X: ArrayLike) -> np.ndarray:
         """What ``predict`` of the model gives, without its checks.
@@ -89,7 +72,7 @@ class CompiledModel:
         Returns
         -------
         ndarray of shape (n_samples, n_outputs) or (n_outputs,)
-            NaN in rows where ``predict`` raises. Where y was 1-D: (n_samples,), or a scalar.
+            NaN in rows where ``predict`` raises.
 
         Raises
         ------
@@ -103,9 +86,8 @@ class CompiledModel:
                 self._refuse(X)
             out = np.empty((len(X), self.n_outputs_), dtype=self._real)
             self._many(X.ctypes.data, out.ctypes.data, len(X))
-        else:
-            out = self._row(X, self._verb)[1].copy()
-        return out[..., 0] if self._about["flat"] else out
+            return out
+        return self._row(X, self._verb)[1].copy()
 
     def correct(self, angles: ArrayLike) -> np.ndarray:
         """Correction in mm of one pose or many, to be subtracted; as :meth:`predict`."""
@@ -161,12 +143,11 @@ def load_c(
     model: Any,
     *,
     std: bool = False,
-    cache_dir: str | PathLike[str] | None = None,
     fade: Any = "small",
 ) -> CompiledModel:
     """Compile a fitted model and load it into this Python, for answers at 10 kHz and more.
 
-    The source is what :func:`export_c` writes. It is compiled once, and kept for the next time.
+    The source is what :func:`export_c` writes; it is compiled at each call.
 
     Parameters
     ----------
@@ -176,24 +157,18 @@ def load_c(
     std : bool, default=False
         Whether ``predict_std`` is there.
 
-    cache_dir : str or path-like, default=None
-        Folder to keep the library in, which must be the user's own. None: the environment variable
-        SKLEARN_RAACMM_CACHE, or ``sklearn_raacmm`` in the user's cache folder; where that cannot be
-        written, nothing is kept.
-
     fade : {"small", "exact", False}, default="small"
         How a correction fades, see :func:`export_c`.
 
     Returns
     -------
     CompiledModel
-        For one row; its ``predict`` and ``correct`` take many rows, too. Threads may share it; a
-        pickle holds the source and compiles it where it is loaded.
+        For one row; its ``predict`` and ``correct`` take many rows, too. Threads may share it.
 
     Raises
     ------
     ValueError
-        If the model cannot be exported, or others may write to the folder.
+        If the model cannot be exported.
     RuntimeError
         If there is no compiler, or it fails: the first lines of what it says are shown.
     sklearn.exceptions.NotFittedError
@@ -213,7 +188,7 @@ def load_c(
     """
     check_flags(std=std)
     check_fade(fade)
-    return _compiled(build_program(model, std, fade=fade), "double", cache_dir)
+    return CompiledModel(build_program(model, std, fade=fade))
 
 
 def check_fade(fade):
@@ -222,27 +197,19 @@ def check_fade(fade):
         raise ValueError(f"fade must be 'small', 'exact' or False, got {fade!r:.60}.")
 
 
-def _compiled(program, dtype, folder, flags=_FLAGS):
-    text = sources(program, NAME, NAME, dtype)
-    about = {key: program.about[key] for key in ("corrects", "flat")}
-    facts = hash_program(program), program.n_inputs, program.n_outputs, dtype, about
-    return CompiledModel(text, facts, folder, flags)
-
-
 def answers_in_c(program, dtype, X):
     """What the C source of a program gives at rows X, as `run`; None without a compiler."""
     try:
         _find_compiler()
     except RuntimeError:
         return None
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        model = _compiled(program, dtype, folder, _FAST)
-        calls = {"y": (model._verb, 1), "point": ("point", 1), "std": (f"{model._verb}_std", 2)}
-        return {
-            name: np.array([model._row(row, verb)[place].copy() for row in X], dtype=float)
-            for name, (verb, place) in calls.items()
-            if name in program.outputs
-        }
+    model = CompiledModel(program, dtype, _FAST)
+    calls = {"y": (model._verb, 1), "point": ("point", 1), "std": (f"{model._verb}_std", 2)}
+    return {
+        name: np.array([model._row(row, verb)[place].copy() for row in X], dtype=float)
+        for name, (verb, place) in calls.items()
+        if name in program.outputs
+    }
 
 
 def _find_compiler():
@@ -256,26 +223,9 @@ def _find_compiler():
     return found
 
 
-def _library(text, folder, flags):
-    """The loaded library: from the folder of libraries, or compiled now."""
+def _library(text, flags):
+    """The loaded library of a source and its header, compiled in a folder that goes again."""
     compiler = _find_compiler()
-    parts = [*text, compiler, *flags, platform.platform(), platform.machine()]
-    place = f"{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()}.so"
-    given, env = folder is not None, os.environ
-    if given:
-        folder = Path(folder)
-    elif env.get("SKLEARN_RAACMM_CACHE"):
-        folder = Path(env["SKLEARN_RAACMM_CACHE"])
-    else:
-        folder = Path(env.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sklearn_raacmm"
-    try:
-        _make_own(folder)
-    except OSError:
-        if given:
-            raise
-        folder = None  # nowhere to keep it, as in a container: compile it each time
-    if folder is not None and (folder / place).exists():
-        return ctypes.CDLL(str(folder / place))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as build:
         source, header, library = (Path(build, f"{NAME}.{end}") for end in ("c", "h", "so"))
         write_whole(dict(zip((source, header), text, strict=True)))
@@ -289,22 +239,4 @@ def _library(text, folder, flags):
                 f"{compiler} could not compile the model (exit status {done.returncode}): "
                 + " | ".join(output[:_SHOWN_LINES])
             )
-        if folder is not None:
-            write_whole({folder / place: library.read_bytes()})
-            library = folder / place
         return ctypes.CDLL(str(library))
-
-
-def _make_own(folder):
-    """Make the folder, and refuse one in which others could put a library of theirs."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if os.name != "posix":
-        return
-    facts = folder.stat()
-    if facts.st_uid != os.getuid() or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise ValueError(
-            f"Compiled models are loaded from {str(folder)!r:.60}, which others may write to: "
-            "choose a folder of your own, or take the others' right to write (chmod 700)."
-        )
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise PermissionError(f"The folder of compiled models cannot be written: {folder}.")

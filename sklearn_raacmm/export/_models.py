@@ -7,7 +7,7 @@ One function for each kind of step: it adds the step's operations to those befor
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from sklearn.preprocessing import MinMaxScaler, RobustScaler
+from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.error_model import (
@@ -24,12 +24,10 @@ from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_n
 from sklearn_raacmm.export._steps import (
     KNOWN,
     REGRESSORS,
-    SCALERS,
     check_fitted,
     described,
     extra_columns,
     find_arm,
-    is_flat,
     leaves,
     n_inputs,
 )
@@ -137,7 +135,6 @@ def build_program(model, std=False, any_probe=False, fade="exact", poses=None):
         extra = [name for name, _ in extra_columns(model)]
         extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
         about |= {"angle_unit": chain.unit, "extra": extra}
-    about["flat"] = bool(p.size(y) == 1 and is_flat(model))
     if chain.fade != "exact":
         about["fingerprint"] = hash_program(build_program(model, any_probe=any_probe))
     return p.program(outputs, about)
@@ -152,13 +149,9 @@ def _read(chain, steps, x):
         if isinstance(step, PoseFeatures):
             _needs_angles(chain, path, x)
             x = pose_features(chain, step)
-        elif isinstance(step, SCALERS):
+        elif isinstance(step, StandardScaler):
             x = scaler(chain.p, step, x)
         elif isinstance(step, REGRESSORS):
-            if rest:
-                raise ValueError(
-                    f"{rest[0][0]} comes after the regressor, which cannot be exported."
-                )
             return _regressor(chain, path, step, x)
         else:
             raise ValueError(
@@ -196,20 +189,14 @@ def _regressor(chain, path, step, x):
 def _cylindrical(chain, path, step, rest, x):
     """A regressor in the cylindrical frame of the probe's azimuth."""
     p, n = chain.p, step.n_features_in_ - 2
-    if any(isinstance(inner, CylindricalResidualTarget) for _, inner in rest):
-        raise ValueError(f"{rest[0][0]} is the second of its kind, which cannot be exported.")
     direction = None
     if step._drops_direction:
         # A direction that comes with the features becomes NaN where its norm is not 1.
         given, x = p.take(x, [n, n + 1]), p.take(x, np.arange(n))
         low, high = 1 - NORM_TOLERANCE, 1 + NORM_TOLERANCE
         direction = p("within", given, p.length(given), low=low, high=high)
-    elif step._rotates and x != chain.x:
-        raise ValueError(
-            f"{path} takes its azimuth from the joint angles but comes after a transformer, "
-            "which cannot be exported."
-        )
     elif step._rotates:
+        _needs_angles(chain, path, x)
         direction = chain.direction()[0]
     y, v = _read(chain, rest, x)
     if not step._rotates:
@@ -270,18 +257,10 @@ def pose_angles(chain, angles):
 
 
 def scaler(p, step, x):
-    """One of scikit-learn's scalers."""
-    if isinstance(step, MinMaxScaler):
-        x = p("add", p("mul", x, step.scale_), step.min_)
-        clip = step.feature_range if step.clip else None
-    else:
-        center = step.center_ if isinstance(step, RobustScaler) else getattr(step, "mean_", None)
-        if center is not None and getattr(step, "with_mean", True):
-            x = p("sub", x, center)
-        if step.scale_ is not None:
-            x = p("div", x, step.scale_)
-        clip = (-1.0, 1.0) if getattr(step, "clip", False) else None
-    return x if clip is None else p("min", p("max", x, clip[0]), clip[1])
+    """scikit-learn's StandardScaler."""
+    if step.with_mean:
+        x = p("sub", x, step.mean_)
+    return p("div", x, step.scale_) if step.with_std else x
 
 
 # -- the arm's own error model --------------------------------------------------------------------

@@ -1,7 +1,6 @@
 """A program as ONNX: every operation as a few nodes of the domain that all runtimes have.
 
-Everything is computed in float64 and cast where the input is float32: joint angles in float32 are
-good to a nanometre of correction, kinematics in float32 is not.
+Everything is computed in float64.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -18,7 +17,7 @@ from sklearn_raacmm.export._program import OPERATIONS
 _OPSET = 17
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "maximum": "Max",
-    "minimum": "Min", "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
+    "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
     "negative": "Neg", "less": "Less", "less_equal": "LessOrEqual",
     "greater_equal": "GreaterOrEqual", "bitwise_and": "And",
 }  # fmt: skip
@@ -130,13 +129,11 @@ def _elevation(height, reach):
     return rough + (sin * np.cos(rough) - cos * np.sin(rough))
 
 
-def convert(program, dtype):
+def convert(program):
     """A program as an ONNX model: input X; outputs y, and std if the program has it."""
     graph = _Graph()
     helper, proto = graph.onnx.helper, graph.onnx.TensorProto
-    real = proto.DOUBLE if dtype == "double" else proto.FLOAT
-    given = graph("Cast", "X", to=proto.DOUBLE)
-    values: Any = [_Traced(graph, given, np.zeros((1, program.n_inputs)))]
+    values: Any = [_Traced(graph, "X", np.zeros((1, program.n_inputs)))]
     for op in program.ops[1:]:
         inputs = [values[i] for i in op.inputs]
         values.append(OPERATIONS[op.name](*inputs, **op.given))
@@ -144,10 +141,10 @@ def convert(program, dtype):
     for name in ("y", "std"):
         if name in program.outputs:
             number = program.outputs[name]
-            graph("Cast", values[number].name, into=name, to=real)
+            graph("Identity", values[number].name, into=name)
             shape = [None, program.ops[number].size]
-            outputs.append(helper.make_tensor_value_info(name, real, shape))
-    inputs = [helper.make_tensor_value_info("X", real, [None, program.n_inputs])]
+            outputs.append(helper.make_tensor_value_info(name, proto.DOUBLE, shape))
+    inputs = [helper.make_tensor_value_info("X", proto.DOUBLE, [None, program.n_inputs])]
     made = helper.make_graph(graph.nodes, "sklearn_raacmm", inputs, outputs, graph.tensors)
     versions = [helper.make_opsetid("", _OPSET)]
     return helper.make_model(
@@ -165,8 +162,5 @@ def run_onnx(model, X):
     session = onnxruntime.InferenceSession(
         model.SerializeToString(), providers=["CPUExecutionProvider"]
     )
-    (given,) = session.get_inputs()
-    real = np.float32 if given.type == "tensor(float)" else np.float64
-    outputs = session.run(None, {given.name: X.astype(real)})
     names = [output.name for output in session.get_outputs()]
-    return dict(zip(names, (output.astype(float) for output in outputs), strict=True))
+    return dict(zip(names, session.run(None, {"X": X}), strict=True))

@@ -260,7 +260,6 @@ OPERATIONS = {
     "mul": np.multiply,
     "div": np.divide,
     "max": np.maximum,
-    "min": np.minimum,
     "less": lambda a, b: np.where(a < b, 1.0, 0.0),
     "sqrt": np.sqrt,
     "sin": np.sin,

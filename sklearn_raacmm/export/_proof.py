@@ -78,8 +78,6 @@ def _answer(model, row, std, any_probe):
     """What ``predict`` gives at one row, (1 + std, n_outputs), or None where it refuses."""
     if not np.isfinite(row).all():
         return None
-    while hasattr(model, "best_estimator_"):  # a search hands on no return_std
-        model = model.best_estimator_
     if any_probe:
         model, row = model.with_arm(model.arm_.replace(probe=row[-3:])), row[:-3]
     with warnings.catch_warnings(), contextlib.suppress(ValueError):

@@ -3,13 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm
@@ -17,10 +16,9 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 
-SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 LINEAR = (LinearRegression, Ridge)
 REGRESSORS = (RBFNetRegressor, ArmResidualRegressor, *LINEAR)
-KNOWN = (PoseFeatures, *SCALERS, CylindricalResidualTarget, *REGRESSORS)
+KNOWN = (PoseFeatures, StandardScaler, CylindricalResidualTarget, *REGRESSORS)
 
 
 def leaves(model, path=None):
@@ -33,9 +31,6 @@ def leaves(model, path=None):
         for name, step in model.steps:
             if step is not None and not (isinstance(step, str) and step == "passthrough"):
                 yield from leaves(step, name if path == "Pipeline" else f"{path}.{name}")
-        return
-    if hasattr(model, "best_estimator_"):  # of a search: what it has found
-        yield from leaves(model.best_estimator_, path)
         return
     yield path, model
     if isinstance(model, CylindricalResidualTarget) and hasattr(model, "regressor_"):
@@ -53,19 +48,13 @@ def find_arm(model) -> tuple[Any, Any]:
     found = []
     for path, step in leaves(model):
         if isinstance(step, CylindricalResidualTarget) and callable(step.azimuth):
-            # A callable azimuth has to be the method of an arm, perhaps with an angle unit.
-            method: Any = step.azimuth
-            unit = "rad"
-            known = (), ["angle_unit"]
-            if isinstance(method, partial) and (method.args, [*method.keywords]) == known:
-                method, unit = method.func, method.keywords["angle_unit"]
-            owner = getattr(method, "__self__", None)
-            if getattr(method, "__func__", None) is not Arm.azimuth or not isinstance(owner, Arm):
+            owner = getattr(step.azimuth, "__self__", None)
+            if not isinstance(owner, Arm) or step.azimuth != owner.azimuth:
                 raise ValueError(
                     f"{path} takes its azimuth from {step.azimuth!r}, which cannot be exported: "
                     "only the method of an Arm can, azimuth=arm.azimuth."
                 )
-            found.append((path, owner, unit))
+            found.append((path, owner, "rad"))
         elif isinstance(arm := getattr(step, "arm_", None), Arm):
             found.append((path, arm, getattr(step, "angle_unit", "rad")))
     for path, arm, unit in found[1:]:
@@ -84,15 +73,6 @@ def extra_columns(model) -> Any:
         if isinstance(step, ArmResidualRegressor):
             return step.linear_model_.terms.extra
     return ()
-
-
-def is_flat(model):
-    """Whether the model gives (n,) for one output: it was fitted on y of shape (n,)."""
-    *_, (_, last) = leaves(model)
-    if isinstance(last, ArmResidualRegressor):
-        return False
-    # A linear model without intercept has a scalar for it in either case.
-    return np.ndim(getattr(last, "coef_", last.intercept_)) <= 1 and np.ndim(last.intercept_) == 0
 
 
 def described(step):
@@ -118,7 +98,7 @@ def n_inputs(model):
 
 
 def typical_rows(model, n, seed=0):
-    """Rows (n, n_inputs) that a fitted model may see: angles, or features between centres."""
+    """Rows (n, n_inputs) that a fitted model may see: angles, or features like those of the fit."""
     rng = np.random.default_rng(seed)
     arm, unit = find_arm(model)
     size = n_inputs(model)
@@ -126,10 +106,12 @@ def typical_rows(model, n, seed=0):
         turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
         extra = [rng.choice(known, n) for _, known in extra_columns(model)]
         return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
-    rows, back = rng.normal(size=(n, size)), []
+    rows = rng.normal(size=(n, size))
     for _, step in leaves(model):
-        if isinstance(step, SCALERS):
-            back.append(step)
+        if isinstance(step, StandardScaler):
+            of_scaler = slice(step.n_features_in_)
+            rows[:, of_scaler] = step.inverse_transform(rows[:, of_scaler])
+            break
         if isinstance(step, RBFNetRegressor):
             centers = np.concatenate([part.centers for part in step.networks_])
             if len(centers):
@@ -139,7 +121,4 @@ def typical_rows(model, n, seed=0):
         if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
             turns = rng.uniform(-np.pi, np.pi, n)
             rows[:, -2:] = np.column_stack([np.cos(turns), np.sin(turns)])
-    for step in reversed(back):
-        of_scaler = rows[:, : step.n_features_in_]
-        rows[:, : step.n_features_in_] = step.inverse_transform(of_scaler)
     return rows

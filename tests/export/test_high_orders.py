@@ -1,14 +1,13 @@
 """Waves of order 400, where a strain-wave gear has them, against 50 digits: C, ONNX and predict."""
 
-import shutil
-
 import mpmath
 import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import LOAD, SHIFT, Terms, column_table, term_columns
-from sklearn_raacmm.export import load_c, to_onnx
+
+from ._chains import ways_out
 
 
 @pytest.fixture(scope="module", params=["aacmm6", "panda"])
@@ -85,24 +84,7 @@ def test_the_model_has_them(fitted):
     assert np.ptp(model.predict(X), axis=0).min() > 0.02  # mm
 
 
-def test_predict(fitted, exact):
+def test_every_way_has_them(fitted, exact, tmp_path):
     model, X = fitted
-    np.testing.assert_allclose(model.predict(X), exact, rtol=0, atol=1e-12)
-
-
-def test_c(fitted, exact, tmp_path):
-    if not any(map(shutil.which, ("cc", "gcc", "clang"))):
-        pytest.skip("no C compiler found")
-    model, X = fitted
-    compiled = load_c(model, cache_dir=tmp_path / "cache")
-    np.testing.assert_allclose(compiled.correct(X), exact, rtol=0, atol=1e-12)
-
-
-def test_onnx(fitted, exact):
-    runtime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
-    pytest.importorskip("onnx", reason="needs the extra onnx")
-    model, X = fitted
-    session = runtime.InferenceSession(
-        to_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"]
-    )
-    np.testing.assert_allclose(session.run(None, {"X": X})[0], exact, rtol=0, atol=1e-12)
+    for way, found, _ in [("predict", model.predict(X), None), *ways_out(tmp_path, model, X)]:
+        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12, err_msg=way)
