@@ -66,7 +66,7 @@ NO_FUNCTION = 0.5
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
-def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group_std, rng):
+def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, rng):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
@@ -95,7 +95,6 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group
             length_scale=width,
             isotropic=width is None and estimator.length_scale == "isotropic",
             alpha=None if alpha is None else alpha[of] / sample.unit,
-            constant_std=None if group_std is None else group_std[of] / spread,
             may_be_linear=estimator.degree == "auto" and width is None and alpha is None,
             random_state=rng,
         )

@@ -14,9 +14,9 @@ from sklearn_raacmm.network._fit import fit_outputs
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import (
+    check_alpha,
     check_kernel,
     check_length_scale,
-    of_each_output,
     read_rows,
 )
 from sklearn_raacmm.network._robust_loss import reweigh
@@ -232,7 +232,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         y: ArrayLike,
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | None = None,
-        group_std: ArrayLike | None = None,
     ) -> Self:
         """Choose structure, widths, ridge and centres, and fit the weights.
 
@@ -251,10 +250,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. The variance of these constants is found
             with the widths. Where groups' mean targets are not small beside the scatter within,
-            they are a part of the function, and labels change nothing, unless `group_std` is given.
-
-        group_std : float or array-like of shape (n_outputs,), default=None
-            Standard deviation of groups' constants, in the units of y, where it is known.
+            they are a part of the function, and labels change nothing.
 
         Returns
         -------
@@ -280,22 +276,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """
         for name in _SOMETIMES:
             self.__dict__.pop(name, None)
-        labelled = self._fit_weighted(X, y, sample_weight, groups, group_std)
+        labelled = self._fit_weighted(X, y, sample_weight, groups)
         if self.loss != "squared":
-            reweigh(self, X, y, sample_weight, groups if labelled else None, group_std)
+            reweigh(self, X, y, sample_weight, groups if labelled else None)
         return self
 
-    def _fit_weighted(self, X, y, sample_weight, groups, group_std, labelled=None):
+    def _fit_weighted(self, X, y, sample_weight, groups, labelled=None):
         """Fit by least squares with given weights; return whether groups have constants."""
-        if group_std is not None:
-            if groups is None:
-                raise ValueError("group_std is given without groups, whose constants it is of.")
-            labelled = True
         rng = check_random_state(self.random_state)
         rows, elsewhere = read_rows(self, X, y, sample_weight, groups, labelled, rng)
         q = rows.Y.shape[1]
-        alpha = of_each_output("alpha", self.alpha, q)
-        group_std = of_each_output("group_std", group_std, q)
+        alpha = check_alpha(self.alpha, q)
         widths = check_length_scale(self.length_scale, rows.X, q, alpha, self.shared)
         if self.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
             raise ValueError(
@@ -308,8 +299,8 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         for of in parts:  # each as if it were alone
             rng.set_state(state)
             width = widths if widths is None or widths.ndim == 1 else widths[of[0]]
-            ridge, std = (None if given is None else given[of] for given in (alpha, group_std))
-            given = kernels[of[0]], width, ridge, std
+            ridge = None if alpha is None else alpha[of]
+            given = kernels[of[0]], width, ridge
             found.append(fit_outputs(self, rows, elsewhere, of, *given, rng))
         fits, slopes, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)

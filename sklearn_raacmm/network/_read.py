@@ -126,16 +126,16 @@ def check_length_scale(length_scale, X, n_outputs, alpha, shared):
     return width
 
 
-def of_each_output(name, given, n_outputs):
-    """A number that may be given, not negative, as an array of one for each output; or None."""
-    if given is None or isinstance(given, str):
+def check_alpha(alpha, n_outputs):
+    """Ridge of every output (q,); None where it is to be found."""
+    if isinstance(alpha, str):
         return None
-    values = floats(name, given)
+    values = floats("alpha", alpha)
     if values.ndim > 1 or (values.ndim == 1 and len(values) != n_outputs):
         raise ValueError(
-            f"{name} has shape {values.shape}; it must be a number or have one entry for each of "
+            f"alpha has shape {values.shape}; it must be a number or have one entry for each of "
             f"the {n_outputs} outputs."
         )
     if not np.all((values >= 0) & np.isfinite(values)):
-        raise ValueError(f"{name} must be finite and not negative; got {given!r:.60}.")
+        raise ValueError(f"alpha must be finite and not negative; got {alpha!r:.60}.")
     return np.broadcast_to(values, n_outputs).copy()

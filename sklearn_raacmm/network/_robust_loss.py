@@ -47,7 +47,7 @@ def biweights(residuals, weights, codes=None):
     return np.square(np.maximum(1 - np.square(far / CUT), 0.0))
 
 
-def reweigh(estimator, X, y, sample_weight, groups, group_std):
+def reweigh(estimator, X, y, sample_weight, groups):
     """Fit again with weights by the residuals, until these settle; "auto" if evidence is for it."""
     auto, first = estimator.loss == "auto", dict(vars(estimator))
     if auto and (is_dask(X) or "log_marginal_likelihood_value_" not in first):
@@ -66,7 +66,7 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):
             break
-        estimator._fit_weighted(X, y, given * factor, groups, group_std, True)
+        estimator._fit_weighted(X, y, given * factor, groups, True)
         if auto and i == 0:
             n, far = counted.sum(), residuals[(factor == 0) & counted]
             plain, robust = (

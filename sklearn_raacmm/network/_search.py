@@ -107,14 +107,13 @@ def search(
     length_scale: np.ndarray | None = None,
     isotropic: bool = False,
     alpha: np.ndarray | None = None,
-    constant_std: np.ndarray | None = None,
     may_be_linear: bool = False,
     random_state: Any = None,
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
-    The data are distinct rows with targets in units of their spread. Given may be widths (d,),
-    ridges (q,) and standard deviations of groups' constants (q,).
+    The data are distinct rows with targets in units of their spread. Given may be widths (d,)
+    or ridges (q,).
     """
     X, (d, q) = data.X, (data.X.shape[1], data.Y.shape[1])
     spread = robust_spread(X, data.weights)
@@ -127,13 +126,13 @@ def search(
         width = silent_widths(spread, used) if length_scale is None else length_scale
         return Structure(kernels[0], width, np.ones(q) if alpha is None else alpha)
     data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-    constants = data.codes is not None and bool(data.codes.any() or constant_std is not None)
-    task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
+    constants = data.codes is not None and bool(data.codes.any())
+    task = Task(spread, used, q, isotropic, length_scale, alpha, constants)
     sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     first, *others = kernels
     theta = _coarse(task, first, few)
-    if constants and constant_std is None:
+    if constants:
         # Constants explain what a function does between groups, too, and need not be there.
         plain = task._replace(constants=False)
         other = _coarse(plain, first, few)
