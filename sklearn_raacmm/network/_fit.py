@@ -26,7 +26,6 @@ from sklearn_raacmm.network._least_squares import (
 )
 from sklearn_raacmm.network._likelihood import LEAST_RIDGE, Data
 from sklearn_raacmm.network._linear import without_constants
-from sklearn_raacmm.network._objective import ALPHA_BOUNDS
 from sklearn_raacmm.network._posterior import Network, covariance_factor
 from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._search import AUTO_KERNELS, Structure, search
@@ -70,8 +69,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, rng):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
-    is None or "auto". Returns what `fit_network` does, the squared slope (d,) along every feature
-    per spread, and the log likelihood where structures were compared.
+    is None or "auto". Returns what `fit_network` does, and the log likelihood where structures were
+    compared.
     """
     ridged, value = isinstance(estimator.alpha, str), None
 
@@ -113,19 +112,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, rng):
         kernel = AUTO_KERNELS[0] if kernel == "auto" else kernel
         found = Structure(kernel, width, alpha / problem.unit)
     limits = estimator.n_centers, estimator.max_centers
-    fitted = fit_network(problem, outputs, found, *limits, rng)
-    return fitted, _slopes(problem, fitted[0]), value
-
-
-def _slopes(problem, network):
-    unit = problem.rows.X.std(axis=0)
-    linear = np.square(network.polynomial[1:] * unit[:, None])
-    # Outputs count alike, whatever their units.
-    scale = problem.spread**2 + linear.sum(axis=0)
-    radial = np.where(network.alpha < ALPHA_BOUNDS[1], network.signal_variance, 0.0)
-    shares = (np.divide(a, scale, out=np.zeros_like(a), where=scale > 0) for a in (radial, linear))
-    radial, linear = (share.sum(axis=-1) for share in shares)
-    return radial * np.square(unit / network.length_scale) + linear
+    return fit_network(problem, outputs, found, *limits, rng), value
 
 
 @stage("centres of the network")

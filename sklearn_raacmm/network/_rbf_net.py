@@ -120,9 +120,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Variance of the noise of one observation, and variance of the function, in squared units of
         `y`; standard deviation of the groups' constants, in units of `y`.
 
-    relevance_ : ndarray of shape (n_features,)
-        Slope along each feature, per standard deviation of the feature, as a share of the sum.
-
     log_marginal_likelihood_value_ : float
         Log marginal likelihood, in nats, of the rows on which `fit` compared kernels and widths,
         summed over outputs.
@@ -302,7 +299,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             ridge = None if alpha is None else alpha[of]
             given = kernels[of[0]], width, ridge
             found.append(fit_outputs(self, rows, elsewhere, of, *given, rng))
-        fits, slopes, values = zip(*found, strict=True)
+        fits, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
         if values[0] is not None:
             self.log_marginal_likelihood_value_: float = sum(values)
@@ -312,9 +309,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.criterion_path_: np.ndarray = np.concatenate(paths)
         self.stop_reason_ = ", ".join(reasons)
         self.n_iter_: int = sum(max(map(len, pair)) for pair in zip(centers, paths, strict=True))
-        slope = np.sqrt(sum(slopes))
-        total = slope.sum()
-        self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
         return rows.codes is not None
 
     @overload
@@ -431,11 +425,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
 
-    @overload
-    def predict_gradient(self, X: ArrayLike, return_variance: Literal[True]) -> Pair: ...
-    @overload
-    def predict_gradient(self, X: ArrayLike) -> Floats: ...
-    def predict_gradient(self, X: ArrayLike, return_variance: bool = False) -> Any:
+    def predict_gradient(self, X: ArrayLike) -> Floats:
         """Derivatives of the prediction by the features, in closed form.
 
         Parameters
@@ -443,31 +433,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         X : array-like of shape (n_samples, n_features)
             Rows.
 
-        return_variance : bool, default=False
-            Also return the derivatives of the predictive variance. The noise does not depend on
-            the features, so that it is the same for an observation and for the mean.
-
         Returns
         -------
         gradient : ndarray of shape (n_samples, n_features) or (n_samples, n_outputs, n_features)
             Of the mean, in units of y per unit of X.
 
-        variance_gradient : ndarray of the same shape
-            Of the variance, where asked for.
-
         Raises
         ------
         ValueError
             If the model is not fitted; if X has another number of features than in fit, or holds
-            NaN or infinity; if the derivatives of an infinite variance are asked for, as after a
-            fit to one observation.
+            NaN or infinity.
         """
         X = self._checked_rows(X)
-        parts = [network.gradient(X, return_variance) for network in self.networks_]
-        of_mean = self._shaped([part for part, _ in parts], axis=1)
-        if not return_variance:
-            return of_mean
-        return of_mean, self._shaped([part for _, part in parts], axis=1)
+        return self._shaped([network.gradient(X) for network in self.networks_], axis=1)
 
     def _checked_rows(self, X) -> np.ndarray:
         return check_features(self, X, dtype=np.float64, reset=False)

@@ -298,15 +298,3 @@ def test_log_likelihood_is_that_of_scikit_learns_process():
     )
     model.set_params(length_scale=1.0, alpha=0.1).fit(X, y)
     assert not hasattr(model, "log_marginal_likelihood_value_")
-
-
-def test_relevance_orders_the_features_by_their_effect():
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-1, 1, (200, 4)) * [1, 100, 1, 1]
-    y = np.sin(4 * X[:, 0]) + 0.01 * X[:, 1] + 0.2 * X[:, 2] + 0.05 * rng.standard_normal(200)
-    model = RBFNetRegressor(random_state=0).fit(X, y)
-    assert model.relevance_.sum() == pytest.approx(1)
-    np.testing.assert_array_equal(np.argsort(-model.relevance_), [0, 1, 2, 3])
-    assert model.relevance_[3] < 0.01
-    noise = RBFNetRegressor(random_state=0).fit(X, rng.standard_normal(200))
-    np.testing.assert_array_equal(noise.relevance_, 0)
