@@ -100,19 +100,6 @@ def radial_sum(model, T):
     return total
 
 
-def test_variances_are_those_of_the_matrices_that_exporters_read(given):
-    *_, T, model = given
-    for network in model.networks_:
-        A, B = network.roots(0)
-        K = network.radial(T)
-        columns = np.hstack([np.column_stack([np.ones(len(T)), T]) @ network.tail_map.T, K])
-        outside = np.maximum(1 - np.square(K @ A.T).sum(axis=1), 0)
-        variance = network.signal_variance * outside
-        variance += network.noise_variance * (1 + np.square(columns @ B.T).sum(axis=1))
-        std = network.std(T)
-        np.testing.assert_allclose(std[:, 0] ** 2, variance, rtol=1e-12)
-
-
 def test_widths_are_found_for_each_output(data, model):
     X, Y, T = data
     error = np.std(model.predict(T) - waves(T), axis=0)
@@ -190,13 +177,6 @@ def test_odd_parameters(params, sentence):
     X = np.random.default_rng(0).uniform(size=(20, 2))
     with pytest.raises(ValueError, match=sentence):
         RBFNetRegressor(**params).fit(X, X)
-
-
-def test_one_output_of_one_column(given):
-    X, Y, T, _ = given
-    rows = RBFNetRegressor(length_scale=[[1.0, 2.0]], kernel=["gaussian"], alpha=0.1)
-    plain = RBFNetRegressor(length_scale=[1.0, 2.0], kernel="gaussian", alpha=0.1).fit(X, Y[:, 0])
-    np.testing.assert_array_equal(rows.fit(X, Y[:, 0]).predict(T), plain.predict(T))
 
 
 def test_files(given):
