@@ -257,10 +257,9 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Raises
         ------
         ValueError
-            If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
-            negative or all are 0; if a feature, whose width is to be found, has numbers 3e6 spreads
-            apart; if `length_scale` does not fit the features, or is so narrow or wide that double
-            precision does not resolve the kernel; if `alpha` is 0 and `n_centers` is to be found;
+            If X or y hold NaN or infinity; if a weight is negative or all are 0; if a feature, whose
+            width is to be found, has numbers 3e6 spreads apart; if `length_scale` does not fit the
+            features, or is so narrow or wide that double precision does not resolve the kernel; if `alpha` is 0 and `n_centers` is to be found;
             if `groups` has missing labels, or X more than 100 000 rows with them.
 
         Warns
@@ -456,9 +455,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         values = np.take(np.concatenate(parts, axis=axis), order, axis=axis)
         return values.take(0, axis=axis) if self._flat else values
 
-    def _numbers(self, name):
-        return self._shaped([getattr(network, name) for network in self.networks_])
-
     def _by_network(self, name):
         """A number of the only network, or of each output's."""
         if len(self.networks_) == 1:
@@ -501,11 +497,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     @property
     def noise_variance_(self) -> np.ndarray:
-        return self._numbers("noise_variance")
+        return self._shaped([network.noise_variance for network in self.networks_])
 
     @property
     def signal_variance_(self) -> np.ndarray:
-        return self._numbers("signal_variance")
+        return self._shaped([network.signal_variance for network in self.networks_])
 
     @property
     def group_std_(self) -> np.ndarray:
