@@ -41,16 +41,14 @@ TOLERANCE = 0.02
 MODERATE, WORTH = 300, 0.02
 # Centres tried where their number is not given.
 MAX_CENTERS = 2000
-# Rank at which the candidates' factor is cut: 240 MB for 10 000 rows, and a step costs as much
-# memory traffic; or per centre that may be tried, to be chosen from more dimensions than centres
-# take up. Mean part of the prior variance outside of it that is passed over in silence.
+# Rank at which the candidates' factor is cut, 240 MB for 10 000 rows, or per centre that may be
+# tried. Mean part of the prior variance outside of it that is passed over in silence.
 MAX_RANK, RANK_PER_CENTER, UNSEEN = 3000, 1.5, 0.01
 # The same where the number of centres is given: in centres, and at the least, of all rows and of a
 # sample, where every row is multiplied by the factor's square.
 RANK_PER_GIVEN, LEAST_RANK, LEAST_RANK_OF_SAMPLE = 3.5, 1000, 256
-# Effective parameters of the process, per row, from which on all rows become centres. On 21 random
-# functions a network's fit, without the search, then took 4 to 35 times as long as that of all
-# rows, for a third or more of their centres and the same error to 1 %.
+# Effective parameters of the process, per row, from which on all rows become centres: a network's
+# fit then takes 4 to 35 times as long, for the same error to 1 %.
 ALL_ROWS = 0.25
 # Centres of a network for each effective parameter: where they are more than may be tried, all rows
 # become centres, too.

@@ -31,11 +31,8 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 # nothing is left of a group's mean. Where the search for it starts.
 RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
-# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised: 0.3
-# of a spread for 20 features, whose noise is not followed, and 0.9 for three, whose function is.
-# The likelihood weighs the size of the data by itself; what it does not know is from how many
-# features one was picked. A price that grows with the rows gave up a weak interaction
-# (``benchmarks/bench_noise.py``).
+# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised. A
+# price that grows with the rows gave up a weak interaction (``benchmarks/bench_noise.py``).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 
 

@@ -103,7 +103,12 @@ def with_field(toys, seed, lines_only):
     share[7] = 0.0  # offered as a line only
     problem = Problem(toys.sums_of(A, H, y), toys.structures(4, 30, share=share))
     lines = search(problem)
-    return SimpleNamespace(A=A, H=H, y=y), share, lines, beside_field(problem, lines)
+    return (
+        SimpleNamespace(A=A, H=H, y=y),
+        share,
+        lines,
+        beside_field(problem, lines, problem, lines),
+    )
 
 
 def test_the_field_has_the_evidence_of_its_own_prior(toys):

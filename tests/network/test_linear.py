@@ -9,11 +9,10 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend
-from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import Data, left_out, log_likelihood
 from sklearn_raacmm.network._linear import RIDGES, linear_evidence
-from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._rows import prepare
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -127,29 +126,6 @@ def test_a_given_ridge_leaves_the_linear_part_free():
     np.testing.assert_allclose(model.predict(X), LinearRegression().fit(X, Y).predict(X), rtol=1e-7)
     found = RBFNetRegressor(degree=1).fit(X, np.full(60, 2.0))
     np.testing.assert_allclose(found.predict(X), np.full(60, 2.0), rtol=1e-14)
-
-
-def test_features_beside_a_tail_with_a_ridge():
-    """The small triangle holds what a dense projection of all rows and the ridge's leaves."""
-    X, Y = linear(60, 4, 2.0, q=2)
-    problem = prepare(merge(X, Y, np.ones(60)), 1, True)
-    assert len(problem.basis_rows) == 4
-
-    def features(block):
-        return block.root * np.sin(block.rows.X[:, :3])
-
-    blocks = []
-    problem.reduce(lambda b: blocks.append((b.basis, b.targets, features(b))), lambda *_: None, 8)
-    Q, y, F = (np.vstack(parts) for parts in zip(*blocks, strict=True))
-    np.testing.assert_allclose(Q[-4:], problem.basis_rows)
-    np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
-    y = y / problem.spread
-    assert not np.any(y[-4:])
-    assert not np.any(F[-4:])
-    left = F - Q @ (Q.T @ F)
-    R, rotated = _projected_triangle(problem, features, 3)
-    np.testing.assert_allclose(R.T @ R, left.T @ left, rtol=1e-9)
-    np.testing.assert_allclose(R.T @ rotated, left.T @ y, rtol=1e-9, atol=1e-9)
 
 
 def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():

@@ -160,18 +160,6 @@ def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
     np.testing.assert_allclose(reduction, np.square(target)[indices])
 
 
-def test_candidates_that_explain_nothing_are_chosen_once_each():
-    target = np.array([[0.0], [5.0], [0.0], [0.0]])
-    candidates = np.eye(4)
-    candidates[2] = 0.0
-    indices, _, stop = forward_selection(candidates, target, 1e-10, 9)
-    np.testing.assert_array_equal(indices, [1, 0, 3])
-    assert stop == "dependent"
-    indices, reduction, _ = forward_selection(0 * candidates, target, 1e-10, 9)
-    assert reduction.shape == (0, 1)
-    np.testing.assert_array_equal(candidates[indices], np.empty((0, 4)))
-
-
 def test_residual_is_that_of_extended_precision_on_wide_widths():
     # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
     rng = np.random.default_rng(1)
