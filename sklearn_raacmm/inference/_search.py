@@ -78,6 +78,8 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     less, and `alone` the state in it.
     """
     structures = problem.structures
+    if structures.share is None:
+        return None
     size, rise = _first_size(of_field, alone)
     saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
     if rise + saved < structures.field_price:

@@ -81,7 +81,8 @@ def _of_chunk(X, Y, weights, start, function, combine, width):
             input_name=name,
         )
         arrays.append(floats(name, array, finite=True))
-    return ArrayChunks(*arrays, start).reduce(function, combine, width)
+    X, Y, weights = arrays
+    return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)
 
 
 @one_blas_thread
