@@ -69,9 +69,7 @@ def search_at(problem: Problem, state: State) -> State:
     return _pruned(problem, problem.state(lines, *start))
 
 
-def beside_field(
-    problem: Problem, state: State, of_field: Problem | None = None, alone: State | None = None
-) -> State | None:
+def beside_field(problem: Problem, state: State, of_field: Problem, alone: State) -> State | None:
     """The choice beside the field, where the data speak for it against a state of lines alone.
 
     It is searched for where its rise of the evidence, beside all that is there, and the prices of
@@ -82,7 +80,7 @@ def beside_field(
     structures = problem.structures
     if structures.share is None:
         return None
-    size, rise = _first_size(of_field or problem, alone or state)
+    size, rise = _first_size(of_field, alone)
     saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
     if rise + saved < structures.field_price:
         return None

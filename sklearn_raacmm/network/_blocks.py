@@ -70,17 +70,18 @@ class DaskChunks:
 
 @one_blas_thread
 def _of_chunk(X, Y, weights, start, function, combine, width):
-    X = check_array(X, dtype=np.float64, input_name="X")
-    Y = check_array(Y, dtype=np.float64, input_name="y")
-    weights = check_array(
-        weights,
-        dtype=np.float64,
-        ensure_2d=False,
-        ensure_non_negative=True,
-        input_name="sample_weight",
-    )
-    for name, array in (("X", X), ("y", Y), ("sample_weight", weights)):
-        floats(name, array, finite=True)
+    arrays = []
+    for name, given in (("X", X), ("y", Y), ("sample_weight", weights)):
+        weighs = name == "sample_weight"
+        array = check_array(
+            given,
+            dtype=np.float64,
+            ensure_2d=not weighs,
+            ensure_non_negative=weighs,
+            input_name=name,
+        )
+        arrays.append(floats(name, array, finite=True))
+    X, Y, weights = arrays
     return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)
 
 

@@ -42,19 +42,6 @@ class Features:
         return block.weigh(K)
 
 
-def _projected_triangle(problem, features, rank):
-    """R of the features with the tail projected out, and the targets in Q's coordinates."""
-    p, of = problem.n_tail, problem.varying
-    R = problem.triangle(
-        lambda block: np.hstack([block.basis, features(block), block.about_tail]),
-        p + rank + len(of),
-    )
-    padded = np.zeros((R.shape[1], R.shape[1]))
-    padded[: len(R)] = R
-    inner = slice(p, p + rank)
-    return padded[inner, inner], padded[inner, p + rank :]
-
-
 def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
     """Coordinates of candidates, the sorted indices `rows` among the problem's, (n, rank).
 
@@ -122,10 +109,15 @@ def _whiten(problem, rows, features, alpha, residual, resolution):
     if not failed:
         target = solve_triangular(root, cross, lower=True, check_finite=False)
     else:
-        triangle, rotated = _projected_triangle(problem, features, rank)
+        # Of the features with the tail projected out, and the targets in Q's coordinates.
+        p, q = problem.n_tail, cross.shape[1]
+        R = problem.triangle(
+            lambda block: np.hstack([block.basis, features(block), block.about_tail]), p + rank + q
+        )
+        R = np.pad(R, ((0, p + rank + q - len(R)), (0, 0)))[p : p + rank, p:]
         ridge = np.sqrt(alpha) * np.eye(rank if alpha else 0, rank)
-        Q, R = qr(np.vstack([triangle, ridge]), mode="economic", check_finite=False)
-        root, target = R.T, Q[:rank].T @ rotated
+        Q, triangle = qr(np.vstack([R[:, :rank], ridge]), mode="economic", check_finite=False)
+        root, target = triangle.T, Q[:rank].T @ R[:, rank:]
     coordinates = blas.dtrmm(1.0, root, rows, side=1, lower=1, overwrite_b=True)
     inverse = lapack.dtrtri(root, lower=1)[0] if alpha else 0.0
     return coordinates, target, trusted, rank - alpha * float(np.sum(np.square(inverse)))

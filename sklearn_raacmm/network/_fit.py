@@ -26,7 +26,6 @@ from sklearn_raacmm.network._least_squares import (
 )
 from sklearn_raacmm.network._likelihood import LEAST_RIDGE, Data
 from sklearn_raacmm.network._linear import without_constants
-from sklearn_raacmm.network._objective import ALPHA_BOUNDS
 from sklearn_raacmm.network._posterior import Network, covariance_factor
 from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._search import AUTO_KERNELS, Structure, search
@@ -42,16 +41,14 @@ TOLERANCE = 0.02
 MODERATE, WORTH = 300, 0.02
 # Centres tried where their number is not given.
 MAX_CENTERS = 2000
-# Rank at which the candidates' factor is cut: 240 MB for 10 000 rows, and a step costs as much
-# memory traffic; or per centre that may be tried, to be chosen from more dimensions than centres
-# take up. Mean part of the prior variance outside of it that is passed over in silence.
+# Rank at which the candidates' factor is cut, 240 MB for 10 000 rows, or per centre that may be
+# tried. Mean part of the prior variance outside of it that is passed over in silence.
 MAX_RANK, RANK_PER_CENTER, UNSEEN = 3000, 1.5, 0.01
 # The same where the number of centres is given: in centres, and at the least, of all rows and of a
 # sample, where every row is multiplied by the factor's square.
 RANK_PER_GIVEN, LEAST_RANK, LEAST_RANK_OF_SAMPLE = 3.5, 1000, 256
-# Effective parameters of the process, per row, from which on all rows become centres. On 21 random
-# functions a network's fit, without the search, then took 4 to 35 times as long as that of all
-# rows, for a third or more of their centres and the same error to 1 %.
+# Effective parameters of the process, per row, from which on all rows become centres: a network's
+# fit then takes 4 to 35 times as long, for the same error to 1 %.
 ALL_ROWS = 0.25
 # Centres of a network for each effective parameter: where they are more than may be tried, all rows
 # become centres, too.
@@ -66,12 +63,12 @@ NO_FUNCTION = 0.5
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
-def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group_std, rng):
+def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, rng):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
-    is None or "auto". Returns what `fit_network` does, the squared slope (d,) along every feature
-    per spread, and the log likelihood where structures were compared.
+    is None or "auto". Returns what `fit_network` does, and the log likelihood where structures were
+    compared.
     """
     ridged, value = isinstance(estimator.alpha, str), None
 
@@ -95,7 +92,6 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group
             length_scale=width,
             isotropic=width is None and estimator.length_scale == "isotropic",
             alpha=None if alpha is None else alpha[of] / sample.unit,
-            constant_std=None if group_std is None else group_std[of] / spread,
             may_be_linear=estimator.degree == "auto" and width is None and alpha is None,
             random_state=rng,
         )
@@ -114,19 +110,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, group
         kernel = AUTO_KERNELS[0] if kernel == "auto" else kernel
         found = Structure(kernel, width, alpha / problem.unit)
     limits = estimator.n_centers, estimator.max_centers
-    fitted = fit_network(problem, outputs, found, *limits, rng)
-    return fitted, _slopes(problem, fitted[0]), value
-
-
-def _slopes(problem, network):
-    unit = problem.rows.X.std(axis=0)
-    linear = np.square(network.polynomial[1:] * unit[:, None])
-    # Outputs count alike, whatever their units.
-    scale = problem.spread**2 + linear.sum(axis=0)
-    radial = np.where(network.alpha < ALPHA_BOUNDS[1], network.signal_variance, 0.0)
-    shares = (np.divide(a, scale, out=np.zeros_like(a), where=scale > 0) for a in (radial, linear))
-    radial, linear = (share.sum(axis=-1) for share in shares)
-    return radial * np.square(unit / network.length_scale) + linear
+    return fit_network(problem, outputs, found, *limits, rng), value
 
 
 @stage("centres of the network")

@@ -135,7 +135,9 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
         # As far as the factor knows it: by rounding the difference may be negative.
         inside[np.diag_indices(len(top))] = diagonal[top]
         most = min(max_rank - rank, max(1, rank))
-        chosen, root = _pivots_in_block(inside, max(tol, 0.2 * diagonal[top[0]]), most)
+        root, chosen, size, _ = lapack.dpstrf(inside, tol=max(tol, 0.2 * diagonal[top[0]]), lower=1)
+        size = min(size, most)
+        chosen, root = chosen[:size] - 1, np.tril(root[:size, :size])
         top = top[chosen]
         need = rank + len(top)
         if need > len(factor):
@@ -165,13 +167,6 @@ def _largest(values, size):
     kth = np.partition(values, len(values) - size)[len(values) - size]
     above = np.flatnonzero(values >= kth)
     return above[np.argsort(-values[above], kind="stable")][:size]
-
-
-def _pivots_in_block(S, threshold, most):
-    """At most `most` pivots of a small matrix above a threshold, and their lower root (LAPACK)."""
-    factor, pivots, rank, _ = lapack.dpstrf(S, tol=threshold, lower=1)
-    rank = min(rank, most)
-    return pivots[:rank] - 1, np.tril(factor[:rank, :rank])
 
 
 def psd_root(K):

@@ -30,14 +30,9 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 # Variance of groups' constants over that of an observation's noise: below, they are none; above,
 # nothing is left of a group's mean. Where the search for it starts.
 RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
-# Relative error of a standard deviation of the constants that is given.
-GIVEN_TO = 0.05
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
-# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised: 0.3
-# of a spread for 20 features, whose noise is not followed, and 0.9 for three, whose function is.
-# The likelihood weighs the size of the data by itself; what it does not know is from how many
-# features one was picked. A price that grows with the rows gave up a weak interaction
-# (``benchmarks/bench_noise.py``).
+# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised. A
+# price that grows with the rows gave up a weak interaction (``benchmarks/bench_noise.py``).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 
 
@@ -54,7 +49,6 @@ class Task(NamedTuple):
     length_scale: np.ndarray | None = None  # (d,) given widths
     alpha: np.ndarray | None = None  # (q,) given ridges
     constants: bool = False  # whether groups have constants
-    constant_std: np.ndarray | None = None  # (q,) their standard deviation, where it is given
 
     @property
     def n_widths(self):
@@ -120,19 +114,13 @@ def objective(task, theta, data, kernel, kappa=KAPPA):
     penalty, of_penalty = _penalty(widths, signals.mean(), of_signals.mean(axis=0), floor, narrow)
     value += penalty
     gradient += of_penalty
-    noise = signals * np.exp(log_alpha)
-    of_log_noise = of_signals / signals[:, None]
-    of_log_noise[:, alphas] += np.eye(len(noise))[:, : task.n_alphas]
     if task.n_alphas:
         # Noise below a part of the targets' variance has to be shown.
+        noise = signals * np.exp(log_alpha)
+        of_log_noise = of_signals / signals[:, None]
+        of_log_noise[:, alphas] += np.eye(task.n_alphas)
         value += DOUBT * np.log1p(SILENT / noise).sum()
         gradient -= DOUBT * (SILENT / (SILENT + noise)) @ of_log_noise
-    if task.constant_std is not None:
-        # The variance of the constants is given, and so is its ratio to that of the noise.
-        off = 0.5 * np.log(ratio * noise / task.constant_std**2) / GIVEN_TO
-        of_log_noise[:, -1] += 1.0
-        value += 0.5 * np.square(off).sum()
-        gradient += 0.5 * (off / GIVEN_TO) @ of_log_noise
     return value, gradient
 
 

@@ -171,10 +171,10 @@ class Network:
         return self._roots[self.alpha[output]]
 
     def _seen(self, X, K):
-        """Outputs of one ridge, its A and B, and A k and B (t, k) at some rows."""
+        """Outputs of one ridge, and A k and B (t, k) at some rows."""
         columns = np.hstack([self.tail(X), K])
         for alpha, (A, B) in self._roots.items():
-            yield np.flatnonzero(self.alpha == alpha), A, B, K @ A.T, columns @ B.T
+            yield np.flatnonzero(self.alpha == alpha), K @ A.T, columns @ B.T
 
     def predict(self, X: np.ndarray) -> np.ndarray:
         """Mean (n, q) at rows (n, d)."""
@@ -185,7 +185,7 @@ class Network:
         variance = np.empty((len(X), len(self.alpha)))
         size = _CHUNK_OF_STD if self.all_rows else _CHUNK
         for part in chunks(len(X), size // max(len(self.centers), 1)):
-            for of, _, _, inside, solved in self._seen(X[part], self.radial(X[part])):
+            for of, inside, solved in self._seen(X[part], self.radial(X[part])):
                 outside = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
                 of_weights = np.square(solved).sum(axis=1) + float(with_noise)
                 variance[part, of] = np.outer(outside, self.signal_variance[of])
@@ -197,7 +197,7 @@ class Network:
         n, Z = len(X), self.scaled(X)
         found = np.empty((n, n, len(self.alpha)))
         prior, diagonal = kernel_matrix(Z, Z, self.kernel), np.diag_indices(n)
-        for of, _, _, inside, solved in self._seen(X, self.radial(X)):
+        for of, inside, solved in self._seen(X, self.radial(X)):
             outside = prior - inside @ inside.T
             outside[diagonal] = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
             of_weights = solved @ solved.T
@@ -225,42 +225,19 @@ class Network:
                 draws[:, i] += noise * rng.standard_normal((len(X), n_samples))
         return draws
 
-    def gradient(
-        self, X: np.ndarray, of_variance: bool = False
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Derivatives (n, q, d) of the mean by the features, and if asked for of the variance."""
-        if of_variance and not np.all(np.isfinite(self.noise_variance)):
-            raise ValueError("The noise variance is infinite: it has no derivatives.")
+    def gradient(self, X: np.ndarray) -> np.ndarray:
+        """Derivatives (n, q, d) of the mean by the features."""
         n, (q, k) = len(X), self.coef.T.shape
-        of_mean = np.empty((n, q, len(self.length_scale)))
-        found = np.empty_like(of_mean)
+        found = np.empty((n, q, len(self.length_scale)))
         for part in chunks(n, _CHUNK // max(k, 1)):
             Z = self.scaled(X[part])
             s = squared_distances(Z, self._scaled_centers[1])
-            K, slope = KERNELS[self.kernel](s, slope=True)
+            slope = KERNELS[self.kernel](s, slope=True)[1]
             for i in range(q):
-                of_mean[part, i] = self.polynomial[1:, i] + self._along(Z, slope * self.coef[:, i])
-            if of_variance:
-                found[part] = self._variance_gradient(X[part], Z, K, slope)
-        return of_mean, found if of_variance else None
-
-    def _along(self, Z, G):
-        """Sum over centres j of G_ij d s_ij / d x_i, s the squared distance, (n, d)."""
-        along = Z * G.sum(axis=1, keepdims=True) - G @ self._scaled_centers[1]
-        return 2 * along / self.length_scale
-
-    def _variance_gradient(self, X, Z, K, slope):
-        """Derivatives of the variance, whose noise does not depend on x, (n, q, d)."""
-        p, found = len(self.tail_map), np.empty((len(X), len(self.alpha), X.shape[1]))
-        for of, A, B, inside, solved in self._seen(X, K):
-            # Where the span explains all of the prior variance its part is rounding, held at 0.
-            positive = np.square(inside).sum(axis=1) < 1
-            of_inside, of_solved = (inside @ A) * positive[:, None], solved @ B
-            for i in of:
-                by_columns = 2 * self.noise_variance[i] * of_solved
-                by_kernel = by_columns[:, p:] - 2 * self.signal_variance[i] * of_inside
-                found[:, i] = self._along(Z, by_kernel * slope)
-                found[:, i] += by_columns[:, :p] @ self.tail_map[:, 1:]
+                G = slope * self.coef[:, i]
+                # The sum over centres j of G_ij d s_ij / d x_i, s the squared distance.
+                along = Z * G.sum(axis=1, keepdims=True) - G @ self._scaled_centers[1]
+                found[part, i] = self.polynomial[1:, i] + 2 * along / self.length_scale
         return found
 
 

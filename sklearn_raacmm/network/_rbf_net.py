@@ -14,9 +14,9 @@ from sklearn_raacmm.network._fit import fit_outputs
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import (
+    check_alpha,
     check_kernel,
     check_length_scale,
-    of_each_output,
     read_rows,
 )
 from sklearn_raacmm.network._robust_loss import reweigh
@@ -119,9 +119,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
     noise_variance_, signal_variance_, group_std_ : float or ndarray of shape (n_outputs,)
         Variance of the noise of one observation, and variance of the function, in squared units of
         `y`; standard deviation of the groups' constants, in units of `y`.
-
-    relevance_ : ndarray of shape (n_features,)
-        Slope along each feature, per standard deviation of the feature, as a share of the sum.
 
     log_marginal_likelihood_value_ : float
         Log marginal likelihood, in nats, of the rows on which `fit` compared kernels and widths,
@@ -232,7 +229,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         y: ArrayLike,
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | None = None,
-        group_std: ArrayLike | None = None,
     ) -> Self:
         """Choose structure, widths, ridge and centres, and fit the weights.
 
@@ -251,10 +247,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. The variance of these constants is found
             with the widths. Where groups' mean targets are not small beside the scatter within,
-            they are a part of the function, and labels change nothing, unless `group_std` is given.
-
-        group_std : float or array-like of shape (n_outputs,), default=None
-            Standard deviation of groups' constants, in the units of y, where it is known.
+            they are a part of the function, and labels change nothing.
 
         Returns
         -------
@@ -264,11 +257,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Raises
         ------
         ValueError
-            If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
-            negative or all are 0; if a feature, whose width is to be found, has numbers 3e6 spreads
-            apart; if `length_scale` does not fit the features, or is so narrow or wide that double
-            precision does not resolve the kernel; if `alpha` is 0 and `n_centers` is to be found;
-            if `groups` has missing labels, or X more than 100 000 rows with them.
+            If X or y hold NaN or infinity; if a weight is negative or all are 0; if a feature
+            whose width is to be found has numbers 3e6 spreads apart; if `length_scale` does not fit
+            X, or is so narrow or wide that double precision does not resolve the kernel;
+            if `alpha` is 0 and `n_centers` is to be found; if `groups` has missing labels, or X
+            more than 100 000 rows with them.
 
         Warns
         -----
@@ -280,22 +273,17 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """
         for name in _SOMETIMES:
             self.__dict__.pop(name, None)
-        labelled = self._fit_weighted(X, y, sample_weight, groups, group_std)
+        labelled = self._fit_weighted(X, y, sample_weight, groups)
         if self.loss != "squared":
-            reweigh(self, X, y, sample_weight, groups if labelled else None, group_std)
+            reweigh(self, X, y, sample_weight, groups if labelled else None)
         return self
 
-    def _fit_weighted(self, X, y, sample_weight, groups, group_std, labelled=None):
+    def _fit_weighted(self, X, y, sample_weight, groups, labelled=None):
         """Fit by least squares with given weights; return whether groups have constants."""
-        if group_std is not None:
-            if groups is None:
-                raise ValueError("group_std is given without groups, whose constants it is of.")
-            labelled = True
         rng = check_random_state(self.random_state)
         rows, elsewhere = read_rows(self, X, y, sample_weight, groups, labelled, rng)
         q = rows.Y.shape[1]
-        alpha = of_each_output("alpha", self.alpha, q)
-        group_std = of_each_output("group_std", group_std, q)
+        alpha = check_alpha(self.alpha, q)
         widths = check_length_scale(self.length_scale, rows.X, q, alpha, self.shared)
         if self.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
             raise ValueError(
@@ -308,10 +296,10 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         for of in parts:  # each as if it were alone
             rng.set_state(state)
             width = widths if widths is None or widths.ndim == 1 else widths[of[0]]
-            ridge, std = (None if given is None else given[of] for given in (alpha, group_std))
-            given = kernels[of[0]], width, ridge, std
+            ridge = None if alpha is None else alpha[of]
+            given = kernels[of[0]], width, ridge
             found.append(fit_outputs(self, rows, elsewhere, of, *given, rng))
-        fits, slopes, values = zip(*found, strict=True)
+        fits, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
         if values[0] is not None:
             self.log_marginal_likelihood_value_: float = sum(values)
@@ -321,9 +309,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.criterion_path_: np.ndarray = np.concatenate(paths)
         self.stop_reason_ = ", ".join(reasons)
         self.n_iter_: int = sum(max(map(len, pair)) for pair in zip(centers, paths, strict=True))
-        slope = np.sqrt(sum(slopes))
-        total = slope.sum()
-        self.relevance_: np.ndarray = slope / total if 0 < total < np.inf else np.zeros(len(slope))
         return rows.codes is not None
 
     @overload
@@ -440,11 +425,7 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
 
-    @overload
-    def predict_gradient(self, X: ArrayLike, return_variance: Literal[True]) -> Pair: ...
-    @overload
-    def predict_gradient(self, X: ArrayLike) -> Floats: ...
-    def predict_gradient(self, X: ArrayLike, return_variance: bool = False) -> Any:
+    def predict_gradient(self, X: ArrayLike) -> Floats:
         """Derivatives of the prediction by the features, in closed form.
 
         Parameters
@@ -452,31 +433,19 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         X : array-like of shape (n_samples, n_features)
             Rows.
 
-        return_variance : bool, default=False
-            Also return the derivatives of the predictive variance. The noise does not depend on
-            the features, so that it is the same for an observation and for the mean.
-
         Returns
         -------
         gradient : ndarray of shape (n_samples, n_features) or (n_samples, n_outputs, n_features)
             Of the mean, in units of y per unit of X.
 
-        variance_gradient : ndarray of the same shape
-            Of the variance, where asked for.
-
         Raises
         ------
         ValueError
             If the model is not fitted; if X has another number of features than in fit, or holds
-            NaN or infinity; if the derivatives of an infinite variance are asked for, as after a
-            fit to one observation.
+            NaN or infinity.
         """
         X = self._checked_rows(X)
-        parts = [network.gradient(X, return_variance) for network in self.networks_]
-        of_mean = self._shaped([part for part, _ in parts], axis=1)
-        if not return_variance:
-            return of_mean
-        return of_mean, self._shaped([part for _, part in parts], axis=1)
+        return self._shaped([network.gradient(X) for network in self.networks_], axis=1)
 
     def _checked_rows(self, X) -> np.ndarray:
         return check_features(self, X, dtype=np.float64, reset=False)
@@ -486,9 +455,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         order = np.argsort(np.concatenate([network.outputs for network in self.networks_]))
         values = np.take(np.concatenate(parts, axis=axis), order, axis=axis)
         return values.take(0, axis=axis) if self._flat else values
-
-    def _numbers(self, name):
-        return self._shaped([getattr(network, name) for network in self.networks_])
 
     def _by_network(self, name):
         """A number of the only network, or of each output's."""
@@ -532,11 +498,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     @property
     def noise_variance_(self) -> np.ndarray:
-        return self._numbers("noise_variance")
+        return self._shaped([network.noise_variance for network in self.networks_])
 
     @property
     def signal_variance_(self) -> np.ndarray:
-        return self._numbers("signal_variance")
+        return self._shaped([network.signal_variance for network in self.networks_])
 
     @property
     def group_std_(self) -> np.ndarray:

@@ -50,8 +50,6 @@ def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
         X, y = X.compute(), np.asarray(y)
         sample_weight = None if sample_weight is None else np.asarray(sample_weight)
     X, y = check_data(estimator, X, y)
-    _refuse_tiny("X", X)
-    _refuse_tiny("y", y)
     weights = check_weights(sample_weight, X)
     estimator._flat = y.ndim == 1
     Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
@@ -61,19 +59,6 @@ def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
     if labelled is None and codes is not None:
         labelled = are_deviations(Y, codes, weights)
     return merge(X, Y, weights, codes=codes if labelled else None), None
-
-
-def _refuse_tiny(name, array):
-    """Refuse columns of numbers so small that their squares underflow."""
-    if not array.size:
-        return
-    size = np.maximum(array.max(axis=0), -array.min(axis=0))
-    tiny = (size > 0) & (size < 1 / LARGEST**2)
-    if np.any(tiny):
-        raise ValueError(
-            f"{name} holds a column of numbers no larger than {np.min(size[tiny]):g}: numbers "
-            f"below {1 / LARGEST**2:g} are refused, as their squares underflow. Use a smaller unit."
-        )
 
 
 def check_kernel(kernel, length_scale, n_outputs):
@@ -126,16 +111,16 @@ def check_length_scale(length_scale, X, n_outputs, alpha, shared):
     return width
 
 
-def of_each_output(name, given, n_outputs):
-    """A number that may be given, not negative, as an array of one for each output; or None."""
-    if given is None or isinstance(given, str):
+def check_alpha(alpha, n_outputs):
+    """Ridge of every output (q,); None where it is to be found."""
+    if isinstance(alpha, str):
         return None
-    values = floats(name, given)
+    values = floats("alpha", alpha)
     if values.ndim > 1 or (values.ndim == 1 and len(values) != n_outputs):
         raise ValueError(
-            f"{name} has shape {values.shape}; it must be a number or have one entry for each of "
+            f"alpha has shape {values.shape}; it must be a number or have one entry for each of "
             f"the {n_outputs} outputs."
         )
     if not np.all((values >= 0) & np.isfinite(values)):
-        raise ValueError(f"{name} must be finite and not negative; got {given!r:.60}.")
+        raise ValueError(f"alpha must be finite and not negative; got {alpha!r:.60}.")
     return np.broadcast_to(values, n_outputs).copy()

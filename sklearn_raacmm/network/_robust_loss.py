@@ -15,9 +15,8 @@ from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weig
 CUT = 5.5
 # Fits at most: slips are clear after the second, and what comes and goes near the limit is not.
 MAX_FITS = 4
-# Nats for each target by which the robust loss has to lead, of the other rows and of far ones with
-# a variance of their own: tails, whose mean far rows are a part of, lead by less, and slips of
-# 1 mm by more. And the share of far rows above which they are no slips.
+# Nats for each target by which the robust loss has to lead: tails lead by less, slips of 1 mm by
+# more. And the share of far rows above which they are no slips.
 LEAD, MOST_FAR = 1.0, 0.125
 # Mean change of the weights at which they have settled.
 SETTLED = 5e-3
@@ -47,7 +46,7 @@ def biweights(residuals, weights, codes=None):
     return np.square(np.maximum(1 - np.square(far / CUT), 0.0))
 
 
-def reweigh(estimator, X, y, sample_weight, groups, group_std):
+def reweigh(estimator, X, y, sample_weight, groups):
     """Fit again with weights by the residuals, until these settle; "auto" if evidence is for it."""
     auto, first = estimator.loss == "auto", dict(vars(estimator))
     if auto and (is_dask(X) or "log_marginal_likelihood_value_" not in first):
@@ -66,7 +65,7 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):
             break
-        estimator._fit_weighted(X, y, given * factor, groups, group_std, True)
+        estimator._fit_weighted(X, y, given * factor, groups, True)
         if auto and i == 0:
             n, far = counted.sum(), residuals[(factor == 0) & counted]
             plain, robust = (
@@ -74,20 +73,16 @@ def reweigh(estimator, X, y, sample_weight, groups, group_std):
             )
             lead = evidence(robust, n, far) - evidence(plain, n, far[:0])
             if lead < LEAD * n * targets.shape[1]:
-                return _restore(estimator, first)
+                estimator.__dict__ = first
+                return
     if auto and np.sum(factor[counted] == 0) > MOST_FAR * counted.sum():
-        return _restore(estimator, first)
+        estimator.__dict__ = first
+        return
     if np.any(factor < 1):
         parts = (network.with_noise(1 / NORMAL_SQUARE) for network in estimator.networks_)
         estimator.networks_ = tuple(parts)
     estimator.row_weight_ = factor
     report_findings(many_without_weight(factor[counted]))
-
-
-def _restore(estimator, fitted):
-    """Give an estimator the attributes of an earlier fit."""
-    vars(estimator).clear()
-    vars(estimator).update(fitted)
 
 
 def evidence(value, n, far):

@@ -39,11 +39,10 @@ from sklearn_raacmm.utils import stage, warn_user
 # Kernels that `kernel="auto"` chooses from.
 AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 # Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
-# all: there the second would take as long as that costs (``benchmarks/bench_rows.py --cliffs``).
+# all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
-# Starts: all widths in units of sqrt(d) spreads, as even the nearest of many neighbours is about
-# sqrt(d) spreads away; and the ridge.
+# Starts: all widths, in units of sqrt(d) spreads, and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
 # Width from which on a start is that of a smooth function.
 WIDE = 0.7
@@ -52,19 +51,16 @@ HOPELESS = 0.3
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
-# Nats, evidence and leave-one-out density together, by which a kernel may trail on the rows of the
-# second stage before its search there: one trailed by 1.4 on 300 rows and led by 150 on 1000.
+# Nats by which a kernel may trail on the rows of the second stage before its search there: one
+# trailed by 1.4 on 300 rows and led by 150 on 1000.
 TRAILING = 20.0
-# Nats by which a kernel other than the first has to lead in the end, lest noise be followed: with
-# none a function was found in pure noise in 6 of 25 tables; errors with 3, 6 and 10 differ by less
-# than 2 % (``benchmarks/bench_noise.py --margins``).
+# Nats by which a kernel other than the first has to lead in the end, lest noise be followed
+# (``benchmarks/bench_noise.py --margins``).
 KERNEL_MARGIN = 10.0
-# And for each observation: rougher kernels take centres by the hundred, which 1 % of the error in
-# evidence and in what is left out, 0.02 nats, is not worth.
+# And for each observation: rougher kernels take centres by the hundred, for 1 % of the error.
 KERNEL_MARGIN_OF_ROW = 0.02
-# Nats by which a process without the features whose width ended at its upper bound has to lead. The
-# price of features is worth 1 to 5, for up to 8 % more error on borehole8; on tables without noise
-# it leads by 70 to 240.
+# Nats by which a process without the features whose width ended at its upper bound has to lead: 1
+# to 5 is the price of features alone, 70 to 240 were found on tables without noise.
 FLAT_MARGIN = 10.0
 # Rows of a last stage, and its steps, where so many parameters a row show a rough function.
 FINE_ROWS, FINE_STEPS, ROUGH = 2000, 12, 0.25
@@ -74,13 +70,11 @@ CONSTANTS_MARGIN = 20.0
 # chosen on the same rows.
 TRUSTED = 10
 # Nats by which a linear model has to be better than what else was found, for being one candidate
-# more. On 45 simulated functions with 5 to 250 rows, 1 gained more on linear ones and lost up to
-# 7 % of the error on average over smooth ones with 8 to 12 rows, where 2 lost 1 %.
+# more: on smooth functions of 8 to 12 rows 1 lost 7 % of the error, 2 lost 1 %.
 LINEAR_MARGIN = 2.0
 # Variances of groups' constants over that of the noise that are tried beside a linear part.
 RATIOS = np.append(0.0, 4.0 ** np.arange(-6, 5))
-# Range of a feature, in spreads, from which squared distances are off by 2e-3. From 1e7 on
-# there were kernel matrices of simulated tables without a Cholesky factor.
+# Range of a feature, in spreads, from which squared distances are off by 2e-3.
 _MAX_SPREADS = 3e6
 # For a feature's spread: quantiles, and the multiple of their distance that is far outside of them.
 TENTHS, OUTLYING = (0.1, 0.9), 3.0
@@ -107,14 +101,13 @@ def search(
     length_scale: np.ndarray | None = None,
     isotropic: bool = False,
     alpha: np.ndarray | None = None,
-    constant_std: np.ndarray | None = None,
     may_be_linear: bool = False,
     random_state: Any = None,
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
-    The data are distinct rows with targets in units of their spread. Given may be widths (d,),
-    ridges (q,) and standard deviations of groups' constants (q,).
+    The data are distinct rows with targets in units of their spread. Given may be widths (d,)
+    or ridges (q,).
     """
     X, (d, q) = data.X, (data.X.shape[1], data.Y.shape[1])
     spread = robust_spread(X, data.weights)
@@ -127,13 +120,13 @@ def search(
         width = silent_widths(spread, used) if length_scale is None else length_scale
         return Structure(kernels[0], width, np.ones(q) if alpha is None else alpha)
     data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-    constants = data.codes is not None and bool(data.codes.any() or constant_std is not None)
-    task = Task(spread, used, q, isotropic, length_scale, alpha, constants, constant_std)
+    constants = data.codes is not None and bool(data.codes.any())
+    task = Task(spread, used, q, isotropic, length_scale, alpha, constants)
     sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     few, many = (data.rows(data.draw(size, random_state)) for size in sizes)
     first, *others = kernels
     theta = _coarse(task, first, few)
-    if constants and constant_std is None:
+    if constants:
         # Constants explain what a function does between groups, too, and need not be there.
         plain = task._replace(constants=False)
         other = _coarse(plain, first, few)

@@ -68,9 +68,3 @@ def test_more_centres_on_demand_raise_the_rank(monkeypatch):
 
     errors = [error(p) for p in (few.predict(T), many.predict(T), exact)]
     assert errors[1] < 1.02 * errors[2] < errors[0]
-
-
-def test_a_limit_of_the_users_own_is_no_warning():
-    X, y, _ = rough(300)
-    model = RBFNetRegressor(**GIVEN, max_centers=20).fit(X, y)
-    assert model.stop_reason_ == "max_centers"

@@ -25,22 +25,6 @@ def some_data(n=40, q=2, seed=0):
 THETA = np.array([0.1, 0.4, -0.2, -1.0, -3.0])
 
 
-def test_gradient_by_ridge_where_the_triangle_is_inverted_by_halves():
-    # Odd numbers of rows, above the size of the last block: the trace of the inverse is in it.
-    data, kernel = some_data(n=301, q=1), "matern32"
-    _, gradient, _, _ = exact_likelihood(data, kernel, THETA[:3], THETA[3:4])
-    Z = data.X * np.exp(-THETA[:3])
-    alpha, noise = np.exp(THETA[3]), np.diag(1 / data.weights)
-    C = kernel_matrix(Z, Z, kernel) + alpha * noise
-    inverse, y = np.linalg.inv(C), data.Y[:, 0]
-    solved = inverse @ y
-    quadratic = y @ solved + data.within[0] / alpha
-    fall = solved @ noise @ solved + data.within[0] / alpha**2
-    more = data.n_total / len(y) - 1  # observations that merging took out
-    expected = np.sum(inverse * noise) + more * len(y) / alpha - data.n_total * fall / quadratic
-    assert np.isclose(gradient[3], 0.5 * alpha * expected, rtol=1e-9)
-
-
 @pytest.mark.parametrize("constants", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS))
 def test_gradients_against_finite_differences(name, constants):

@@ -9,11 +9,10 @@ from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend
-from sklearn_raacmm.network._candidates import _projected_triangle
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import Data, left_out, log_likelihood
 from sklearn_raacmm.network._linear import RIDGES, linear_evidence
-from sklearn_raacmm.network._rows import merge, prepare
+from sklearn_raacmm.network._rows import prepare
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -129,29 +128,6 @@ def test_a_given_ridge_leaves_the_linear_part_free():
     np.testing.assert_allclose(found.predict(X), np.full(60, 2.0), rtol=1e-14)
 
 
-def test_features_beside_a_tail_with_a_ridge():
-    """The small triangle holds what a dense projection of all rows and the ridge's leaves."""
-    X, Y = linear(60, 4, 2.0, q=2)
-    problem = prepare(merge(X, Y, np.ones(60)), 1, True)
-    assert len(problem.basis_rows) == 4
-
-    def features(block):
-        return block.root * np.sin(block.rows.X[:, :3])
-
-    blocks = []
-    problem.reduce(lambda b: blocks.append((b.basis, b.targets, features(b))), lambda *_: None, 8)
-    Q, y, F = (np.vstack(parts) for parts in zip(*blocks, strict=True))
-    np.testing.assert_allclose(Q[-4:], problem.basis_rows)
-    np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
-    y = y / problem.spread
-    assert not np.any(y[-4:])
-    assert not np.any(F[-4:])
-    left = F - Q @ (Q.T @ F)
-    R, rotated = _projected_triangle(problem, features, 3)
-    np.testing.assert_allclose(R.T @ R, left.T @ left, rtol=1e-9)
-    np.testing.assert_allclose(R.T @ rotated, left.T @ y, rtol=1e-9, atol=1e-9)
-
-
 def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():
     X, Y = linear(30, 8, 1.0, q=2)
     weights = np.random.default_rng(2).uniform(0.5, 2, 30)
@@ -200,16 +176,6 @@ def test_default_is_as_good_as_a_linear_model_where_the_data_are_linear(n, d, no
     default, constant, ridge = errors.mean(axis=1)
     assert default < 1.15 * ridge
     assert default < 1.02 * constant
-
-
-def test_relevance_and_intervals_of_a_linear_model():
-    X, Y = linear(540, 4, 1.0)
-    y, learn, test = Y[:, 0], slice(0, 40), slice(40, 540)
-    model = RBFNetRegressor().fit(X[learn], y[learn])
-    slope = np.abs(model.linear_coef_) * X[learn].std(axis=0)
-    np.testing.assert_allclose(model.relevance_, slope / slope.sum(), rtol=1e-9)
-    mean, std = model.predict(X[test], return_std=True)
-    assert 0.9 < np.mean(np.abs(y[test] - mean) < 1.96 * std) < 0.99
 
 
 def test_value_of_a_linear_model_does_not_depend_on_the_unit_of_y():

@@ -9,13 +9,11 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._candidates import candidates_of
 from sklearn_raacmm.network._kernels import (
     KERNELS,
     kernel_matrix,
     pivoted_cholesky,
     psd_root,
-    squared_distances,
 )
 from sklearn_raacmm.network._least_squares import (
     first_weights,
@@ -23,11 +21,7 @@ from sklearn_raacmm.network._least_squares import (
     stack_triangles,
     triangular_factor,
 )
-from sklearn_raacmm.network._rows import merge, prepare
-from sklearn_raacmm.network._search import Structure
 from sklearn_raacmm.network._selection import forward_selection
-
-WIDE = Structure("gaussian", np.full(2, 0.5), np.zeros(1))
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -166,35 +160,6 @@ def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
     np.testing.assert_allclose(reduction, np.square(target)[indices])
 
 
-def test_candidates_that_explain_nothing_are_chosen_once_each():
-    target = np.array([[0.0], [5.0], [0.0], [0.0]])
-    candidates = np.eye(4)
-    candidates[2] = 0.0
-    indices, _, stop = forward_selection(candidates, target, 1e-10, 9)
-    np.testing.assert_array_equal(indices, [1, 0, 3])
-    assert stop == "dependent"
-    indices, reduction, _ = forward_selection(0 * candidates, target, 1e-10, 9)
-    assert reduction.shape == (0, 1)
-    np.testing.assert_array_equal(candidates[indices], np.empty((0, 4)))
-
-
-def test_reductions_are_by_how_much_the_objective_falls():
-    X, Y, weights = problem(2, n=80)
-    problem_ = prepare(merge(X, Y, weights), 0)
-    candidates = candidates_of(problem_, np.arange(80), WIDE, 0.0, 80)
-    indices, reduction, _ = forward_selection(*candidates[:3], 6)
-    root = np.sqrt(weights)[:, None]
-    order = problem_.rows.first[indices]  # rows are sorted there
-    K = kernel_matrix(X / 0.5, X[order] / 0.5, "gaussian")
-    left = []
-    for k in range(7):
-        A = root * np.hstack([np.ones((80, 1)), K[:, :k]])
-        left.append(np.square(root * Y - A @ np.linalg.lstsq(A, root * Y, rcond=None)[0]).sum(0))
-    falls = -np.diff(left, axis=0)
-    shares = reduction / reduction[0]
-    np.testing.assert_allclose(shares, falls / falls[0], rtol=1e-4)
-
-
 def test_residual_is_that_of_extended_precision_on_wide_widths():
     # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
     rng = np.random.default_rng(1)
@@ -234,22 +199,6 @@ def test_order_is_that_of_extended_precision_where_columns_are_nearly_dependent(
     np.testing.assert_array_equal(model.center_indices_, chosen)
 
 
-def test_stops_at_dependent_candidates_where_fastcan_goes_on():
-    rng = np.random.default_rng(2)
-    x = rng.uniform(-1, 1, 50)
-    y = np.sin(5 * x) + 0.05 * rng.standard_normal(50)
-    K = np.exp(-0.5 * (x[:, None] - x) ** 2 / 3.0**2)
-    chosen = FastCan(30, verbose=0).fit(K, y[:, None]).indices_
-    model = RBFNetRegressor(30, length_scale=3.0, alpha=0).fit(x[:, None], y)
-    assert model.stop_reason_ == "dependent"
-
-    def condition(S):
-        columns = K[:, S] - K[:, S].mean(axis=0)
-        return np.linalg.cond(columns / np.linalg.norm(columns, axis=0))
-
-    assert condition(model.center_indices_) < 1e13 < 1e15 < condition(chosen)
-
-
 @pytest.mark.parametrize("name", list(KERNELS))
 def test_pivoted_cholesky_reaches_its_tolerance(name):
     Z = np.random.default_rng(0).uniform(-2, 2, (300, 2))
@@ -286,14 +235,6 @@ def test_kernel_slope_is_the_derivative(name):
     value, slope = function(s.copy(), slope=True)
     np.testing.assert_allclose(slope, numeric, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(value, function(s.copy()), rtol=1e-14)
-
-
-def test_squared_distances():
-    rng = np.random.default_rng(0)
-    A, B = rng.standard_normal((30, 4)), rng.standard_normal((20, 4))
-    np.testing.assert_allclose(
-        squared_distances(A, B), cdist(A, B, "sqeuclidean"), rtol=1e-12, atol=1e-13
-    )
 
 
 @pytest.mark.parametrize("alphas", [[0.0, 0.0], [0.3, 0.3], [0.02, 0.7]])
