@@ -43,7 +43,7 @@ _LEAST_GROWING_MM = 1.0
 _LONG_RUN = 24
 # What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
 # moves it, in parts of that: F L^2 / (6 E I).
-OF_END = 0.5
+_OF_END = 0.5
 
 
 class Terms(NamedTuple):
@@ -123,7 +123,7 @@ def _gravity(arm):
             for load in [*before, *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                size = unit * (OF_END if load < frame else 1.0)
+                size = unit * (_OF_END if load < frame else 1.0)
                 yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 

@@ -14,7 +14,6 @@ from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
     LOAD,
-    OF_END,
     Terms,
     factored_columns,
     levers,
@@ -122,7 +121,6 @@ class LinearModel:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
-        others = other_columns(self.arm, self.terms)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
         shapes["gauge_free_half"] = ("columns", "rank")
         shapes["fading_half"] = ("columns", "fading")
@@ -132,21 +130,7 @@ class LinearModel:
                 f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
                 f"{self.arm.n_joints}."
             )
-        n = 2 * len(pairs) + len(others)
-        # Files of before tubes sloped at their ends have no columns for it: these explain nothing.
-        ends = [c.kind == LOAD and c.load < c.frame for c in others]
-        slopes = 2 * len(pairs) + np.flatnonzero(ends)
-        if np.shape(self.coef) == (n - len(slopes),):
-            kept = np.delete(np.arange(n), slopes)
-            for name in ("coef", "half", "gauge_free_half", "fading_half"):
-                values = np.zeros((n, *np.shape(state[name])[1:]))
-                values[kept] = state[name]
-                vars(self)[name] = values
-        elif "scale_sd" not in state:  # those of the first files with them had twice the unit
-            size = np.ones(n)
-            size[slopes] = 1 / OF_END
-            for name in ("coef", "half", "gauge_free_half", "fading_half"):
-                vars(self)[name] = (np.transpose(state[name]) * size).T
+        n = 2 * len(pairs) + len(other_columns(self.arm, self.terms))
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
     @property
