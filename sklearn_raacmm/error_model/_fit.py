@@ -55,6 +55,12 @@ _SHARES = np.arange(0.0, 0.99, 0.02)
 # Rows of which that is compared at a time: 5 MB for an array of all shares.
 _ROWS_OF_NOISE = 4096
 
+# What the weights leave of the noise variance, of normal errors in three coordinates: E[w d^2] /
+# (3 E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution, whose moments are 1,
+# 3, 15 and 105; beyond the limit c the density is next to nothing.
+_C2 = TUKEY_CUT**2
+_SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**2))
+
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
 # Steps of the other variances at each, and rounds with a fit at what was found
@@ -244,8 +250,7 @@ def fit_linear_model(rows, terms, with_field) -> Any:
         unused |= {least}
     model = model_of(rows.weighted(factor), terms, state)
     if np.any(factor < 1):
-        noise = model.noise_variance / _share_of_noise(rows.y.shape[1])
-        model = replace(model, noise_variance=noise)
+        model = replace(model, noise_variance=model.noise_variance / _SHARE_OF_NOISE)
     return Fitted(_with_noise_of_angles(model, rows.weighted(factor)), state, factor, rows)
 
 
@@ -279,18 +284,6 @@ def _with_noise_of_angles(model, rows):
     return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))
 
 
-def _share_of_noise(n):
-    """What the weights of the poses leave of the noise variance, of normal errors in n coordinates.
-
-    E[w d^2] / (n E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution; beyond
-    the limit c the density is next to nothing.
-    """
-    c2 = TUKEY_CUT**2
-    moment = np.cumprod([1.0, n, n + 2, n + 4])  # E[d^0], E[d^2], E[d^4], E[d^6]
-    whole = moment[0] - 2 * moment[1] / c2 + moment[2] / c2**2
-    return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
-
-
 def _fit(rows, terms, structures) -> tuple[Any, Any]:
     """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
@@ -320,8 +313,8 @@ def _beside_field(rows, terms, structures, sums, state, factor):
 
 def of_pairs(terms, structures, lines, pairs):
     """Terms, structures, and which are lines, where some pairs are the only candidates."""
-    share = None if structures.share is None else structures.share[pairs]
     few = terms._replace(harmonics=terms.harmonics[pairs])
+    share = None if structures.share is None else structures.share[pairs]
     structures = structures._replace(price=structures.price[pairs], share=share)
     return few, structures, np.flatnonzero(np.isin(pairs, lines))
 

@@ -188,25 +188,13 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
 
 
 def place_fields(arm, terms):
-    """Coefficients whose effect is the same at all poses that reach a point.
+    """Coefficients (n_columns, k) whose effect is the same at all poses that reach a point.
 
-    Parameters
-    ----------
-    arm : Arm
-    terms : Terms
-
-    Returns
-    -------
-    ndarray of shape (n_columns, k)
-        One column for each field that the model can make, of up to eleven: see `_fields`. Those of
-        harmonics and of extra columns are 0.
+    One column for each field that the model can make, of up to eleven: see `_fields`.
     """
     own = _fields_of_others(arm, terms._replace(harmonics=(), extra=()))
-    n = 2 * len(terms.harmonics) + len(term_names(arm, terms)[0])
-    found = np.zeros((n, own.shape[1]))
-    start = 2 * len(terms.harmonics)
-    found[start : start + len(own)] = own
-    return found
+    before, n = 2 * len(terms.harmonics), len(other_columns(arm, terms))
+    return np.pad(own, ((before, n - len(own)), (0, 0)))
 
 
 def _fields(points, up):

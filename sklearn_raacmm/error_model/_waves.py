@@ -123,14 +123,11 @@ def _parts_of_positions(codes):
 
 def _joint_spans(offered):
     """(joint, orders, columns) for each joint with candidates."""
-    joints = offered[:, 0]
-    if np.any(np.diff(joints) < 0):
-        raise ValueError("The harmonics offered must be sorted by joint.")
-    spans = []
-    for joint in np.unique(joints).tolist():
-        low, high = np.searchsorted(joints, [joint, joint + 1])
-        spans.append((joint, offered[low:high, 1], slice(low, high)))
-    return spans
+    joints, starts = np.unique(offered[:, 0], return_index=True)
+    spans = map(slice, starts.tolist(), [*starts[1:].tolist(), len(offered)])
+    return [
+        (joint, offered[span, 1], span) for joint, span in zip(joints.tolist(), spans, strict=True)
+    ]
 
 
 def _weighted_deviations(columns, weights, starts, known):
@@ -181,12 +178,11 @@ def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
         theta, turn, weight = angles[rows], turns[rows], weights[rows]
         phase = order * theta[:, joints]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-        columns = None
         if starts is not None:
             columns = turn[:, :, twice] * wave[:, None]
             columns = _weighted_deviations(columns, weight, starts, known)
         for sums, (joint, _, _) in zip(found, spans, strict=True):
-            if columns is None:  # the turns of the joints alone are contracted
+            if starts is None:  # the turns of the joints alone are contracted
                 along = np.einsum("ncj,nc->nj", turn, weight[:, None] * turn[:, :, joint])
                 share = np.take(along, twice, axis=1) * wave
             else:
