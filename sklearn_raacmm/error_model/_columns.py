@@ -12,6 +12,7 @@ the export to C writes the same table into its source.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,13 +85,7 @@ class Column(NamedTuple):
     reference: float = 0.0  # what is taken off that column before
 
 
-_NUMBERS = np.dtype(
-    [
-        (name, float if kind is float else int)
-        for name, kind in Column.__annotations__.items()
-        if name != "name"
-    ]
-)
+_NUMBERS = np.dtype([(name, kind) for name, kind in [*Column.__annotations__.items()][1:]])
 
 
 def _first_frame(arm):
@@ -209,11 +204,10 @@ def _extra(arm, extra):
 @lru_cache(maxsize=64)
 def _columns_of_causes(arm, causes):
     """Columns that are no harmonics, in their order; `causes` are `Terms` without harmonics."""
-    columns = [*_gravity(arm)] if causes.gravity else []
-    columns += _kinematics(arm) if causes.kinematics else []
-    columns += _wobble(arm) if causes.wobble else []
-    columns += _extra(arm, causes.extra)
-    return tuple(columns)
+    wanted = causes.gravity, causes.kinematics, causes.wobble
+    families = compress((_gravity, _kinematics, _wobble), wanted)
+    own = [column for family in families for column in family(arm)]
+    return *own, *_extra(arm, causes.extra)
 
 
 def other_columns(arm, terms):

@@ -325,7 +325,8 @@ def _settled(rows, terms, structures, sums, state, factor):
     few, structures, lines = of_pairs(terms, structures, state.lines, pairs)
     some = (sums_of_pairs(sums[0], pairs), None)
     for _ in range(_ROUNDS):
-        old, new = factor, _pose_weights(rows, _expected(rows, few, state), factor)
+        left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
+        old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
@@ -335,12 +336,6 @@ def _settled(rows, terms, structures, sums, state, factor):
         found = problem.with_variances(start, _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
     return state, factor, rows.sums_after(sums, before, factor, terms)
-
-
-def _pose_weights(rows, expected, factor):
-    """Tukey's weights of the poses, by what is left of them beside their position's mean."""
-    left = centred(rows.y - expected, rows.codes, rows.weights * factor)
-    return tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
 
 
 def _expected(rows, terms, state):

@@ -83,7 +83,9 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
             share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
             sums.add(angles[rows, joint], share)
         own += _own_blocks(turns[rows], angles[rows], weights[rows], starts, spans, known)
-    cross = _products(cross, len(gram))
+    # Inner products of the columns with all candidates, of which there may be none.
+    products = [np.empty((len(gram), 0)), *(joint_sums.result() for joint_sums in cross)]
+    cross = np.concatenate(products, axis=1)
 
     def rows_of(pairs):
         pairs, size = offered[pairs], _LARGEST_BATCH
@@ -141,13 +143,6 @@ def _weighted_deviations(columns, weights, starts, known):
     return weighted
 
 
-def _products(sums, n_columns):
-    """Inner products of the columns with all candidates, (m, 2 n_pairs)."""
-    if not sums:
-        return np.empty((n_columns, 0))
-    return np.concatenate([joint_sums.result() for joint_sums in sums], axis=1)
-
-
 def _own_blocks(turns, angles, weights, starts, spans, known):
     """cos'cos, sin'sin and cos'sin of each candidate, (3, n_pairs)."""
     out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
@@ -188,7 +183,7 @@ def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
             else:
                 share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
             sums.add(theta[:, joint], share)
-    return _products(found, 2 * len(pairs))
+    return np.concatenate([sums.result() for sums in found], axis=1)
 
 
 class _WaveSums:

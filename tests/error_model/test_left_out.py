@@ -200,7 +200,7 @@ def test_distance_std_is_that_of_the_difference():
     line = test.arm.forward(X2) - test.arm.forward(X1)
     line /= np.linalg.norm(line, axis=1, keepdims=True)
     along = np.einsum("nc,ncp->np", line, linear.columns(X2) - linear.columns(X1))
-    expected = np.sqrt(np.einsum("np,pq,nq->n", along, linear.covariance, along))
+    expected = np.sqrt(np.einsum("np,pq,nq->n", along, linear.half @ linear.half.T, along))
     assert_allclose(model.distance_std(X1, X2), linear.std_scale * expected)
     assert_allclose(model.distance_std(X2, X1), model.distance_std(X1, X2))
     assert_array_equal(model.distance_std(X1, X1), 0)
