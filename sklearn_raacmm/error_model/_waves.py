@@ -173,11 +173,12 @@ def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
         theta, turn, weight = angles[rows], turns[rows], weights[rows]
         phase = order * theta[:, joints]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+        columns = None
         if starts is not None:
             columns = turn[:, :, twice] * wave[:, None]
             columns = _weighted_deviations(columns, weight, starts, known)
         for sums, (joint, _, _) in zip(found, spans, strict=True):
-            if starts is None:  # the turns of the joints alone are contracted
+            if columns is None:  # the turns of the joints alone are contracted
                 along = np.einsum("ncj,nc->nj", turn, weight[:, None] * turn[:, :, joint])
                 share = np.take(along, twice, axis=1) * wave
             else:

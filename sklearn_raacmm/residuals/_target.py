@@ -205,10 +205,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             X, y, groups, codes, fit_params = _poses(X, y, groups, codes, fit_params)
         features, direction = self._split(X)
         if self._rotates:
-            weights, arm = np.ones(len(y)), self._arm()
-            angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
-            offsets = codes is not None and are_deviations(y, codes, weights)
-            report_findings(check_targets(y, weights, arm, angles, codes, offsets))
+            self._check_residuals(X, y, codes)
             y = to_cylindrical(y, direction)
         routing = get_config()["enable_metadata_routing"]
         if routing:
@@ -338,6 +335,13 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
                 )
             return X, (np.cos(azimuth), np.sin(azimuth))
         return X, None
+
+    def _check_residuals(self, X, y, codes):
+        """Say what is wrong with the targets, by the arm where the azimuth is that of an arm."""
+        weights, arm = np.ones(len(y)), self._arm()
+        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+        offsets = codes is not None and are_deviations(y, codes, weights)
+        report_findings(check_targets(y, weights, arm, angles, codes, offsets))
 
     def _get_regressor(self):
         if isinstance(self.regressor, type):
