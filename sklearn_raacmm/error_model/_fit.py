@@ -178,19 +178,16 @@ def fit_with_constants(rows, positions, terms, with_field):
     # Deviations from a row of the position are as large as its rows scatter, at most.
     within = centred(rows.y, positions, rows.weights)
     scatter = float(np.sqrt(np.average(np.square(within).sum(axis=1), weights=rows.weights)))
-    report_findings(
-        [
-            Finding(
-                "constants-of-positions",
-                f"The positions differ by constants of {size:.2g} mm each (root mean square) that "
-                "the causes of the model do not explain.",
-                "How well are the references known, and is a cause missing? The constants are not "
-                "taken for the arm's.",
-                "doubt" if size > 2 * scatter else "note",
-                size_mm=size,
-            )
-        ]
+    said = (
+        f"The positions differ by constants of {size:.2g} mm each (root mean square) that the "
+        "causes of the model do not explain."
     )
+    advice = (
+        "How well are the references known, and is a cause missing? The constants are not taken "
+        "for the arm's."
+    )
+    weight = "doubt" if size > 2 * scatter else "note"
+    report_findings([Finding("constants-of-positions", said, advice, weight, size_mm=size)])
     if not known:
         return fitted
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))
@@ -218,10 +215,10 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
         problem = Problem(given.sums(few)[0], structures)
         return problem.with_variances(problem.state(*start), _CONSTANT_STEPS).log_evidence
 
-    n = rows.y.shape[1] * len(total)
+    n = 3 * len(total)
     found = {np.inf: evidence(rows)}
     for known in _KNOWN.tolist():
-        taken = 0.5 * rows.y.shape[1] * np.log1p(total / known).sum() + 0.5 * np.log(n)
+        taken = 1.5 * np.log1p(total / known).sum() + 0.5 * np.log(n)
         found[known] = evidence(rows._replace(codes=positions, known=known)) - taken
     squares = np.square(group_means(rows.y, positions, rows.weights)) * total[:, None]
     least = _LEAST_MEANS * np.average(np.square(rows.y).mean(axis=1), weights=rows.weights)
