@@ -437,9 +437,8 @@ class ArmResidualRegressor(
     def with_arm(self, arm: Arm) -> Self:
         """Move the fitted model to another probe.
 
-        A correction of the joints belongs to every probe: each cause is multiplied by the Jacobian
-        of the new one. Find its vector by a registration through the correction: :func:`calibrate`
-        with ``correction=model, free=["probe"]`` moves the model by itself.
+        Each cause is multiplied by the Jacobian of the new probe. A registration through the
+        correction finds its vector: :func:`calibrate` with ``correction=model, free=["probe"]``.
 
         Parameters
         ----------
@@ -518,9 +517,8 @@ class ArmResidualRegressor(
         --------
         >>> from sklearn_raacmm import ArmResidualRegressor
         >>> from sklearn_raacmm.datasets import make_single_point
-        >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
-        >>> model = ArmResidualRegressor(test.arm, orders=4)
-        >>> model = model.fit(test.data, test.target, groups=test.groups)
+        >>> test = make_single_point(6, 25)  # simulated
+        >>> model = ArmResidualRegressor(test.arm, orders=4).fit(test.data, test.target)
         >>> model.sample_y(test.data[:10], 200, random_state=0).shape
         (10, 3, 200)
         """
@@ -546,14 +544,12 @@ class ArmResidualRegressor(
         points : array-like of shape (n, 3)
             In the arm's base frame, mm.
         start : array-like of shape (n, n_joints + n_extra) or (1, n_joints + n_extra)
-            Poses to begin at, in the unit that the model takes, such as those of a program that
-            knows nothing of the correction (:meth:`Arm.angles_for`); then the extra columns. Of all
-            the angles that reach a point those near the start are taken, within ``arm_.limits``
-            where the arm has some.
+            Poses to begin at, in the unit that the model takes, such as those of
+            :meth:`Arm.angles_for`; then the extra columns. Of all the angles that reach a point
+            those near the start are taken, within ``arm_.limits`` where the arm has some.
         orientations : array-like of shape (n, 3, 3), default=None
-            Rotation matrix that the arm's last frame is to have in its base. It is corrected, too,
-            as far as the model knows: what it predicts at probes of other lengths says how much the
-            last link is turned. None: any.
+            Rotation matrix that the arm's last frame is to have in its base. It is corrected, too:
+            predictions at probes of other lengths say how much the last link is turned. None: any.
 
         Returns
         -------

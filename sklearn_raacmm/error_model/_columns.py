@@ -106,10 +106,10 @@ def _gravity(arm):
     """Turns of each frame about each of its axes, by the torque of each load beyond.
 
     With e the `vertical`, the torque of unit weight about the axis u through o is
-    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. A cantilever does
-    not only turn where it is held: its end slopes, too, about the axis of the torque that a load at
-    its beginning would have about its end. Hence the frame before, in a smaller unit, but for the
-    last frame: with it a longer probe than the one that was learnt came out four times worse.
+    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. The end of a
+    cantilever slopes, too, about the axis of the torque that a load at its beginning would have
+    about its end. Hence the frame before, in a smaller unit, but for the last frame: with it a
+    longer probe than the one that was learnt came out four times worse.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
     for frame in range(n + 1):
@@ -126,8 +126,7 @@ def _kinematics(arm):
     """Changes of the table, of where the base stands, and turns beta about y beside those about x.
 
     A length moves the probe along the axis that carries it; an angle turns it about that axis. A
-    tracker shows where the base stands; whoever fitted it did so with the other errors there. A
-    table has no beta, for most axes do without; parallel ones do not (Hayati).
+    table has no beta, which parallel axes need (Hayati).
     """
     n, first, length = arm.n_joints, _first_frame(arm), ARCSEC * reach_mm(arm)
     # Row i goes along and about z of one of its two frames, and x of the other.

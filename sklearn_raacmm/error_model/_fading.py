@@ -32,7 +32,6 @@ class Fading:
 
     With s the doubt at a pose, mm, it is ``most size^2 / (size^2 + factor^2 max(0, s^2 -
     known^2))``: Wiener's factor for errors of the size of the residuals, known to this uncertainty.
-    With the length of the correction for their size it would not vanish far away, where both grow.
 
     Attributes
     ----------

@@ -147,10 +147,10 @@ class Fitted(NamedTuple):
 def fit_with_constants(rows, positions, terms, with_field):
     """Fit the model, and constants of the positions of the variance that the evidence asks for.
 
-    A reference against a tracker or a certificate may be off by a constant in each position.
-    Columns of the arm can tell such constants from the arm's own differences between positions,
-    since these are the same function of the angles everywhere. With the variance v of the constants
-    and s of the noise a constant is drawn to 0 as by rows of the weight s / v.
+    A reference may be off by a constant in each position. The arm's own differences between
+    positions are told from these, for they are the same function of the angles everywhere. With the
+    variance v of the constants and s of the noise a constant is drawn to 0 as by rows of the weight
+    s / v.
 
     `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
     those given less their constants, or with positions of which nothing is known.

@@ -53,9 +53,8 @@ _NOTHING = 1e-6
 def without_motions(sums, arm, terms):
     """Sums that know nothing of a motion of the base and of a common scale of all lengths.
 
-    Residuals of a single-point test are the deviations of the points themselves. A turn of the base
-    turns them, and a scale multiplies them: an arm of no size would explain them all, and with many
-    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen.
+    To first order in the errors a single-point test shows neither. Of its deviations, which a scale
+    multiplies, the evidence would prefer an arm of no size.
     """
     if not terms.kinematics:
         return sums
@@ -74,9 +73,9 @@ def without_motions(sums, arm, terms):
 def length_equations(arm, angles, weights, codes, terms, lengths):
     """Known lengths between positions as rows of the linear model, an `Extra`.
 
-    The mean points of two positions, corrected, are a known length apart: the difference of their
-    corrections along the line between them is what the measured length is too long. `lengths` hold
-    two positions, their distance and its standard deviation, mm.
+    The difference of the corrections of two positions along the line between them is what the
+    measured length is too long. `lengths` hold two positions, their distance and its standard
+    deviation, mm.
     """
     first, second, length, sd = (np.array(part) for part in zip(*lengths, strict=True))
     used, ends = np.unique([first, second], return_inverse=True)
@@ -201,9 +200,8 @@ def _fields(points, up):
     """Three shifts, three turns, a scale, a stretch across z, and the base bent about its axes.
 
     (3 n, 10 or 11) of length 1 each, at points (n, 3). The torque of a weight at p about the axis e
-    of the base is -(e x p) . up: none about the vertical. In an upright arm the second joint's axis
-    is horizontal and turns with the arm: to bend about it is to bend about x and y together with a
-    stretch, for it lies above the base.
+    of the base is -(e x p) . up. In an upright arm to bend about the second joint's axis, which is
+    horizontal and above the base, is to bend about x and y together with a stretch.
     """
     x, y, _ = points.T
     fields = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
