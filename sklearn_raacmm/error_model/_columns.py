@@ -12,6 +12,7 @@ the export to C writes the same table into its source.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ _LEAST_GROWING_MM = 1.0
 _LONG_RUN = 24
 # What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
 # moves it, in parts of that: F L^2 / (6 E I).
-OF_END = 0.5
+_OF_END = 0.5
 
 
 class Terms(NamedTuple):
@@ -84,13 +85,7 @@ class Column(NamedTuple):
     reference: float = 0.0  # what is taken off that column before
 
 
-_NUMBERS = np.dtype(
-    [
-        (name, float if kind is float else int)
-        for name, kind in Column.__annotations__.items()
-        if name != "name"
-    ]
-)
+_NUMBERS = np.dtype([(name, kind) for name, kind in [*Column.__annotations__.items()][1:]])
 
 
 def _first_frame(arm):
@@ -111,10 +106,10 @@ def _gravity(arm):
     """Turns of each frame about each of its axes, by the torque of each load beyond.
 
     With e the `vertical`, the torque of unit weight about the axis u through o is
-    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. A cantilever does
-    not only turn where it is held: its end slopes, too, about the axis of the torque that a load at
-    its beginning would have about its end. Hence the frame before, in a smaller unit, but for the
-    last frame: with it a longer probe than the one that was learnt came out four times worse.
+    u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. The end of a
+    cantilever slopes, too, about the axis of the torque that a load at its beginning would have
+    about its end. Hence the frame before, in a smaller unit, but for the last frame: with it a
+    longer probe than the one that was learnt came out four times worse.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
     for frame in range(n + 1):
@@ -123,7 +118,7 @@ def _gravity(arm):
             for load in [*before, *range(frame + 1, n + 2)]:
                 at = "probe" if load > n else f"frame {load}"
                 name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                size = unit * (OF_END if load < frame else 1.0)
+                size = unit * (_OF_END if load < frame else 1.0)
                 yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 
@@ -131,8 +126,7 @@ def _kinematics(arm):
     """Changes of the table, of where the base stands, and turns beta about y beside those about x.
 
     A length moves the probe along the axis that carries it; an angle turns it about that axis. A
-    tracker shows where the base stands; whoever fitted it did so with the other errors there. A
-    table has no beta, for most axes do without; parallel ones do not (Hayati).
+    table has no beta, which parallel axes need (Hayati).
     """
     n, first, length = arm.n_joints, _first_frame(arm), ARCSEC * reach_mm(arm)
     # Row i goes along and about z of one of its two frames, and x of the other.
@@ -209,11 +203,10 @@ def _extra(arm, extra):
 @lru_cache(maxsize=64)
 def _columns_of_causes(arm, causes):
     """Columns that are no harmonics, in their order; `causes` are `Terms` without harmonics."""
-    columns = [*_gravity(arm)] if causes.gravity else []
-    columns += _kinematics(arm) if causes.kinematics else []
-    columns += _wobble(arm) if causes.wobble else []
-    columns += _extra(arm, causes.extra)
-    return tuple(columns)
+    wanted = causes.gravity, causes.kinematics, causes.wobble
+    families = compress((_gravity, _kinematics, _wobble), wanted)
+    own = [column for family in families for column in family(arm)]
+    return *own, *_extra(arm, causes.extra)
 
 
 def other_columns(arm, terms):

@@ -10,13 +10,11 @@ import numpy as np
 
 from sklearn_raacmm.utils import Finding, centred, group_means, report_findings
 
-# Factor of the standard deviation with a reference for every pose: Wiener's. With 2 instead 25
-# simulated errors at poses of real arms leave 3 % and 11 % more.
-_OF_TRACKER = 1.0
-# In single-point tests: so many times the factor by which errors at positions left out have widened
-# the standard deviation; 1 where too few positions can be left out, and at most 1
+# Factor of the standard deviation: Wiener's. With 2 instead 25 simulated errors at poses of real
+# arms leave 3 % and 11 % more. In single-point tests so many times the factor by which errors at
+# positions left out have widened the standard deviation, where that is less
 # (``benchmarks/bench_few_poses.py``).
-_OF_WIDENED, _MOST = 0.3, 1.0
+_MOST, _OF_WIDENED = 1.0, 0.3
 # The fewest positions at which a share is found: of three the rest is hardly the model that is
 # judged. With fewer a correction is used as a whole, if it helped at each of them.
 LEAST_POSITIONS = 4
@@ -32,7 +30,6 @@ class Fading:
 
     With s the doubt at a pose, mm, it is ``most size^2 / (size^2 + factor^2 max(0, s^2 -
     known^2))``: Wiener's factor for errors of the size of the residuals, known to this uncertainty.
-    With the length of the correction for their size it would not vanish far away, where both grow.
 
     Attributes
     ----------
@@ -77,11 +74,10 @@ def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0):
     """
     y = centred(y, codes, weights)
     if factor == "auto":
-        factor = _OF_TRACKER
-        if codes is not None:
+        factor = _MOST
+        if codes is not None and codes.max() + 1 >= LEAST_POSITIONS:
             # A flat optimum has few reliable digits; corrections must not depend on the others.
-            few = codes.max() + 1 < LEAST_POSITIONS
-            factor = _MOST if few else min(round(_OF_WIDENED * widening, 3), _MOST)
+            factor = min(round(_OF_WIDENED * widening, 3), _MOST)
     size = np.sqrt(np.average(np.square(y).sum(axis=1), weights=weights))
     return Fading(float(size), float(factor))
 
@@ -115,10 +111,13 @@ def judge(
     def deviations(left):
         return group_means(np.linalg.norm(left, axis=1)[kept], places, weights[kept])
 
+    def gains_of(share):
+        gains = without - deviations(y - share * used)
+        return gains, gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
+
     without = deviations(y)
     if n < LEAST_POSITIONS:
-        gains = without - deviations(y - used)
-        error = gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
+        gains, error = gains_of(1.0)
         most = float(gains.mean() > max(error, _LEAST_GAIN * without.mean()) and gains.min() > 0)
     else:
         size = max(weights @ np.square(used).sum(axis=1), 1e-300)
@@ -128,8 +127,7 @@ def judge(
             error = np.linalg.norm(pulls) / size
             most = np.clip(before, most - error, most + error)
         most = float(np.clip(most, 0.0, 1.0))
-    gains = without - deviations(y - most * used)
-    error = gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
+    gains, error = gains_of(most)
     means = float(without.mean()), float((without - gains).mean())
     return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
 

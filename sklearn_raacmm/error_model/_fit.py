@@ -55,6 +55,12 @@ _SHARES = np.arange(0.0, 0.99, 0.02)
 # Rows of which that is compared at a time: 5 MB for an array of all shares.
 _ROWS_OF_NOISE = 4096
 
+# What the weights leave of the noise variance, of normal errors in three coordinates: E[w d^2] /
+# (3 E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution, whose moments are 1,
+# 3, 15 and 105; beyond the limit c the density is next to nothing.
+_C2 = TUKEY_CUT**2
+_SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**2))
+
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
 # Steps of the other variances at each, and rounds with a fit at what was found
@@ -141,10 +147,10 @@ class Fitted(NamedTuple):
 def fit_with_constants(rows, positions, terms, with_field):
     """Fit the model, and constants of the positions of the variance that the evidence asks for.
 
-    A reference against a tracker or a certificate may be off by a constant in each position.
-    Columns of the arm can tell such constants from the arm's own differences between positions,
-    since these are the same function of the angles everywhere. With the variance v of the constants
-    and s of the noise a constant is drawn to 0 as by rows of the weight s / v.
+    A reference may be off by a constant in each position. The arm's own differences between
+    positions are told from these, for they are the same function of the angles everywhere. With the
+    variance v of the constants and s of the noise a constant is drawn to 0 as by rows of the weight
+    s / v.
 
     `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
     those given less their constants, or with positions of which nothing is known.
@@ -172,19 +178,16 @@ def fit_with_constants(rows, positions, terms, with_field):
     # Deviations from a row of the position are as large as its rows scatter, at most.
     within = centred(rows.y, positions, rows.weights)
     scatter = float(np.sqrt(np.average(np.square(within).sum(axis=1), weights=rows.weights)))
-    report_findings(
-        [
-            Finding(
-                "constants-of-positions",
-                f"The positions differ by constants of {size:.2g} mm each (root mean square) that "
-                "the causes of the model do not explain.",
-                "How well are the references known, and is a cause missing? The constants are not "
-                "taken for the arm's.",
-                "doubt" if size > 2 * scatter else "note",
-                size_mm=size,
-            )
-        ]
+    said = (
+        f"The positions differ by constants of {size:.2g} mm each (root mean square) that the "
+        "causes of the model do not explain."
     )
+    advice = (
+        "How well are the references known, and is a cause missing? The constants are not taken "
+        "for the arm's."
+    )
+    weight = "doubt" if size > 2 * scatter else "note"
+    report_findings([Finding("constants-of-positions", said, advice, weight, size_mm=size)])
     if not known:
         return fitted
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))
@@ -212,10 +215,10 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
         problem = Problem(given.sums(few)[0], structures)
         return problem.with_variances(problem.state(*start), _CONSTANT_STEPS).log_evidence
 
-    n = rows.y.shape[1] * len(total)
+    n = 3 * len(total)
     found = {np.inf: evidence(rows)}
     for known in _KNOWN.tolist():
-        taken = 0.5 * rows.y.shape[1] * np.log1p(total / known).sum() + 0.5 * np.log(n)
+        taken = 1.5 * np.log1p(total / known).sum() + 0.5 * np.log(n)
         found[known] = evidence(rows._replace(codes=positions, known=known)) - taken
     squares = np.square(group_means(rows.y, positions, rows.weights)) * total[:, None]
     least = _LEAST_MEANS * np.average(np.square(rows.y).mean(axis=1), weights=rows.weights)
@@ -244,8 +247,7 @@ def fit_linear_model(rows, terms, with_field) -> Any:
         unused |= {least}
     model = model_of(rows.weighted(factor), terms, state)
     if np.any(factor < 1):
-        noise = model.noise_variance / _share_of_noise(rows.y.shape[1])
-        model = replace(model, noise_variance=noise)
+        model = replace(model, noise_variance=model.noise_variance / _SHARE_OF_NOISE)
     return Fitted(_with_noise_of_angles(model, rows.weighted(factor)), state, factor, rows)
 
 
@@ -279,18 +281,6 @@ def _with_noise_of_angles(model, rows):
     return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))
 
 
-def _share_of_noise(n):
-    """What the weights of the poses leave of the noise variance, of normal errors in n coordinates.
-
-    E[w d^2] / (n E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution; beyond
-    the limit c the density is next to nothing.
-    """
-    c2 = TUKEY_CUT**2
-    moment = np.cumprod([1.0, n, n + 2, n + 4])  # E[d^0], E[d^2], E[d^4], E[d^6]
-    whole = moment[0] - 2 * moment[1] / c2 + moment[2] / c2**2
-    return float((moment[1] - 2 * moment[2] / c2 + moment[3] / c2**2) / (n * whole))
-
-
 def _fit(rows, terms, structures) -> tuple[Any, Any]:
     """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
@@ -320,8 +310,8 @@ def _beside_field(rows, terms, structures, sums, state, factor):
 
 def of_pairs(terms, structures, lines, pairs):
     """Terms, structures, and which are lines, where some pairs are the only candidates."""
-    share = None if structures.share is None else structures.share[pairs]
     few = terms._replace(harmonics=terms.harmonics[pairs])
+    share = None if structures.share is None else structures.share[pairs]
     structures = structures._replace(price=structures.price[pairs], share=share)
     return few, structures, np.flatnonzero(np.isin(pairs, lines))
 
@@ -332,7 +322,8 @@ def _settled(rows, terms, structures, sums, state, factor):
     few, structures, lines = of_pairs(terms, structures, state.lines, pairs)
     some = (sums_of_pairs(sums[0], pairs), None)
     for _ in range(_ROUNDS):
-        old, new = factor, _pose_weights(rows, _expected(rows, few, state), factor)
+        left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
+        old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
@@ -342,12 +333,6 @@ def _settled(rows, terms, structures, sums, state, factor):
         found = problem.with_variances(start, _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
     return state, factor, rows.sums_after(sums, before, factor, terms)
-
-
-def _pose_weights(rows, expected, factor):
-    """Tukey's weights of the poses, by what is left of them beside their position's mean."""
-    left = centred(rows.y - expected, rows.codes, rows.weights * factor)
-    return tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
 
 
 def _expected(rows, terms, state):

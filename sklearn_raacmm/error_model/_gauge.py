@@ -53,9 +53,8 @@ _NOTHING = 1e-6
 def without_motions(sums, arm, terms):
     """Sums that know nothing of a motion of the base and of a common scale of all lengths.
 
-    Residuals of a single-point test are the deviations of the points themselves. A turn of the base
-    turns them, and a scale multiplies them: an arm of no size would explain them all, and with many
-    rows and a wide prior the evidence prefers it. To first order in the errors neither can be seen.
+    To first order in the errors a single-point test shows neither. Of its deviations, which a scale
+    multiplies, the evidence would prefer an arm of no size.
     """
     if not terms.kinematics:
         return sums
@@ -74,9 +73,9 @@ def without_motions(sums, arm, terms):
 def length_equations(arm, angles, weights, codes, terms, lengths):
     """Known lengths between positions as rows of the linear model, an `Extra`.
 
-    The mean points of two positions, corrected, are a known length apart: the difference of their
-    corrections along the line between them is what the measured length is too long. `lengths` hold
-    two positions, their distance and its standard deviation, mm.
+    The difference of the corrections of two positions along the line between them is what the
+    measured length is too long. `lengths` hold two positions, their distance and its standard
+    deviation, mm.
     """
     first, second, length, sd = (np.array(part) for part in zip(*lengths, strict=True))
     used, ends = np.unique([first, second], return_inverse=True)
@@ -188,34 +187,21 @@ def unseen_variance(model: Any, X: np.ndarray) -> np.ndarray:
 
 
 def place_fields(arm, terms):
-    """Coefficients whose effect is the same at all poses that reach a point.
+    """Coefficients (n_columns, k) whose effect is the same at all poses that reach a point.
 
-    Parameters
-    ----------
-    arm : Arm
-    terms : Terms
-
-    Returns
-    -------
-    ndarray of shape (n_columns, k)
-        One column for each field that the model can make, of up to eleven: see `_fields`. Those of
-        harmonics and of extra columns are 0.
+    One column for each field that the model can make, of up to eleven: see `_fields`.
     """
     own = _fields_of_others(arm, terms._replace(harmonics=(), extra=()))
-    n = 2 * len(terms.harmonics) + len(term_names(arm, terms)[0])
-    found = np.zeros((n, own.shape[1]))
-    start = 2 * len(terms.harmonics)
-    found[start : start + len(own)] = own
-    return found
+    before, n = 2 * len(terms.harmonics), len(other_columns(arm, terms))
+    return np.pad(own, ((before, n - len(own)), (0, 0)))
 
 
 def _fields(points, up):
     """Three shifts, three turns, a scale, a stretch across z, and the base bent about its axes.
 
     (3 n, 10 or 11) of length 1 each, at points (n, 3). The torque of a weight at p about the axis e
-    of the base is -(e x p) . up: none about the vertical. In an upright arm the second joint's axis
-    is horizontal and turns with the arm: to bend about it is to bend about x and y together with a
-    stretch, for it lies above the base.
+    of the base is -(e x p) . up. In an upright arm to bend about the second joint's axis, which is
+    horizontal and above the base, is to bend about x and y together with a stretch.
     """
     x, y, _ = points.T
     fields = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]

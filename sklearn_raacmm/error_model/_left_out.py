@@ -1,9 +1,8 @@
 """Models without one block of positions each: what intervals and the judgement are made of.
 
-A posterior knows only of the causes that are in its model, so that its standard deviations are too
-small wherever the model is not complete. Errors at positions that had no part in a fit show by how
-much, and whether the correction helps at all. Without a block the harmonics are chosen again, with
-the variances that the whole has found.
+Standard deviations of a posterior are too small where its model is not complete. Errors at
+positions that had no part in a fit show by how much, and whether the correction helps at all.
+Without a block the harmonics are chosen again, with the variances that the whole has found.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -108,9 +107,8 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
     """Model whose intervals are as wide as errors at positions left out ask for.
 
     Errors of a share of the correction in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the
-    posterior standard deviation, say what a and b are (see `interval_scales`), with weak priors. A
-    single-point test of fewer than four positions has them by their number alone; a tracker's model
-    is then left as it is.
+    posterior standard deviation, say what a and b are (see `interval_scales`). Of fewer than four
+    positions a single-point test has them by their number, and a tracker's model stays as it is.
     """
     n_positions, weights, codes = len(np.unique(positions)), rows.weights, rows.codes
     if left_out is None or n_positions < LEAST_POSITIONS:

@@ -14,7 +14,6 @@ from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
     LOAD,
-    OF_END,
     Terms,
     factored_columns,
     levers,
@@ -31,19 +30,10 @@ _CHUNK = 2**17
 # A root of which more than this share is not zero is worth being made a triangle.
 _FULL = 0.6
 
-_HARMONIC_DTYPE = np.dtype(
-    [
-        ("joint", "i4"),
-        ("order", "i4"),
-        ("amplitude_arcsec", "f8"),
-        ("phase_deg", "f8"),
-        ("cos_arcsec", "f8"),
-        ("sin_arcsec", "f8"),
-        ("cos_sd_arcsec", "f8"),
-        ("sin_sd_arcsec", "f8"),
-        ("log_bayes_factor", "f8"),
-    ]
-)
+_OF_HARMONICS = (
+    "joint", "order", "amplitude_arcsec", "phase_deg", "cos_arcsec", "sin_arcsec",
+    "cos_sd_arcsec", "sin_sd_arcsec", "log_bayes_factor",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +112,6 @@ class LinearModel:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         pairs = np.asarray(self.terms.harmonics)
-        others = other_columns(self.arm, self.terms)
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
         shapes["gauge_free_half"] = ("columns", "rank")
         shapes["fading_half"] = ("columns", "fading")
@@ -132,27 +121,8 @@ class LinearModel:
                 f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
                 f"{self.arm.n_joints}."
             )
-        n = 2 * len(pairs) + len(others)
-        # Files of before tubes sloped at their ends have no columns for it: these explain nothing.
-        ends = [c.kind == LOAD and c.load < c.frame for c in others]
-        slopes = 2 * len(pairs) + np.flatnonzero(ends)
-        if np.shape(self.coef) == (n - len(slopes),):
-            kept = np.delete(np.arange(n), slopes)
-            for name in ("coef", "half", "gauge_free_half", "fading_half"):
-                values = np.zeros((n, *np.shape(state[name])[1:]))
-                values[kept] = state[name]
-                vars(self)[name] = values
-        elif "scale_sd" not in state:  # those of the first files with them had twice the unit
-            size = np.ones(n)
-            size[slopes] = 1 / OF_END
-            for name in ("coef", "half", "gauge_free_half", "fading_half"):
-                vars(self)[name] = (np.transpose(state[name]) * size).T
+        n = 2 * len(pairs) + len(other_columns(self.arm, self.terms))
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of the coefficients, (n_columns, n_columns)."""
-        return self.half @ self.half.T
 
     @property
     def coef_sd(self) -> np.ndarray:
@@ -202,12 +172,10 @@ class LinearModel:
 
     @cached_property
     def _std_root(self):
-        """Root that standard deviations are made of."""
         return _triangle(self.gauge_free_half, len(self.terms.harmonics))
 
     @cached_property
     def _fading_root(self):
-        """Root that corrections fade by."""
         if np.array_equal(self.fading_half, self.gauge_free_half):
             return self._std_root
         return _triangle(self.fading_half, len(self.terms.harmonics))
@@ -285,13 +253,13 @@ class LinearModel:
         """Harmonics as a structured array, the largest first: see `ArmResidualRegressor`."""
         n = 2 * len(self.terms.harmonics)
         pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
-        table = np.empty(len(pairs), dtype=_HARMONIC_DTYPE)
-        table["joint"], table["order"] = np.add(self.terms.harmonics, (1, 0)).T
-        table["amplitude_arcsec"] = np.hypot(pairs[:, 0], pairs[:, 1])
-        table["phase_deg"] = np.rad2deg(np.arctan2(pairs[:, 1], pairs[:, 0]))
-        table["cos_arcsec"], table["sin_arcsec"] = pairs.T
-        table["cos_sd_arcsec"], table["sin_sd_arcsec"] = sds.T
-        table["log_bayes_factor"] = self.log_bayes_factor
+        kinds = ["i4"] * 2 + ["f8"] * 7
+        table = np.empty(len(pairs), dtype=[*zip(_OF_HARMONICS, kinds, strict=True)])
+        size, phase = np.hypot(*pairs.T), np.rad2deg(np.arctan2(*pairs.T[::-1]))
+        places = np.add(self.terms.harmonics, (1, 0)).T
+        values = *places, size, phase, *pairs.T, *sds.T, self.log_bayes_factor
+        for name, column in zip(_OF_HARMONICS, values, strict=True):
+            table[name] = column
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
     def term_table(self) -> Any:

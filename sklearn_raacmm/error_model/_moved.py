@@ -23,10 +23,11 @@ _PER_REACH = ("gravity", "force")
 
 def check_same_table(old, new):
     """Refuse an arm that differs from another one in more than its probe."""
-    if old.n_joints != new.n_joints or old.convention != new.convention:
+    kinds = [f"{arm.n_joints} joints, {arm.convention} DH" for arm in (old, new)]
+    if kinds[0] != kinds[1]:
         raise ValueError(
-            f"the correction is of an arm of {old.n_joints} joints, {old.convention} DH, and is to "
-            f"be moved to {new.n_joints} joints, {new.convention} DH: only the probe may differ."
+            f"the correction is of an arm of {kinds[0]}, and is to be moved to {kinds[1]}: only "
+            "the probe may differ."
         )
     for name in _TABLE:
         one, other = getattr(old, name), getattr(new, name)
@@ -69,15 +70,11 @@ def moved_model(linear, arm):
     prior_sd = {
         name: sd * ratio if name in _PER_REACH else sd for name, sd in linear.prior_sd.items()
     }
-    return replace(
-        linear,
-        arm=arm,
-        prior_sd=prior_sd,
-        coef=matrix @ linear.coef,
-        half=np.hstack([matrix @ linear.half, unknown]),
-        gauge_free_half=np.hstack([matrix @ linear.gauge_free_half, unknown]),
-        fading_half=np.hstack([matrix @ linear.fading_half, unknown]),
-    )
+    roots = {
+        name: np.hstack([matrix @ getattr(linear, name), unknown])
+        for name in ("half", "gauge_free_half", "fading_half")
+    }
+    return replace(linear, arm=arm, prior_sd=prior_sd, coef=matrix @ linear.coef, **roots)
 
 
 def turns_of(linear: Any, rows: np.ndarray) -> np.ndarray:

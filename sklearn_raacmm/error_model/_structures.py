@@ -72,8 +72,8 @@ def _named_orders(orders, n_joints):
         orders = [orders] * n_joints
     if len(orders) != n_joints:
         raise ValueError(
-            f"orders has {len(orders)} lists, but the arm has {n_joints} joints: give one list for "
-            "all joints, or one for each."
+            f"orders has {len(orders)} lists, but the arm has {n_joints} joints: give one for all, "
+            "or one for each."
         )
     for joint, own in enumerate(orders, start=1):
         bad = [k for k in own if not isinstance(k, Integral) or isinstance(k, bool) or k < 1]
@@ -130,6 +130,6 @@ def least_unused(state, family, unused):
     `family` is that of each column that is always in; `unused` have been put aside by now.
     """
     there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - unused
-    gains = {f: state.gain_of(np.flatnonzero(family == f)) for f in there}
-    least = min(gains, key=lambda name: gains[name], default=None)
-    return least if least is not None and gains[least] < _PRICE_OF_EXTRA else None
+    gains = [(state.gain_of(np.flatnonzero(family == f)), f) for f in there]
+    gain, least = min(gains, default=(_PRICE_OF_EXTRA, None))
+    return least if gain < _PRICE_OF_EXTRA else None

@@ -16,7 +16,6 @@ from sklearn_raacmm.error_model._structures import UNUSED_SD, WIDE_SD, structure
 from sklearn_raacmm.inference import Problem
 from sklearn_raacmm.utils import Finding, report_findings, stage
 
-_OF_ALWAYS = ("gram", "moment", "cross")
 _GOLDEN = (1 + np.sqrt(5)) / 2
 _AXES = np.array([[0, 1, _GOLDEN], [0, -1, _GOLDEN], [1, _GOLDEN, 0], [-1, _GOLDEN, 0],
                   [_GOLDEN, 0, 1], [_GOLDEN, 0, -1]]) / np.hypot(1, _GOLDEN)  # fmt: skip
@@ -135,15 +134,15 @@ def _climbed(up, step, value):
 def _sums_at(up, parts, loads):
     """Sums and known lengths at a direction, of those at the `_AXES`."""
     sums, lengths = zip(*parts, strict=True)
+    pairs = np.triu_indices(3)
     square = np.linalg.solve(
-        np.array([np.outer(axis, axis)[np.triu_indices(3)] for axis in _AXES]).T,
-        np.outer(up, up)[np.triu_indices(3)],
+        np.array([np.outer(axis, axis)[pairs] for axis in _AXES]).T, np.outer(up, up)[pairs]
     )
     linear = np.linalg.pinv(_AXES.T) @ up
     # Shares of the six in products with none, one and two columns of gravity.
     shares = np.array([np.eye(len(_AXES))[0], linear, square])
     one = loads.astype(int)
-    gram, moment, cross = (np.array([getattr(part, n) for part in sums]) for n in _OF_ALWAYS)
+    gram, moment, cross = (np.array(p) for p in zip(*(part[:3] for part in sums), strict=True))
     whole = sums[0]._replace(
         gram=np.einsum("ijp,pij->ij", shares[one[:, None] + one], gram),
         moment=np.einsum("ip,pi->i", shares[one], moment),

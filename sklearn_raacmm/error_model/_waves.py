@@ -83,7 +83,9 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
             share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
             sums.add(angles[rows, joint], share)
         own += _own_blocks(turns[rows], angles[rows], weights[rows], starts, spans, known)
-    cross = _products(cross, len(gram))
+    # Inner products of the columns with all candidates, of which there may be none.
+    products = [np.empty((len(gram), 0)), *(joint_sums.result() for joint_sums in cross)]
+    cross = np.concatenate(products, axis=1)
 
     def rows_of(pairs):
         pairs, size = offered[pairs], _LARGEST_BATCH
@@ -123,14 +125,11 @@ def _parts_of_positions(codes):
 
 def _joint_spans(offered):
     """(joint, orders, columns) for each joint with candidates."""
-    joints = offered[:, 0]
-    if np.any(np.diff(joints) < 0):
-        raise ValueError("The harmonics offered must be sorted by joint.")
-    spans = []
-    for joint in np.unique(joints).tolist():
-        low, high = np.searchsorted(joints, [joint, joint + 1])
-        spans.append((joint, offered[low:high, 1], slice(low, high)))
-    return spans
+    joints, starts = np.unique(offered[:, 0], return_index=True)
+    spans = map(slice, starts.tolist(), [*starts[1:].tolist(), len(offered)])
+    return [
+        (joint, offered[span, 1], span) for joint, span in zip(joints.tolist(), spans, strict=True)
+    ]
 
 
 def _weighted_deviations(columns, weights, starts, known):
@@ -142,13 +141,6 @@ def _weighted_deviations(columns, weights, starts, known):
         counts = np.diff(starts, append=len(weights))
         weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
     return weighted
-
-
-def _products(sums, n_columns):
-    """Inner products of the columns with all candidates, (m, 2 n_pairs)."""
-    if not sums:
-        return np.empty((n_columns, 0))
-    return np.concatenate([joint_sums.result() for joint_sums in sums], axis=1)
 
 
 def _own_blocks(turns, angles, weights, starts, spans, known):
@@ -192,7 +184,7 @@ def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
             else:
                 share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
             sums.add(theta[:, joint], share)
-    return _products(found, 2 * len(pairs))
+    return np.concatenate([sums.result() for sums in found], axis=1)
 
 
 class _WaveSums:

@@ -68,9 +68,8 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
     -----
     With O2 and O5 the origins of the shoulder and wrist frames, equations (4) to (6) of Gao et al.
     (2020), doi 10.1177/1729881420925638, come to
-    ``theta_dis = atan2(z5 - z2, hypot(x5 - x2, y5 - y2))``. It does not depend on joint 1.
-
-    Input in float32 gives output in float32; the kinematics is computed in float64.
+    ``theta_dis = atan2(z5 - z2, hypot(x5 - x2, y5 - y2))``. Input in float32 gives output in
+    float32; the kinematics is computed in float64.
 
     Examples
     --------

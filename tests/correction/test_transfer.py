@@ -94,7 +94,7 @@ def test_prior_against_the_textbook():
     common = 0.5 * 12.0**2 - variance / 2
     trust = common / (common + variance / 2)
     assert_allclose(start.coef, [trust * 12.0, 0.0], atol=0.05)
-    assert_allclose(np.diag(start.covariance), variance * (1 + trust / 2), rtol=0.01)
+    assert_allclose(np.diag(start.half @ start.half.T), variance * (1 + trust / 2), rtol=0.01)
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_gain_is_that_of_two_normal_densities(credulous):
     covariance = np.diag(np.repeat(np.square(tau) * start.prior_sd["harmonics"] ** 2, 4))
     mean, at = np.zeros(24), slice(8, 10)  # of joint 3 the first order
     mean[at] = start.coef
-    covariance[at, at] += start.covariance
+    covariance[at, at] += start.half @ start.half.T
     of_make = log_density(waves, mean, covariance, entry["noise_sd_mm"])
     prior = alone.prior_sd_["harmonics"] ** 2 * np.eye(2)
     of_poses = log_density(waves[:, :, 2, :2], np.zeros(2), prior, alone.noise_sd_)

@@ -84,46 +84,6 @@ def test_finds_what_was_put_in(eccentric):
     assert rms < 2 * model.noise_sd_ * np.sqrt(6 / y.size)
 
 
-def test_the_number_offered_hardly_matters(eccentric):
-    arm, theta, y, _ = eccentric
-    few, many = (ArmResidualRegressor(arm, orders=k, **ALONE).fit(theta, y) for k in (20, 100))
-    assert_array_equal(few.column_harmonics_, many.column_harmonics_)
-    assert_allclose(few.coef_, many.coef_, rtol=1e-2)
-
-
-@pytest.mark.exhaustive
-def test_standard_deviations_are_honest(eccentric):
-    """Over ten draws of the noise, the error of the prediction is what is said of it."""
-    arm, theta, _, truth = eccentric
-    model = ArmResidualRegressor(arm, orders=20)
-    new = draw_angles(arm, 30, seed=9)
-    error = np.zeros_like(new)
-    error[:, 1] = 6 * np.cos(new[:, 1] - np.deg2rad(40))
-    error[:, 3] = 4 * np.cos(17 * new[:, 3] + np.deg2rad(100))
-    error[:, 5] = 9 * np.sin(2 * new[:, 5])
-    expected = displaced(arm, new, error)
-    squares = []
-    for seed in range(10):
-        y = truth + np.random.default_rng(seed).normal(0, 0.003, truth.shape)
-        mean, std = model.fit(theta, y).predict(new, return_std=True)
-        squares.append(np.mean(((mean - expected) / std) ** 2))
-    assert 0.5 < np.mean(squares) < 2.0
-
-
-def test_uncertainty_grows_away_from_the_data(eccentric):
-    arm, theta, _, _ = eccentric
-    corner, error = 0.5 + 0.25 * theta, np.zeros_like(theta)
-    error[:, 1] = 6 * np.cos(corner[:, 1])
-    y = (
-        displaced(arm, corner, error)
-        + np.random.default_rng(0).normal(0, 0.003, theta.shape)[:, :3]
-    )
-    model = ArmResidualRegressor(arm).fit(corner, y)
-    inside = model.predict(corner, return_std=True)[1].mean()
-    outside = model.predict(-corner, return_std=True)[1].mean()
-    assert outside > 1.5 * inside
-
-
 def gauge_errors(gauge, correction, length):
     errors = gauge_lengths(gauge.points - correction, gauge.groups, gauge.pairs) - gauge.lengths
     return errors[gauge.lengths == length]
@@ -323,14 +283,6 @@ def test_kinematic_errors_come_back_in_their_units():
     assert len(model.harmonics_) <= 1
 
 
-def test_no_error_no_correction():
-    arm = ARMS["modified"]
-    theta = draw_angles(arm, 40)
-    model = ArmResidualRegressor(arm, orders=5).fit(theta, np.zeros((40, 3)))
-    assert_array_equal(model.predict(theta), 0)
-    assert len(model.harmonics_) == 0
-
-
 def test_is_a_scikit_learn_estimator(eccentric):
     arm, theta, y, _ = eccentric
     groups = np.arange(len(y)) % 8
@@ -367,19 +319,6 @@ def test_errors(eccentric):
     ]:
         with pytest.raises(ValueError, match=message):
             model.fit(X, target)
-
-
-def test_no_orders_need_be_offered():
-    """The other causes alone explain what they have done, and leave the noise."""
-    arm = Arm.from_name("aacmm6")
-    rng = np.random.default_rng(0)
-    theta = rng.uniform(-1.5, 1.5, (80, 6))
-    other = arm.replace(theta_offset=arm.theta_offset + 1e-4)
-    y = other.forward(theta) - arm.forward(theta) + rng.normal(scale=0.01, size=(80, 3))
-    model = ArmResidualRegressor(arm, orders=0, causes=["kinematics"]).fit(theta, y)
-    assert not len(model.harmonics_)
-    assert y.std() > 0.05
-    assert (y - model.predict(theta)).std() == pytest.approx(0.01, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -474,16 +413,3 @@ def test_score_is_that_of_deviations_within_positions():
     scattered = y + np.random.default_rng(0).normal(size=y.shape)
     with pytest.raises(ValueError, match="score got no groups"):
         model.score(X, scattered)
-
-
-def test_corrected_points_are_points_less_predictions():
-    test = make_single_point(n_positions=6, n_poses=12, random_state=4)
-    model = ArmResidualRegressor(test.arm, orders=4)
-    model.fit(test.data, test.target, groups=test.groups)
-    points, std = model.correct(test.data, test.points, return_std=True)
-    mean, expected = model.predict(test.data, return_std=True)
-    np.testing.assert_array_equal(points, test.points - mean)
-    np.testing.assert_array_equal(std, expected)
-    np.testing.assert_allclose(model.correct(test.data), points, atol=1e-9)
-    with pytest.raises(ValueError, match=r"points has shape \(3, 3\)"):
-        model.correct(test.data, test.points[:3])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm import Arm
 from sklearn_raacmm.error_model import LinearModel, Terms, term_columns
 from sklearn_raacmm.error_model._columns import factored_columns
 
@@ -60,18 +60,3 @@ def test_standard_deviations_need_no_full_root(n_orders):
     again = pickle.loads(pickle.dumps(model))
     assert "_std_root" not in vars(again)
     assert_allclose(again.predict(X, return_std=True)[1], expected, rtol=1e-11)
-
-
-def test_the_posterior_of_a_fit_is_a_triangle():
-    """Columns that are no harmonics, which cost most, have the shortest rows."""
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-2, 2, (150, 6))
-    y = np.einsum("nij,nj->ni", ARM.jacobian(X), 3e-5 * np.cos(5 * X))
-    y += rng.normal(scale=0.003, size=y.shape)
-    model = ArmResidualRegressor(ARM, orders=8).fit(X, y).linear_model_
-    n = len(model.coef)
-    assert len(model.terms.harmonics) >= 5
-    assert np.count_nonzero(model.half) <= n * (n + 1) / 2
-    assert model._std_root is model.gauge_free_half
-    others = model.half[2 * len(model.terms.harmonics) :]
-    assert np.count_nonzero(others) <= len(others) * (len(others) + 1) / 2

@@ -103,41 +103,13 @@ def test_intervals_of_few_positions_with_offsets():
     assert std.min() == pytest.approx(least, rel=0.2)  # robust weights leave some rows out
 
 
-@pytest.mark.parametrize("n_positions", [2, 3])
-def test_of_few_positions_each_has_to_gain(cones, n_positions):
-    theta, y, groups, _ = cones
-    rows = groups < n_positions
-    model = small().fit(theta[rows], y[rows], groups=groups[rows])
-    linear = model.linear_model_
-    assert model.judgement_.n_positions == n_positions
-    assert (linear.std_scale, linear.noise_scale) == (1.0, 1.0)  # too few to say how wide
-    # Judged by hand: each position by a model of the others.
-    gains = []
-    for one in range(n_positions):
-        rest = rows & (groups != one)
-        other = small(fade=0).fit(theta[rest], y[rest]).linear_model_
-        of = groups == one
-        share = model.fading_.share(other.predict_with_doubt(theta[of])[2])[:, None]
-        after = y[of] - share * other.predict(theta[of])[0]
-        gains.append(np.linalg.norm(y[of], axis=1).mean() - np.linalg.norm(after, axis=1).mean())
-    if np.min(gains) < -1e-3:
-        assert not model.helps_
-    if np.min(gains) > 1e-3:
-        assert model.helps_
-
-
-def test_one_position_is_not_left_out(cones):
+@pytest.mark.parametrize(("n_places", "n_positions"), [(40, 1), (1, 6)])
+def test_one_position_or_one_place_is_not_left_out(cones, n_places, n_positions):
     theta, y, *_ = cones
-    model = small().fit(theta[:40], y[:40], groups=np.zeros(40))
+    angles = np.resize(theta[:n_places], (40, 6))
+    model = small().fit(angles, y[:40], groups=np.arange(40) % n_positions)
     assert model.judgement_ is None
     assert model.helps_
-
-
-def test_positions_at_one_place_cannot_be_left_out():
-    angles = np.tile([[0.1, -0.4, 0.9, 0.2, 0.7, -0.3]], (30, 1))
-    residuals = 0.05 * np.random.default_rng(0).standard_normal((30, 3))
-    model = small().fit(angles, residuals, groups=np.repeat(np.arange(6), 5))
-    assert model.judgement_ is None
 
 
 CORNERS = {
@@ -255,12 +227,6 @@ def test_weights_are_repeats(cones):
         strict=True,
     ):
         assert_allclose(one, other, atol=1e-7)
-
-
-def test_positions_are_not_taken_for_weights(cones):
-    theta, y, groups, _ = cones
-    with pytest.raises(TypeError, match="positional argument"):
-        small().fit(theta, y, groups)
 
 
 # -- the share that is used -----------------------------------------------------------------------

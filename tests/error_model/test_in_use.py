@@ -65,29 +65,6 @@ def test_the_same_causes_move_another_probe(model):
     )
 
 
-def test_every_cause_is_the_same_by_differences(model):
-    """A change of the table by the model's kinematics, seen by the new probe, by differences."""
-    linear = model.with_arm(LONG).linear_model_
-    table, step = linear.term_table(), 1e-4
-    angles = rows(5, 2)[0]
-    columns, n_waves = linear.columns(angles), 2 * len(linear.terms.harmonics)
-    old = model.linear_model_
-    old_columns = old.columns(angles)
-    for name in ("d3", "a2", "theta_offset4"):
-        i = n_waves + table["name"].tolist().index(name)
-        field, joint = name[:-1], int(name[-1]) - 1
-        # How far the coefficient changes the table, by the old probe.
-        value = getattr(ARM, field).copy()
-        value[joint] += step
-        by_old = ARM.replace(**{field: value}).forward(angles[:, :6]) - ARM.forward(angles[:, :6])
-        amount = np.vdot(by_old / step, old_columns[:, :, i]) / np.vdot(
-            by_old / step, by_old / step
-        )
-        by_new = LONG.replace(**{field: value}).forward(angles[:, :6]) - LONG.forward(angles[:, :6])
-        expected = by_new / step * amount * old.coef[i]
-        assert_allclose(columns[:, :, i] * linear.coef[i], expected, rtol=1e-3, atol=1e-9)
-
-
 def test_degrees_give_the_same_model():
     """What stands beside the angles stays what it is."""
     X, y = rows(120, 8)

@@ -71,15 +71,3 @@ def test_intervals_hold_near_and_far():
     # One number for all poses would have held .99 near and .88 far.
     one = np.sqrt(np.mean(np.square(std)))
     assert np.mean(np.abs(y - mean)[order[:1000]] < 1.96 * one) > 0.975
-
-
-def test_model_of_before_has_one_number():
-    """A state without the share has the same noise at all poses."""
-    angles, y = noisy(0, 0.003, 1.0)
-    linear = ArmResidualRegressor(ARM, orders=0, causes=["gravity"]).fit(angles, y).linear_model_
-    state = linear.__getstate__()
-    for name in ("noise_of_angles", "lever_mm"):
-        del state[name]
-    old = object.__new__(type(linear))
-    old.__setstate__(state)
-    assert np.all(old.noise_ratio(angles[:5]) == 1)

@@ -5,7 +5,7 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import Terms, smooth_shares
+from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import ARCSEC
 from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
 from sklearn_raacmm.error_model._structures import offered_harmonics
@@ -31,14 +31,6 @@ def test_offered_orders():
     assert offered.tolist() == [[0, 1], [1, 2], [1, 3], [5, 500]]
     assert offered_harmonics(theta, [7, 1]).tolist() == [[j, k] for j in range(6) for k in (1, 7)]
     assert offered_harmonics(theta, 0).shape == (0, 2)
-
-
-def test_shares_of_a_smooth_function():
-    """Its second differences are bounded: shares fall with the fourth power of the order."""
-    share = smooth_shares(np.arange(1, 60))
-    assert np.all(np.diff(share[:48]) < 0)
-    assert not share[48:].any()
-    assert share[47] / share[31] == pytest.approx((32 / 48) ** 4, rel=0.5)
 
 
 @pytest.mark.parametrize(

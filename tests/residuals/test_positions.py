@@ -95,21 +95,6 @@ def test_a_gaussian_process_against_generalised_least_squares():
     assert_allclose(model.predict(new), kernel(new, X) @ weights, atol=1e-7)
 
 
-@pytest.mark.exhaustive
-def test_kernel_ridge_is_where_turns_end():
-    X, y, groups = deviations()
-    inner = KernelRidge(kernel="rbf", alpha=0.3, gamma=0.5)
-    predicted = plain(inner).fit(X, y, groups=groups).predict(X)
-    means, left = np.zeros((6, 3)), None
-    for _ in range(20_000):
-        left = pd.DataFrame(y - inner.fit(X, y - means[groups]).predict(X)).groupby(groups).mean()
-        means, before = left.to_numpy().copy(), means
-        if np.abs(means - before).max() < 1e-12:
-            break
-    means -= means[groups].mean(axis=0)
-    assert_allclose(predicted, inner.fit(X, y - means[groups]).predict(X), atol=1e-6)
-
-
 def test_trees_are_fitted_as_without_labels():
     X, y, groups = deviations()
     trees = ExtraTreesRegressor(20, min_samples_leaf=5, random_state=0)
