@@ -3,8 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, field, replace
-from html import escape
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +12,12 @@ from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.correction._causes import say_worth_of_directions
-from sklearn_raacmm.correction._deviations import length_findings, predict_with_std
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
+    Finding,
     centred,
     encode_groups,
     group_means,
-    html_table,
     ignored_findings,
     listed,
     natural_order,
@@ -33,6 +31,8 @@ _N_FOLDS = 5
 _FEWEST_POSITIONS = 5
 _Z95 = 1.959964  # the standard normal quantile of 97.5 %
 _WHEN = "before", "after"
+# Coverage factor of uncertainties that are said in words.
+_K = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +85,18 @@ class CorrectionScores:
     """
 
     measure: str
-    table: dict[str, Any] = field(repr=False)
+    table: dict[str, Any]
     summary: dict[str, Any]
-    lengths: list[Any] = field(repr=False)
-    length_errors_before: np.ndarray = field(repr=False)
-    length_errors_after: np.ndarray = field(repr=False)
+    lengths: list[Any]
+    length_errors_before: np.ndarray
+    length_errors_after: np.ndarray
     coverage: float
     std_factor: float
     n_folds: int
-    outliers: np.ndarray = field(repr=False)
-    rows_by_position: list[Any] = field(repr=False)
-    left_before: np.ndarray = field(repr=False)
-    left_after: np.ndarray = field(repr=False)
+    outliers: np.ndarray
+    rows_by_position: list[Any]
+    left_before: np.ndarray
+    left_after: np.ndarray
     helps: bool
     verdict: str
     findings: tuple[Any, ...] = ()
@@ -108,25 +108,16 @@ class CorrectionScores:
         """Whether nothing has to be repaired before a judgement means something."""
         return not any(finding.weight == "repair" for finding in self.findings)
 
-    def __str__(self) -> str:
-        header, rows = self._cells()
-        widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-        lines = [
-            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
-            for row in (header, *rows)
-        ]
-        return "\n".join([self.verdict, *lines, *self._summary_lines()])
-
-    def _cells(self):
-        """Header and rows of the table as texts, cone 2 before cone 10."""
+    def __repr__(self) -> str:
         of_points = (f"{self.measure} before, mm", "after", "maximum before", "after")
+        cells = [["position", "points", *of_points]]
         rows = list(zip(*self.table.values(), strict=True))
-        rows = [rows[i] for i in natural_order(self.table["position"])]
-        texts = [[*map(str, row[:2]), *(f"{value:.4f}" for value in row[2:])] for row in rows]
-        return ["position", "points", *of_points], texts
-
-    def _summary_lines(self):
-        lines = []
+        for i in natural_order(self.table["position"]):
+            cells.append([*map(str, rows[i][:2]), *(f"{value:.4f}" for value in rows[i][2:])])
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = [self.verdict]
+        for row in cells:
+            lines.append("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]))
         for when in _WHEN:
             mean, low, high = self.summary[when]
             measure = f"mean {self.measure.removeprefix('mean ')}"
@@ -145,11 +136,26 @@ class CorrectionScores:
             lines.append(_shares(self.share, self.fold_shares))
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
-        return lines + [f"{finding.weight}: {finding}" for finding in self.findings]
+        lines += [f"{finding.weight}: {finding}" for finding in self.findings]
+        return "\n".join(lines)
 
-    def _repr_html_(self):
-        rest = "<br>".join(map(escape, self._summary_lines()))
-        return f"{html_table(self.verdict, *self._cells())}<p>{rest}</p>"
+
+def predict_with_std(model, X, noise):
+    """Prediction (n, 3) and standard deviation of a new measurement (n, 3), mm."""
+    try:
+        mean, std = model.predict(X, return_std=True)
+        std = np.broadcast_to(np.reshape(std, (len(mean), -1)), mean.shape)
+    except (TypeError, ValueError):  # a regressor without standard deviations of this form
+        mean = model.predict(X)
+        std = np.zeros_like(mean)
+    if (linear := linear_in_use(model)) is not None:
+        noise = noise * linear.noise_ratio(X)
+    return mean, np.hypot(std, noise)
+
+
+def linear_in_use(model):
+    """The linear error model, or None where there is none, or where it is of no help."""
+    return getattr(model, "linear_model_", None) if getattr(model, "helps_", False) else None
 
 
 def _shares(share, of_folds):
@@ -201,7 +207,14 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
     coverage, factor = coverage_of(after, std)
-    unknown_lengths = length_findings(calibration)
+    unknown_lengths = []
+    if "scale" in calibration.unidentified:  # the arm has it from its table alone
+        per_metre = _K * 1000 * calibration.scale_sd
+        said = f"Lengths are not known to better than {per_metre:.2g} mm per metre (k = {_K:g})."
+        advice = (
+            "Measure a known distance: a bar in two cones, or a cone plate moved by a known step."
+        )
+        unknown_lengths = [Finding("lengths-unknown", said, advice, "note", size_mm=per_metre)]
     report_findings(unknown_lengths)
     n_blocks = len(np.unique(block_of))
     helps, verdict = _verdict(table, summary, measure, n_blocks, unknown_lengths)
