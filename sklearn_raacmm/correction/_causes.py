@@ -107,20 +107,6 @@ def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
     return np.column_stack([angles, *columns])
 
 
-def say_worth_of_directions(data, left, unknown):
-    """Say what directions of approach are worth at positions left out, where they are known."""
-    if not any(name.startswith("direction") for name in data.causes):
-        return
-    used = np.isfinite(left).all(axis=1)
-    known, lost = (np.linalg.norm(part[used], axis=1).mean() for part in (left, unknown))
-    said = (
-        f"With the directions from which joints came {known:.4f} mm are left at positions left "
-        f"out, and {lost:.4f} mm where they are not known."
-    )
-    advice = "Hand them on when you correct: see directions_of."
-    report_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
-
-
 def say_make(model):
     """Say whether earlier arms of the make were believed."""
     if not hasattr(model, "updates_"):

@@ -94,8 +94,7 @@ def learn_correction(
         "time" is refused where the angles tell the number of the row.
     in_order : bool, default=False
         Whether the rows are in the order in which they were measured. Then the directions from
-        which joints came are offered, too, and the findings say what they are worth at positions
-        left out.
+        which joints came are offered, too.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
         prior of this one's, if the evidence is for it against a model that is

@@ -11,7 +11,6 @@ from scipy import stats
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.correction._causes import say_worth_of_directions
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
     Finding,
@@ -194,15 +193,14 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
-    before, after, std, unknown = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
+    before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(3))
     length_errors, fold_shares = [], []
     for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-        before[test], after[test], std[test], unknown[test] = result[:4]
-        length_errors += result[4]
-        fold_shares.append(result[5])
+        before[test], after[test], std[test], errors, share = result
+        length_errors += errors
+        fold_shares.append(share)
         if progress is not None:
             progress(i + 1, len(folds))
-    say_worth_of_directions(data, after, unknown)
     table, measure, rows_by_position = _table(data, before, after)
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
@@ -258,12 +256,14 @@ def _folds(data, kept, cv):
         cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
     elif not hasattr(cv, "split"):
         cv = listed("cv", cv)
-        if not all(_are_rows(pair, len(codes)) for pair in cv):
-            raise ValueError(
-                "cv must be a whole number, a splitter, or pairs of the rows to fit on and to "
-                f"leave out, got {cv!r:.60}."
-            )
-    splits = list(check_cv(cv).split(data.angles, groups=blocks))
+    splits, every = list(check_cv(cv).split(data.angles, groups=blocks)), np.arange(len(codes))
+    try:
+        splits = [(every[train], every[test]) for train, test in splits]
+    except (TypeError, ValueError, IndexError):
+        raise ValueError(
+            "cv must be a whole number, a splitter, or pairs of the rows to fit on and to leave "
+            f"out, got {cv!r:.60}."
+        ) from None
     times = np.zeros(len(codes), dtype=int)
     for train, test in splits:
         lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
@@ -284,15 +284,6 @@ def _folds(data, kept, cv):
     return [(np.intersect1d(train, kept), np.intersect1d(test, kept)) for train, test in splits]
 
 
-def _are_rows(pair, n_rows):
-    """Whether these are two arrays of numbers of rows."""
-    if not isinstance(pair, tuple | list) or len(pair) != 2:
-        return False
-    pair = [np.asarray(rows) for rows in pair]
-    whole = all(rows.ndim == 1 and rows.dtype.kind in "iu" for rows in pair)
-    return whole and all(((rows >= 0) & (rows < n_rows)).all() for rows in pair)
-
-
 def _one_fold(data, model, train, test):
     """Deviations before and after and their standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
@@ -301,7 +292,6 @@ def _one_fold(data, model, train, test):
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = _share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-        unknown = _of_unknown_directions(data, fitted, test, correction)
     points = data.shown(calibration, test)
     labels = data.positions[test]
     lengths = []
@@ -313,18 +303,8 @@ def _one_fold(data, model, train, test):
     is_tracker = data.points is not None
     left = data.residuals(calibration, test) if is_tracker else points
     codes = None if is_tracker else encode_groups(labels)[1]
-    before, after, unknown = (centred(left - part, codes) for part in (0.0, correction, unknown))
-    return before, after, std, unknown, lengths, share
-
-
-def _of_unknown_directions(data, model, rows, correction):
-    """Correction of some rows if the directions of their joints were not known."""
-    ways = [i for i, name in enumerate(data.causes) if name.startswith("direction")]
-    if not ways:
-        return correction
-    X = data.inputs[rows]
-    X[:, data.angles.shape[1] + np.array(ways)] = 0.0
-    return model.predict(X)
+    before, after = (centred(left - part, codes) for part in (0.0, correction))
+    return before, after, std, lengths, share
 
 
 def _table(data, before, after):

@@ -36,7 +36,6 @@ def test_directions_are_worth_something_where_joints_have_play(with_play):
     )
     assert learned.scores.summary["after"][0] < 0.8 * plain.scores.summary["after"][0]
     assert list(learned.causes) == [f"direction {joint}" for joint in range(1, 7)]
-    assert "directions" in codes_of(learned)
     assert "drift-of-run" not in codes_of(learned)
     # Where they are not known they count as none.
     none = {name: np.zeros(5) for name in learned.causes}
