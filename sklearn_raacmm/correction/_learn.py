@@ -5,7 +5,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from numbers import Integral, Real
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,8 @@ _CONSTRAINTS = {
     "progress": [callable, None],
     "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
 }
+# Scores that are kept as they are.
+_KEPT = ("verdict", "helps", "judged", "measure", "std_factor", "coverage", "share", "n_folds")
 
 
 def learn_correction(
@@ -183,34 +185,10 @@ def learn_correction(
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
     scores = with_verdict(scores, findings, fitted)
-    base = None
-    if calibration.base_rotation is not None:
-        base = calibration.base_rotation, calibration.base_translation
-    return Correction(
-        arm=calibration.arm,
-        model=fitted,
-        base=base,
-        facts=_facts(data, calibration, scores, noise) | {"points_sd_mm": points_sd},
-        scores=scores,
-        calibration=calibration,
-        angles=data.angles,
-        positions=data.positions,
-    )
-
-
-class LearnOptions(TypedDict, total=False):
-    """What :func:`learn_correction` and :func:`cross_validate_correction` take by keyword."""
-
-    angle_unit: str
-    model: Any
-    cv: Any
-    n_jobs: int | None
-    progress: Callable[..., object] | None
-    extra: dict[str, Any] | None
-    in_order: bool
-    like: Sequence[ArmResidualRegressor]
-    tools: ArrayLike | None
-    points_sd: float
+    base = None if points is None else (calibration.base_rotation, calibration.base_translation)
+    facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
+    data_of = data.angles, data.positions
+    return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)
 
 
 def cross_validate_correction(
@@ -219,7 +197,7 @@ def cross_validate_correction(
     positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
-    **options: Unpack[LearnOptions],
+    **options: Any,
 ) -> CorrectionScores:
     """Judge a correction at positions left out, with calibration and model fitted anew each time.
 
@@ -294,29 +272,20 @@ def _calibrated(data, angles, angle_unit):
     return calibration
 
 
-def _facts(data, calibration, scores, noise):
+def _facts(data, calibration, scores):
     """What is worth keeping of a correction without its data, as plain values fit for JSON."""
     rows = data.rows[scores.outliers]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
     farthest = np.argsort(-distance, kind="stable")
     columns = (part[farthest].tolist() for part in (rows, data.given[1][rows], distance))
-    return {
+    return {name: getattr(scores, name) for name in _KEPT} | {
         "written_by": f"sklearn_raacmm {__version__}",
-        "verdict": scores.verdict,
-        "helps": scores.helps,
-        "judged": scores.judged,
         "findings": [finding.facts() for finding in scores.findings],
-        "measure": scores.measure,
-        "noise_mm": noise,
-        "std_factor": scores.std_factor,
         "scale_sd": calibration.scale_sd,
-        "coverage": scores.coverage,
-        "share": scores.share,
         "fold_shares": list(scores.fold_shares),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
-        "n_folds": scores.n_folds,
         "summary": {name: list(values) for name, values in scores.summary.items()},
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],

@@ -169,20 +169,19 @@ def with_verdict(scores, findings, model):
     most of those that were judged were not, the verdict says so.
     """
     scores = replace(scores, findings=tuple(findings), share=_share_of(model))
-    used = float(np.median(scores.fold_shares)) > 0
-    if scores.judged and used != (scores.share > 0):
-        of_folds = scores.fold_shares
-        more = (
-            "But the model of all rows is another one than those that were judged: "
-            f"{_shares(scores.share, of_folds)}."
+    verdict = scores.verdict
+    if not scores.judged:
+        first, *more = (f for f in scores.findings if f.weight == "repair")
+        others = f" And {len(more)} more of the findings." * bool(more)
+        verdict = f"Not judged: first repair this. {first}{others}"
+    elif (np.median(scores.fold_shares) > 0) != (scores.share > 0):
+        verdict = (
+            f"{'Do not use it. ' * scores.helps}{verdict} But the model of all rows is another one "
+            f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
         )
-        verdict = scores.verdict if not scores.helps else f"Do not use it. {scores.verdict}"
-        return replace(scores, helps=False, verdict=f"{verdict} {more}")
-    if scores.judged:
+    else:
         return scores
-    first, *more = (f for f in scores.findings if f.weight == "repair")
-    others = f" And {len(more)} more of the findings." * bool(more)
-    return replace(scores, helps=False, verdict=f"Not judged: first repair this. {first}{others}")
+    return replace(scores, helps=False, verdict=verdict)
 
 
 def scores_of(data, calibration, model, cv, n_jobs, progress):
