@@ -17,10 +17,11 @@ from sklearn_raacmm.utils import Finding, floats, report_findings
 _FAMILIES = {"time": "temperature", "payload": "force"}
 
 
-def checked_causes(extra, in_order, angles):
+def checked_causes(extra, in_order, angles, codes):
     """Names and values (n, n_causes) of the causes offered to a model, for angles in rad.
 
-    Where the rows are in the order of measurement, directions are offered, too.
+    Where the rows are in the order of measurement, directions are offered, too. Time that the
+    angles explain is refused: what it explains may be the place.
     """
     given = _given(extra, len(angles))
     names = check_extra(tuple(given), angles.shape[1])
@@ -30,6 +31,12 @@ def checked_causes(extra, in_order, angles):
         others = [f"direction {joint + 1}" for joint in range(angles.shape[1])]
         values += [ways[:, i] for i, name in enumerate(others) if name not in names]
         names += tuple(name for name in others if name not in names)
+    if "time" in names and (explained := order_explained_by(angles, codes)) > MOST_EXPLAINED:
+        raise ValueError(
+            f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
+            f"{explained:.2f}, at most {MOST_EXPLAINED}), so that time and place are not apart. "
+            "Measure the positions in mixed order, or leave time out."
+        )
     return names, np.column_stack(values) if values else np.empty((len(angles), 0))
 
 
@@ -45,19 +52,6 @@ def _given(extra, n_rows):
             raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
         found[name] = np.broadcast_to(values.ravel(), n_rows)
     return found
-
-
-def refuse_explained_time(names, angles, codes):
-    """Refuse time that the angles explain: what it explains may be the place."""
-    if "time" not in names:
-        return
-    explained = order_explained_by(angles, codes)
-    if explained > MOST_EXPLAINED:
-        raise ValueError(
-            f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
-            f"{explained:.2f}, at most {MOST_EXPLAINED}), so that time and place are not apart. "
-            "Measure the positions in mixed order, or leave time out."
-        )
 
 
 def with_kept_causes(data, calibration):
