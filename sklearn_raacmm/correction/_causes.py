@@ -59,18 +59,19 @@ def with_kept_causes(data, calibration):
     if not data.causes:
         return data
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    own = copy(data)
-    own.like = ()
-    prior_sd = own.fit(None, calibration, rows)[0].prior_sd_
+    kept = copy(data)
+    kept.like = ()
+    prior_sd, causes = kept.fit(None, calibration, rows)[0].prior_sd_, np.array(data.causes)
     kinds = [name.split()[0] for name in data.causes]
     keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * UNUSED_SD for kind in kinds])
-    named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
-    gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
-    if gone:
-        said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
+    if not keep.all():
+        said = f"The evidence does not ask for {', '.join(causes[~keep])}: left out of the model."
         report_findings([Finding("cause-not-kept", said, weight="note")])
-    kept = copy(data)
-    kept.causes, kept.values = tuple(named), data.values[:, keep]
+    kept.like, kept.causes, kept.values = (
+        data.like,
+        tuple(causes[keep].tolist()),
+        data.values[:, keep],
+    )
     return kept
 
 
@@ -99,15 +100,3 @@ def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
         np.broadcast_to(given.get(name, value), len(angles)) for name, value in usual.items()
     ]
     return np.column_stack([angles, *columns])
-
-
-def say_make(model):
-    """Say whether earlier arms of the make were believed."""
-    if not hasattr(model, "updates_"):
-        return  # none of them was one that it could start from
-    (entry,) = model.updates_
-    n, gain, believed = entry["n_arms"], entry["gain_nats"], bool(entry["tau"])
-    said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "
-    said += f"for them is {gain:.1f} nats."
-    code = "make-believed" if believed else "make-not-believed"
-    report_findings([Finding(code, said, weight="note")])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, typical_scatter
-from sklearn_raacmm.correction._causes import say_make, usual_values, with_kept_causes
+from sklearn_raacmm.correction._causes import usual_values, with_kept_causes
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
@@ -173,8 +173,6 @@ def learn_correction(
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
         _say_what_moved(data, calibration, fitted, noise, rows)
-        if data.like and model is None:
-            say_make(fitted)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
             raise ValueError(
