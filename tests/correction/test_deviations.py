@@ -42,20 +42,16 @@ def test_distances_of_points_that_are_drawn():
 
 @pytest.fixture(scope="module")
 def learned():
-    found = []
-    for seed in (0, 1, 2):
-        test = make_single_point(8, 20, bars=[500], random_state=seed)
-        correction = learn_correction(
-            test.nominal_arm, test.data, test.groups, lengths=test.lengths, cv=3
-        )
-        found.append((seed, correction))
-    return found
+    tests = [make_single_point(8, 20, bars=[500], random_state=seed) for seed in range(3)]
+    return [
+        learn_correction(t.nominal_arm, t.data, t.groups, lengths=t.lengths, cv=3) for t in tests
+    ]
 
 
 @pytest.mark.exhaustive
 def test_errors_at_other_places_are_as_large_as_is_said(learned):
     of_distances, of_coordinates = [], []
-    for seed, correction in learned:
+    for seed, correction in enumerate(learned):
         other = make_gauge([300, 1000], 8, 2, random_state=seed)
         points, std = correction.correct(other.data)
         true = other.simulation.true_points
@@ -69,7 +65,7 @@ def test_errors_at_other_places_are_as_large_as_is_said(learned):
 
 @pytest.mark.exhaustive
 def test_three_deviations_have_three_names(learned):
-    _, correction = learned[0]
+    correction = learned[0]
     angles = correction.angles[:20]
     points, of_coordinate = correction.correct(angles)
     same, within = correction.correct(angles, std_of="position")
@@ -99,7 +95,7 @@ def test_three_deviations_have_three_names(learned):
 
 @pytest.mark.exhaustive
 def test_the_verdict_says_what_is_not_known_of_lengths(learned):
-    assert learned[0][1].verdict.startswith("It helps at new positions")
+    assert learned[0].verdict.startswith("It helps at new positions")
     test = make_single_point(8, 20, random_state=0)
     alone = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
     assert alone.helps
