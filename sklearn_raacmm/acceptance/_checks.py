@@ -5,7 +5,6 @@
 
 import itertools
 from collections import Counter
-from typing import Any
 
 import numpy as np
 
@@ -48,21 +47,19 @@ def _finding(code, text, advice, rows=(), size_mm=None):
 def _missing(test, readings):
     """Labels and readings that are missing, or too many."""
     levels, wanted, more = LAYOUTS[test]
-    labels = []
-    for i, (column, needed) in enumerate(levels):
-        there = np.unique(np.char.lower(getattr(readings.run, column)[readings.rows])).tolist()
-        named = isinstance(needed, tuple)
-        least = len(needed) if named else needed
-        fits = set(there) == set(needed) if named else len(there) == needed
-        if not fits and not (more and i == 0 and not named and len(there) > needed):
-            asked = f" ({', '.join(needed)})" if named else ""
-            got = ", ".join(name or "without a label" for name in there[:8])
-            text = f"{test}: {least} labels{asked} are needed in the column {column}; got {got}."
+    names, labels = [column for column, _ in levels], []
+    columns = [np.char.lower(getattr(readings.run, name)[readings.rows]).tolist() for name in names]
+    for (name, needed), column in zip(levels, columns, strict=True):
+        labels.append(sorted(set(column)))
+        there, named = labels[-1], needed if isinstance(needed, tuple) else ()
+        least = len(named) or needed
+        enough = len(there) > least and more and name == names[0]
+        if set(there) != set(named) if named else len(there) != least and not enough:
+            asked = f" ({', '.join(named)})" if named else ""
+            got = ", ".join(label or "without a label" for label in there[:8])
+            text = f"{test}: {least} labels{asked} are needed in the column {name}; got {got}."
             return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
-        labels.append(there)
-    names, counts = [column for column, _ in levels], Counter[Any]()
-    for label, rows in readings.groups(*names).items():
-        counts[tuple(map(str.lower, label))] += len(rows)
+    counts = Counter(zip(*columns, strict=True))
     for key in itertools.product(*labels):
         n = counts[key]
         if n < wanted or (n > wanted and not (more and test in ("single-point", "pose"))):
@@ -110,27 +107,25 @@ def _wrong_sizes(test, readings):
     for rows, raw, _ in _measured(test, readings):
         artefact = readings.artefact(rows)
         size = artefact.size_in_test
-        off = raw - tip - size
-        if abs(off) <= _OTHER_MM:
+        off = abs(raw - tip - size)
+        if off <= _OTHER_MM:
             continue
-        ratios = np.array([(raw - tip) / size, raw / (size + tip)])
-        guesses = [
-            what for what, ratio in _RATIOS.items() if np.any(np.abs(ratios / ratio - 1) < 0.02)
-        ]
-        same = [a.name for a in readings.run.by_name.values()
-                if a.size_mm and abs(raw - tip - a.size_in_test) <= _OTHER_MM]  # fmt: skip
-        others = [f"it has the size of {name!r}" for name in same]
-        if tip and abs(abs(off) - tip) <= _OTHER_MM:
-            others.append("the probe's ball is compensated twice, or not at all")
         # What is another artefact of the run is no unit.
-        guess = (others + guesses + ["it is another artefact"])[0]
+        others = [f"it has the size of {a.name!r}" for a in readings.run.by_name.values()
+                  if a.size_mm and abs(raw - tip - a.size_in_test) <= _OTHER_MM]  # fmt: skip
+        if tip and abs(off - tip) <= _OTHER_MM:
+            others.append("the probe's ball is compensated twice, or not at all")
+        ratios = np.array([(raw - tip) / size, raw / (size + tip)])
+        units = [what for what, ratio in _RATIOS.items()
+                 if np.any(np.abs(ratios / ratio - 1) < 0.02)]  # fmt: skip
+        code = "artefact-unit" if units and not others else "artefact-other"
+        guess = [*others, *units, "it is another artefact"][0]
         text = (
             f"{test}: the artefact {artefact.name!r} measures {raw - tip:.4g} mm and is stated as "
+            f"{size:.6g} mm: {guess}."
         )
-        text += f"{size:.6g} mm: {guess}."
-        code = "artefact-unit" if guess in guesses else "artefact-other"
         advice = "Correct the unit, the artefact's name or its size."
-        return [_finding(code, text, advice, readings.rows[rows], abs(off))]
+        return [_finding(code, text, advice, readings.rows[rows], off)]
     return []
 
 
@@ -143,7 +138,9 @@ def _slips(test, readings):
     if not far.any():
         return []
     numbers = row_numbers(readings.rows[rows[far]])
-    text = f"{test}: {far.sum()} readings are off by up to {off.max():.3g} mm, where "
-    text += f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."
+    text = (
+        f"{test}: {far.sum()} readings are off by up to {off.max():.3g} mm, where "
+        f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."
+    )
     advice = "Look whether the probe has slipped, and measure them again."
     return [_finding("slipped", text, advice, readings.rows[rows[far]], off.max())]

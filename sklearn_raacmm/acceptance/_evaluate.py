@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_raacmm.acceptance._checks import find_faults
 from sklearn_raacmm.acceptance._run import AcceptanceRun
-from sklearn_raacmm.acceptance._values import LAYOUTS, VALUES, Readings, values_of
+from sklearn_raacmm.acceptance._values import FUNCTIONS, LAYOUTS, VALUES, Readings
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.utils import Finding, check_option, floats
@@ -23,7 +23,7 @@ _RULES = ("guarded", "simple")
 _DECISIONS = ("pass", "conditional pass", "conditional fail", "fail")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class AcceptanceValue:
     """One value of a run, all lengths in mm.
 
@@ -206,12 +206,10 @@ def evaluate_acceptance(
         readings = [_readings(run, rows, side, test, base) for side in sides]
         faults, computed = _values(test, readings)
         findings += faults
-        for name, (own, formula, standard, read) in VALUES.items():
-            if own == test:
-                known = {"test": test, "formula": formula, "standard": standard, "read": read}
-                sets = [each[name] for each in computed]
-                judged = _judged(sets, limits.get(name), rule)
-                values.append(AcceptanceValue(name=name, **known, **judged))
+        for name, about in VALUES.items():
+            if about[0] == test:
+                judged = _judged([each[name] for each in computed], limits.get(name), rule)
+                values.append(AcceptanceValue(name, *about, **judged))
     return AcceptanceResult(values=tuple(values), findings=tuple(findings), rule=rule)
 
 
@@ -263,7 +261,7 @@ def _values(test, readings):
     try:
         faults = find_faults(test, readings[-1])
         if not faults:
-            return [], [values_of(test, each) for each in readings]
+            return [], [FUNCTIONS[test](each) for each in readings]
     except ValueError as error:
         advice = "Measure points that determine what was probed."
         faults = [Finding("acceptance-geometry", f"{test}: {error}", advice, weight="repair")]
@@ -277,20 +275,18 @@ def _judged(sets, limit, rule):
         if one is None:
             continue
         errors, sizes, u = (np.asarray(part, dtype=float) for part in one[:3])
-        limits = np.full(len(errors), np.inf)
+        limits = np.zeros(len(errors))  # without any the worst has the largest error
         if limit is not None:
             limits = np.minimum(limit[0] + limit[1] * sizes, limit[2])
-        room = limits - np.abs(errors) if limit is not None else -np.abs(errors)
+        room = limits - np.abs(errors)
         worst = int(np.argmin(room))
         found |= {side: float(errors[worst]), f"u_{side}": float(u[worst])}
         found |= {f"interval_{side}": one.interval, f"size_{side}": float(sizes[worst])}
         if limit is not None:
-            found[f"limit_{side}"] = float(limits[worst])
             # What nobody has stated the uncertainty of proves nothing.
             guard = np.where(u > 0, _GUARD * u, np.inf) if rule == "guarded" else 0 * u
             # Of every single length; the whole is as good as its worst.
-            level = np.where(
-                room >= guard, 0, np.where(room >= 0, 1, np.where(room > -guard, 2, 3))
-            )
+            level = np.select([room >= guard, room >= 0, room > -guard], [0, 1, 2], 3)
+            found[f"limit_{side}"] = float(limits[worst])
             found[f"decision_{side}"] = _DECISIONS[int(level.max())]
     return found

@@ -4,17 +4,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.acceptance._run import AcceptanceRun
-from sklearn_raacmm.acceptance._values import BARS, LAYOUTS, SPHERES, Readings, values_of
+from sklearn_raacmm.acceptance._values import BARS, FUNCTIONS, LAYOUTS, SPHERES, Readings
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.metrics import fit_sphere
+
+# Of the interval of 95 %, and the median.
+_ENDS = (1 - 0.95) / 2, 0.5, (1 + 0.95) / 2
 
 
 def predict_acceptance(
@@ -22,7 +25,6 @@ def predict_acceptance(
     plan: AcceptanceRun,
     *,
     n_draws: int = 200,
-    probability: float = 0.95,
     random_state: int | np.random.RandomState | None = 0,
 ) -> dict[str, tuple[float, float, float]]:
     """Values that a corrected arm would have in a run, by what its model does not know.
@@ -36,15 +38,14 @@ def predict_acceptance(
         A pose test is left out: how a robot repeats, the model does not know.
     n_draws : int, default=200
         Number of draws.
-    probability : float, default=0.95
-        Of the interval, between 0 and 1.
     random_state : int, RandomState instance or None, default=0
         Of the draws.
 
     Returns
     -------
     dict of str to (float, float, float)
-        Lower end, median and upper end of the absolute value, mm, by the names of the values.
+        Lower end of 95 %, median and upper end of the absolute value, mm, by the names of the
+        values.
 
     Raises
     ------
@@ -75,8 +76,6 @@ def predict_acceptance(
     True
     """
     check_scalar(n_draws, "n_draws", Integral, min_val=2)
-    if not (isinstance(probability, Real) and 0 < probability < 1):
-        raise ValueError(f"probability must be between 0 and 1, got {probability!r:.60}.")
     if plan.angles is None:
         raise ValueError("a plan needs joint angles: errors depend on the pose.")
     known = model if isinstance(model, Correction) else None
@@ -92,26 +91,22 @@ def predict_acceptance(
     draws -= mean[:, :, None]
     if known:
         draws += points[:, :, None] * (known.scale_sd * rng.normal(size=n_draws))
-    found: dict[str, Any] = {}
-    tests = [test for test in LAYOUTS if test != "pose" and np.any(plan.test == test)]
-    rows = {test: np.flatnonzero(plan.test == test) for test in tests}
+    rows = {test: np.flatnonzero(plan.test == test) for test in LAYOUTS if test != "pose"}
+    rows = {test: own for test, own in rows.items() if len(own)}
     ideal = np.zeros_like(points)
     for test, own in rows.items():
         ideal[own] = _on_artefacts(test, Readings(plan, own, points - mean))
+    found: dict[str, Any] = {}
     for k in range(n_draws):
-        run = plan.with_artefacts([_drawn(artefact, rng) for artefact in plan.artefacts])
+        # Sizes are off by what they are stated to be known to.
+        sizes = (a.size_mm and a.size_mm + a.u_size * rng.normal() for a in plan.artefacts)
+        pairs = zip(plan.artefacts, sizes, strict=True)
+        run = plan.with_artefacts(replace(artefact, size_mm=size) for artefact, size in pairs)
         for test, own in rows.items():
-            for name, one in values_of(test, Readings(run, own, ideal + draws[:, :, k])).items():
+            for name, one in FUNCTIONS[test](Readings(run, own, ideal + draws[:, :, k])).items():
                 found.setdefault(name, []).append(np.abs(one.errors).max())
-    ends = np.array([(1 - probability) / 2, 0.5, (1 + probability) / 2])
-    return {name: tuple(np.quantile(v, ends).tolist()) for name, v in found.items()}
-
-
-def _drawn(artefact, rng):
-    """An artefact whose size is off by what it is stated to be known to."""
-    if not artefact.size_mm:
-        return artefact
-    return replace(artefact, size_mm=artefact.size_mm + artefact.u_size * rng.normal())
+    ends = {name: np.quantile(values, _ENDS) for name, values in found.items()}
+    return {name: tuple(three.tolist()) for name, three in ends.items()}
 
 
 def _on_artefacts(test, readings):

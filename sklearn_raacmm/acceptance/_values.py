@@ -105,11 +105,6 @@ class Readings:
         return keys, np.array(lengths), artefacts, np.array(last)
 
 
-def values_of(test: str, readings: Any) -> dict[str, Candidates]:
-    """Values of one test by their names."""
-    return _FUNCTIONS[test](readings)
-
-
 def _spheres(readings, column, name, form_name=None):
     """Errors of diameters, each of the rows of one label, and their forms."""
     groups = list(readings.groups(column).values())
@@ -184,7 +179,8 @@ def _pose(readings):
     return {n: Candidates(v, sizes, u) for n, v in (("AP", accuracy), ("RP", repeatability))}
 
 
-_FUNCTIONS: dict[str, Any] = {
+# Values of each test by their names, from its readings.
+FUNCTIONS: dict[str, Any] = {
     "probing": partial(_spheres, column="position", name="P_Size", form_name="P_Form"),
     "articulation": _articulation,
     "length": partial(_lengths, name="E_Uni"),

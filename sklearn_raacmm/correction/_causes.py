@@ -17,10 +17,11 @@ from sklearn_raacmm.utils import Finding, floats, report_findings
 _FAMILIES = {"time": "temperature", "payload": "force"}
 
 
-def checked_causes(extra, in_order, angles):
+def checked_causes(extra, in_order, angles, codes):
     """Names and values (n, n_causes) of the causes offered to a model, for angles in rad.
 
-    Where the rows are in the order of measurement, directions are offered, too.
+    Where the rows are in the order of measurement, directions are offered, too. Time that the
+    angles explain is refused: what it explains may be the place.
     """
     given = _given(extra, len(angles))
     names = check_extra(tuple(given), angles.shape[1])
@@ -30,6 +31,12 @@ def checked_causes(extra, in_order, angles):
         others = [f"direction {joint + 1}" for joint in range(angles.shape[1])]
         values += [ways[:, i] for i, name in enumerate(others) if name not in names]
         names += tuple(name for name in others if name not in names)
+    if "time" in names and (explained := order_explained_by(angles, codes)) > MOST_EXPLAINED:
+        raise ValueError(
+            f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
+            f"{explained:.2f}, at most {MOST_EXPLAINED}), so that time and place are not apart. "
+            "Measure the positions in mixed order, or leave time out."
+        )
     return names, np.column_stack(values) if values else np.empty((len(angles), 0))
 
 
@@ -47,36 +54,24 @@ def _given(extra, n_rows):
     return found
 
 
-def refuse_explained_time(names, angles, codes):
-    """Refuse time that the angles explain: what it explains may be the place."""
-    if "time" not in names:
-        return
-    explained = order_explained_by(angles, codes)
-    if explained > MOST_EXPLAINED:
-        raise ValueError(
-            f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
-            f"{explained:.2f}, at most {MOST_EXPLAINED}), so that time and place are not apart. "
-            "Measure the positions in mixed order, or leave time out."
-        )
-
-
 def with_kept_causes(data, calibration):
     """The data with those causes only that are worth their price in a fit to all rows."""
     if not data.causes:
         return data
     rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    own = copy(data)
-    own.like = ()
-    prior_sd = own.fit(None, calibration, rows)[0].prior_sd_
+    kept = copy(data)
+    kept.like = ()
+    prior_sd, causes = kept.fit(None, calibration, rows)[0].prior_sd_, np.array(data.causes)
     kinds = [name.split()[0] for name in data.causes]
     keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * UNUSED_SD for kind in kinds])
-    named = [name for name, kept in zip(data.causes, keep, strict=True) if kept]
-    gone = [name for name, kept in zip(data.causes, keep, strict=True) if not kept]
-    if gone:
-        said = f"The evidence does not ask for {', '.join(gone)}: left out of the model."
+    if not keep.all():
+        said = f"The evidence does not ask for {', '.join(causes[~keep])}: left out of the model."
         report_findings([Finding("cause-not-kept", said, weight="note")])
-    kept = copy(data)
-    kept.causes, kept.values = tuple(named), data.values[:, keep]
+    kept.like, kept.causes, kept.values = (
+        data.like,
+        tuple(causes[keep].tolist()),
+        data.values[:, keep],
+    )
     return kept
 
 
@@ -105,29 +100,3 @@ def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
         np.broadcast_to(given.get(name, value), len(angles)) for name, value in usual.items()
     ]
     return np.column_stack([angles, *columns])
-
-
-def say_worth_of_directions(data, left, unknown):
-    """Say what directions of approach are worth at positions left out, where they are known."""
-    if not any(name.startswith("direction") for name in data.causes):
-        return
-    used = np.isfinite(left).all(axis=1)
-    known, lost = (np.linalg.norm(part[used], axis=1).mean() for part in (left, unknown))
-    said = (
-        f"With the directions from which joints came {known:.4f} mm are left at positions left "
-        f"out, and {lost:.4f} mm where they are not known."
-    )
-    advice = "Hand them on when you correct: see directions_of."
-    report_findings([Finding("directions", said, advice, weight="note", size_mm=lost - known)])
-
-
-def say_make(model):
-    """Say whether earlier arms of the make were believed."""
-    if not hasattr(model, "updates_"):
-        return  # none of them was one that it could start from
-    (entry,) = model.updates_
-    n, gain, believed = entry["n_arms"], entry["gain_nats"], bool(entry["tau"])
-    said = f"The {n} earlier arms of this make are {'not ' * (not believed)}believed: the evidence "
-    said += f"for them is {gain:.1f} nats."
-    code = "make-believed" if believed else "make-not-believed"
-    report_findings([Finding(code, said, weight="note")])

@@ -5,8 +5,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
-from html import escape
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,23 +18,20 @@ from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._change import fadings_for
-from sklearn_raacmm.correction._deviations import (
-    distances,
-    linear_in_use,
-    of_coordinate,
-    predict_with_std,
-    without_reference,
-)
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._scores import CorrectionScores
+from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import update_correction
-from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
+from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, unseen_variance
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, Floats, check_option
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
+# Share of a standard deviation that is the arm's at least, whatever a reference states: a choice.
+_LEAST_SHARE = 0.2
+# Outliers that are shown.
+_SHOWN = 10
 
 
 class FittedModel(Protocol):
@@ -77,12 +73,12 @@ class Correction:
 
     arm: Arm
     model: FittedModel
-    base: tuple[Any, ...] | None = field(repr=False)
-    facts: dict[str, Any] = field(repr=False)
+    base: tuple[Any, ...] | None
+    facts: dict[str, Any]
     scores: CorrectionScores | None = None
-    calibration: CalibrationResult | None = field(default=None, repr=False)
-    angles: np.ndarray | None = field(default=None, repr=False)
-    positions: np.ndarray | None = field(default=None, repr=False)
+    calibration: CalibrationResult | None = None
+    angles: np.ndarray | None = None
+    positions: np.ndarray | None = None
 
     @property
     def helps(self) -> bool:
@@ -181,7 +177,7 @@ class Correction:
         points, within = self._within_positions(X)
         if std_of == "position":
             return points, within
-        return points, of_coordinate(self, X, points, within)
+        return points, self._of_coordinate(X, points, within)
 
     def distances(
         self, angles: ArrayLike, others: ArrayLike, *, angle_unit: str = "rad"
@@ -208,12 +204,28 @@ class Correction:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        one, other = (
-            self.inputs(check_angles(q, self.arm.n_joints, angle_unit)) for q in (angles, others)
-        )
-        if len(one) != len(other):
-            raise ValueError(f"There are {len(one)} angles, but {len(other)} others.")
-        return distances(self, one, other)
+        given = (check_angles(one, self.arm.n_joints, angle_unit) for one in (angles, others))
+        ends = tuple(map(self.inputs, given))
+        if len(ends[0]) != len(ends[1]):
+            raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
+        linear = linear_in_use(self.model)
+        if linear is None:
+            (first, one), (second, other) = map(self._within_positions, ends)
+        else:
+            first, second = (
+                self.arm.forward(X[:, : self.arm.n_joints]) - self.model.predict(X) for X in ends
+            )
+        apart = second - first
+        lengths = np.linalg.norm(apart, axis=1)
+        along = apart / np.maximum(lengths, 1e-300)[:, None]
+        if linear is None:  # the errors of both ends are taken as independent
+            variance = np.sum(along**2 * (one**2 + other**2), axis=1)
+        else:  # which knows how they belong together, and how much positions did not show of them
+            variance = linear.distance_std(*ends) ** 2
+            for X in ends:
+                noise = self._of_arm(self.noise * linear.noise_ratio(X))
+                variance += np.sum(np.square(along * noise), axis=1)
+        return lengths, np.sqrt(variance + (self.scale_sd * lengths) ** 2)
 
     def check(
         self,
@@ -310,14 +322,7 @@ class Correction:
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-
-        def through(model):
-            return calibrate(
-                self.arm, angles, positions, points=points, lengths=lengths,
-                correction=self._of_angles(model), free=list(free),
-            )  # fmt: skip
-
-        found, model = self._registered(through, angles, positions, points)
+        found, model = self._registered(angles, positions, points, lengths, list(free))
         turns = np.char.startswith(found.names, "base_r")
         open_mm = reach_mm(self.arm) * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
@@ -487,7 +492,7 @@ class Correction:
         points, within = self._within_positions(X)
         scale = 1000 * self.facts["scale_sd"]
         of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + scale**2)
-        return np.column_stack([points, of_coordinate(self, X, points, within), within, of_metre])
+        return np.column_stack([points, self._of_coordinate(X, points, within), within, of_metre])
 
     def residuals(self, angles: np.ndarray, points: ArrayLike) -> np.ndarray:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
@@ -505,69 +510,88 @@ class Correction:
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
-    def _registered(self, through, angles, positions, points) -> Any:
+    def _registered(self, angles, positions, points, lengths, free) -> Any:
         """Calibration through the model, and the model with what of it these poses are for.
 
         They had no part in its fit: what fades beyond the doubt at them is compared with what fades
         from no doubt on, each after a registration of its own, and the share follows.
         """
+
+        def through(model):
+            return calibrate(
+                self.arm, angles, positions, points=points, lengths=lengths,
+                correction=self._of_angles(model), free=free,
+            )  # fmt: skip
+
         model: Any = self.model
         linear = getattr(model, "linear_model_", None)
+        places, codes = np.arange(len(angles)), None
+        if positions is not None and points is None:
+            places = codes = np.unique(positions, return_inverse=True)[1]
         n = len(angles) if positions is None else len(np.unique(positions))
         if linear is None or n < LEAST_POSITIONS:
             return through(model), model
-        X, found = self.inputs(angles), []
-        correction, _, doubt = linear.predict_with_doubt(X)
+        found = []
+        correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
         for fading in fadings_for(model.fading_, doubt):
             one = copy(model)
             one.fading_ = fading
             result = through(one)
-            y = result.residuals(angles, points, positions)
-            labels: Any = positions
-            codes = None if points is not None else np.unique(labels, return_inverse=True)[1]
-            places = np.arange(len(y)) if codes is None else codes
-            weights = result.sample_weight
-            judged = judge(y, correction, doubt, fading, weights, codes, places, fading.most)
-            one.fading_, judgement = judged
+            y, weights = result.residuals(angles, points, positions), result.sample_weight
+            one.fading_, judgement = judge(
+                y, correction, doubt, fading, weights, codes, places, fading.most
+            )
             found.append((judgement.mean_after_mm, result, one))
         return min(found, key=lambda entry: entry[0])[1:]
 
     def _within_positions(self, X):
         """Corrected points, and standard deviations of their coordinates within a position."""
         correction, std = predict_with_std(self.model, X, self.noise)
-        points = self.arm.forward(X[:, : self.arm.n_joints]) - correction
-        return points, without_reference(self.facts, std)
+        return self.arm.forward(X[:, : self.arm.n_joints]) - correction, self._of_arm(std)
+
+    def _of_arm(self, std):
+        """Standard deviations against a reference as intervals ask for, less the reference's."""
+        variance = np.square(self.facts["std_factor"] * std)
+        variance -= self.facts.get("points_sd_mm", 0.0) ** 2
+        return np.sqrt(np.maximum(variance, np.square(_LEAST_SHARE * std)))
+
+    def _of_coordinate(self, X, points, within):
+        """Standard deviations of coordinates in the base frame, from those within a position.
+
+        Cones do not show the common scale k of all lengths, which moves every point by k times its
+        distance from the shoulder S; nor how the arm gives way as a function of the place. The base
+        frame is the arm's own: z along the first axis, x where its encoder says, the origin below S
+        by what the table says.
+        """
+        variance = within**2 + (self.scale_sd * (points - _shoulder(self.arm))) ** 2
+        if (linear := linear_in_use(self.model)) is not None:
+            variance += unseen_variance(linear, X)
+        return np.sqrt(variance)
 
     def _of_angles(self, model):
         """The model as one of angles alone, to register by: of each cause counts what is usual."""
-        more = {}
+        of_angles = SimpleNamespace(predict=lambda angles: model.predict(self.inputs(angles)))
         if hasattr(model, "with_arm"):
-            more["with_arm"] = lambda arm: self._of_angles(model.with_arm(arm))
-        return SimpleNamespace(
-            predict=lambda angles: model.predict(self.inputs(angles)),
-            arm_=getattr(model, "arm_", None),
-            **more,
-        )
+            of_angles.arm_ = model.arm_
+            of_angles.with_arm = lambda arm: self._of_angles(model.with_arm(arm))
+        return of_angles
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         lines = [f"{self.arm!r}, {self.facts['n_rows']} rows"]
         if self.calibration is not None:
             before, after = self.calibration.scatter_before_mm, self.calibration.scatter_after_mm
             lines.append(f"calibration: mean scatter {before:.3f} -> {after:.3f} mm")
         lines.append(self.verdict if self.scores is None else str(self.scores))
-        return "\n".join([*lines, *self._outlier_lines()])
+        outliers = self.facts["outliers"]
+        for row, label, distance in outliers[:_SHOWN]:
+            lines.append(f"  outlier: row {row} ({label}), {distance:.3g} mm")
+        if len(outliers) > _SHOWN:
+            lines.append(f"  and {len(outliers) - _SHOWN} more")
+        return "\n".join(lines)
 
-    def _outlier_lines(self):
-        lines = [
-            f"  outlier: row {row} ({label}), {distance:.3g} mm"
-            for row, label, distance in self.facts["outliers"][:10]
-        ]
-        more = len(self.facts["outliers"]) - len(lines)
-        return lines + [f"  and {more} more"] * bool(more)
 
-    def _repr_html_(self):
-        scores = f"<p>{escape(self.verdict)}</p>"
-        if self.scores is not None:
-            scores = self.scores._repr_html_()
-        lines = map(escape, [*self._outlier_lines(), repr(self.arm)])
-        return f"{scores}<p>{'<br>'.join(lines)}</p>"
+def _shoulder(arm):
+    """The point of the first axis that the scale of the links leaves where it is, (3,), mm."""
+    if arm.convention == "standard":
+        return np.array([0.0, 0.0, arm.d[0]])
+    return arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, 3]

@@ -25,7 +25,7 @@ from sklearn_raacmm.utils import (
 )
 
 _FACTS = "correction.json"
-# Of the folder. Format 1 had no fingerprint of the facts; it is read as it is.
+# Of the folder.
 _FORMAT = 2
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
@@ -110,45 +110,40 @@ def _fingerprint(facts):
 
 def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
     """Facts of ``correction.json``, and the contents of files that were written with it."""
-    folder = Path(folder)
+    folder, contents = Path(folder), []
     if not (folder / _FACTS).is_file():
         raise FileNotFoundError(f"{folder} has no {_FACTS}; learning a correction writes one.")
     with locked(folder, shared=True):
         facts = _read_facts(folder / _FACTS)
-        return facts, [_read_file(folder, name, facts["files"].get(name)) for name in names]
+        for name in names:
+            if name not in facts["files"]:
+                raise FileNotFoundError(f"{folder} was written without {name}.")
+            content = whole_file(folder / name, facts["files"][name])
+            if content is None:
+                state = "not the one" if (folder / name).exists() else "missing, the one"
+                raise ValueError(
+                    f"{folder}: {name} is {state} that {_FACTS} was written with: copy the whole "
+                    "folder again, or learn again."
+                )
+            contents.append(content)
+    return facts, contents
 
 
 def _read_facts(path):
     """Facts that nobody has changed since they were written."""
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
-        files, version = facts["files"], facts.get("format", 1)
-        unmarked = version == 1 and "fingerprint" not in facts
-        known = unmarked or (version == _FORMAT and facts["fingerprint"] == _fingerprint(facts))
-        files.get("arm.json")
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        version, unchanged = facts["format"], facts["fingerprint"] == _fingerprint(facts)
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise ValueError(f"{path} holds no correction: learn again.") from None
-    if known:
+    if version == _FORMAT and unchanged:
         return facts
     if isinstance(version, int) and version > _FORMAT:
         raise ValueError(
-            f"{path} has format {version}, of a newer version of sklearn_raacmm: this one reads up "
-            f"to {_FORMAT}. Install the newer one."
+            f"{path} has format {version}, of a newer version of sklearn_raacmm: this one reads "
+            f"{_FORMAT}. Install the newer one."
         )
     raise ValueError(
         f"{path} was changed after it was written: its fingerprint is another. Copy the whole "
         "folder again, or learn again."
     )
-
-
-def _read_file(folder, name, digest):
-    if not digest:
-        raise FileNotFoundError(f"{folder} was written without {name}.")
-    content = whole_file(folder / name, digest)
-    if content is None:
-        state = "not the one" if (folder / name).exists() else "missing, the one"
-        raise ValueError(
-            f"{folder}: {name} is {state} that {_FACTS} was written with: copy the whole folder "
-            "again, or learn again."
-        )
-    return content

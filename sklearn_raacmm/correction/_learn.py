@@ -5,7 +5,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from numbers import Integral, Real
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, typical_scatter
-from sklearn_raacmm.correction._causes import say_make, usual_values, with_kept_causes
+from sklearn_raacmm.correction._causes import usual_values, with_kept_causes
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
@@ -37,6 +37,8 @@ _CONSTRAINTS = {
     "progress": [callable, None],
     "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
 }
+# Scores that are kept as they are.
+_KEPT = ("verdict", "helps", "judged", "measure", "std_factor", "coverage", "share", "n_folds")
 
 
 def learn_correction(
@@ -94,8 +96,7 @@ def learn_correction(
         "time" is refused where the angles tell the number of the row.
     in_order : bool, default=False
         Whether the rows are in the order in which they were measured. Then the directions from
-        which joints came are offered, too, and the findings say what they are worth at positions
-        left out.
+        which joints came are offered, too.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
         prior of this one's, if the evidence is for it against a model that is
@@ -172,8 +173,6 @@ def learn_correction(
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
         _say_what_moved(data, calibration, fitted, noise, rows)
-        if data.like and model is None:
-            say_make(fitted)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
             raise ValueError(
@@ -184,34 +183,10 @@ def learn_correction(
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
     scores = with_verdict(scores, findings, fitted)
-    base = None
-    if calibration.base_rotation is not None:
-        base = calibration.base_rotation, calibration.base_translation
-    return Correction(
-        arm=calibration.arm,
-        model=fitted,
-        base=base,
-        facts=_facts(data, calibration, scores, noise) | {"points_sd_mm": points_sd},
-        scores=scores,
-        calibration=calibration,
-        angles=data.angles,
-        positions=data.positions,
-    )
-
-
-class LearnOptions(TypedDict, total=False):
-    """What :func:`learn_correction` and :func:`cross_validate_correction` take by keyword."""
-
-    angle_unit: str
-    model: Any
-    cv: Any
-    n_jobs: int | None
-    progress: Callable[..., object] | None
-    extra: dict[str, Any] | None
-    in_order: bool
-    like: Sequence[ArmResidualRegressor]
-    tools: ArrayLike | None
-    points_sd: float
+    base = None if points is None else (calibration.base_rotation, calibration.base_translation)
+    facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
+    data_of = data.angles, data.positions
+    return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)
 
 
 def cross_validate_correction(
@@ -220,7 +195,7 @@ def cross_validate_correction(
     positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
-    **options: Unpack[LearnOptions],
+    **options: Any,
 ) -> CorrectionScores:
     """Judge a correction at positions left out, with calibration and model fitted anew each time.
 
@@ -295,29 +270,20 @@ def _calibrated(data, angles, angle_unit):
     return calibration
 
 
-def _facts(data, calibration, scores, noise):
+def _facts(data, calibration, scores):
     """What is worth keeping of a correction without its data, as plain values fit for JSON."""
     rows = data.rows[scores.outliers]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
     farthest = np.argsort(-distance, kind="stable")
     columns = (part[farthest].tolist() for part in (rows, data.given[1][rows], distance))
-    return {
+    return {name: getattr(scores, name) for name in _KEPT} | {
         "written_by": f"sklearn_raacmm {__version__}",
-        "verdict": scores.verdict,
-        "helps": scores.helps,
-        "judged": scores.judged,
         "findings": [finding.facts() for finding in scores.findings],
-        "measure": scores.measure,
-        "noise_mm": noise,
-        "std_factor": scores.std_factor,
         "scale_sd": calibration.scale_sd,
-        "coverage": scores.coverage,
-        "share": scores.share,
         "fold_shares": list(scores.fold_shares),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
-        "n_folds": scores.n_folds,
         "summary": {name: list(values) for name, values in scores.summary.items()},
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],

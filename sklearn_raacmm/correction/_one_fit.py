@@ -5,6 +5,7 @@
 
 from copy import copy
 from inspect import ismethod
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
-from sklearn_raacmm.correction._causes import checked_causes, refuse_explained_time
+from sklearn_raacmm.correction._causes import checked_causes
 from sklearn_raacmm.correction._transfer import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
@@ -61,21 +62,19 @@ class Data:
                     f"position {labels[code].item()!r} has a single row, row "
                     f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
                 )
-        causes, values = checked_causes(extra, in_order, angles)
-        refuse_explained_time(causes, angles, codes)
-        kinds = codes
-        like = tuple(listed("like", like))
+        self.causes, values = checked_causes(extra, in_order, angles, codes)
+        kinds, positions = codes, labels[codes]
+        self.arm, self.lengths, self.like = arm, lengths, listed("like", like)
         if tools is not None:
-            if like:
+            if self.like:
                 raise ValueError("like and tools cannot be given together.")
             names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
         poses = find_poses(angles, kinds, points)
-        self.arm, self.lengths, self.like, self.rows = arm, lengths, like, poses.first
-        self.given = angles, labels[codes], points, tools
+        self.given, self.rows = (angles, positions, points, tools), poses.first
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
-        self.positions, self.tools = labels[codes][self.rows], _at(self.rows, tools)
-        self.causes, self.values = causes, values[self.rows]
+        self.positions, self.values = positions[self.rows], values[self.rows]
+        self.tools = None if tools is None else tools[self.rows]
         self.one_place = []  # positions that are one, as tuples
 
     def seen_by(self, calibration):
@@ -122,12 +121,14 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
+    def _at(self, rows):
+        """Angles, positions, points and tools of some rows."""
+        parts = self.angles, self.positions, self.points, self.tools
+        return [None if part is None else part[rows] for part in parts]
+
     def calibrate(self, rows=None):
         """Calibrate on some rows; on None on all, as they were given."""
-        angles, positions, points, tools = self.given
-        if rows is not None:
-            angles, positions = self.angles[rows], self.positions[rows]
-            points, tools = _at(rows, self.points), _at(rows, self.tools)
+        angles, positions, points, tools = self.given if rows is None else self._at(rows)
         if points is not None:
             return calibrate(self.arm, angles, points=points, tools=tools)
         lengths = self.lengths if rows is None else self.lengths_among(rows)
@@ -135,9 +136,9 @@ class Data:
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        groups = self.positions[rows] if self.points is None else None
-        points, tools = _at(rows, self.points), _at(rows, self.tools)
-        return calibration.residuals(self.angles[rows], points, groups, tools=tools)
+        angles, positions, points, tools = self._at(rows)
+        groups = positions if points is None else None
+        return calibration.residuals(angles, points, groups, tools=tools)
 
     def shown(self, calibration, rows):
         """Points of the calibrated arm with the probe of each of these rows, (n, 3) mm."""
@@ -147,23 +148,30 @@ class Data:
         """The model as it predicts these rows, each with its own probe."""
         if self.tools is None:
             return model
-        moved = {tool: model.with_arm(arm) for tool, arm in calibration.arms.items()}
-        return _OfTools(moved, self.tools[rows])
+        tools = self.tools[rows]
+
+        def predict(X, return_std=False):
+            found = np.empty((1 + return_std, len(X), 3))
+            for tool in np.unique(tools):
+                moved, own = model.with_arm(calibration.arms[tool]), tools == tool
+                found[:, own] = moved.predict(X[own], return_std)
+            return tuple(found) if return_std else found[0]
+
+        return SimpleNamespace(predict=predict)
 
     def _probes(self, calibration, rows):
         """Probe of each of these rows, (n, 3) in mm; None where all have the arm's."""
-        tools = _at(rows, self.tools)
-        return None if tools is None else np.array([calibration.arms[t].probe for t in tools])
+        if self.tools is None:
+            return None
+        return np.array([calibration.arms[tool].probe for tool in self.tools[rows]])
 
     def outliers(self, calibration):
         """Rows far from where the calibrated arm has them, which its error model cannot explain."""
         far = np.flatnonzero(calibration.sample_weight[self.rows] == 0)
         if not len(far):
             return far
-        every = np.arange(len(self.angles))
-        rows, lonely = self.without_lonely(every)
-        model = model_for(None, calibration.arm, self.causes)
-        y = self.residuals(calibration, rows)
+        rows, lonely = self.without_lonely(np.arange(len(self.angles)))
+        model, y = self._model_for(None, calibration.arm), self.residuals(calibration, rows)
         probes = self._probes(calibration, rows)
         with ignored_findings():  # what there is to say is said of the rows that are learnt from
             model.fit(self.inputs[rows], y, groups=self.positions[rows], probes=probes)
@@ -171,58 +179,46 @@ class Data:
 
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
-        y = self.residuals(calibration, rows)
+        X, y, positions = self.inputs[rows], self.residuals(calibration, rows), self.positions[rows]
         fitted = None
         if self.like and model is None:
-            of_rows = self.inputs[rows], y, self.positions[rows]
-            fitted = transferred_model(self.like, calibration.arm, *of_rows)
+            fitted = transferred_model(self.like, calibration.arm, X, y, positions)
         if fitted is None:
-            fitted = self._fit_alone(model, calibration, rows, y)
-        left = y - self.at_probes(fitted, calibration, rows).predict(self.inputs[rows])
+            fitted = self._model_for(model, calibration.arm)
+            # Of a pipeline, what its last step takes.
+            last, prefix = fitted, ""
+            while isinstance(last, Pipeline):
+                prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
+            # A tracker knows where the positions are: lengths tell the model nothing.
+            lengths = [] if self.points is not None else self.lengths_among(rows)
+            extra = {"groups": positions, "lengths": lengths}
+            if self.tools is not None:
+                if prefix or not has_fit_parameter(last, "probes"):
+                    raise ValueError(
+                        "tools need an ArmResidualRegressor as the model, not in another one."
+                    )
+                extra["probes"] = self._probes(calibration, rows)
+            given = [name for name in extra if len(extra[name]) and has_fit_parameter(last, name)]
+            fitted.fit(X, y, **{f"{prefix}{name}": extra[name] for name in given})
+        left = y - self.at_probes(fitted, calibration, rows).predict(X)
         if self.points is None:
-            left = position_residuals(left, self.positions[rows])
+            left = position_residuals(left, positions)
         return fitted, float(np.sqrt(np.mean(np.square(left))))
 
-    def _fit_alone(self, model, calibration, rows, y):
-        fitted = model_for(model, calibration.arm, self.causes)
-        # Of a pipeline, what its last step takes.
-        last: Any = fitted
-        prefix = ""
-        while isinstance(last, Pipeline):
-            prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
-        # A tracker knows where the positions are: lengths between them tell the model nothing.
-        lengths = [] if self.points is not None else self.lengths_among(rows)
-        extra = {"groups": self.positions[rows], "lengths": lengths}
-        if self.tools is not None:
-            if not (last is fitted and has_fit_parameter(last, "probes")):
-                raise ValueError(
-                    "tools need an ArmResidualRegressor as the model, not in another one."
-                )
-            extra["probes"] = self._probes(calibration, rows)
-        extra = {
-            f"{prefix}{name}": value
-            for name, value in extra.items()
-            if len(value) and has_fit_parameter(last, name)
-        }
-        return fitted.fit(self.inputs[rows], y, **extra)
-
-
-def _at(rows, values):
-    return None if values is None else values[rows]
-
-
-class _OfTools:
-    """A model at the probes of several tools, by their labels, for rows with these (n,) labels."""
-
-    def __init__(self, models, tools):
-        self.models, self.tools = models, tools
-
-    def predict(self, X, return_std=False):
-        found = np.empty((1 + return_std, len(X), 3))
-        for tool, model in self.models.items():
-            if (rows := self.tools == tool).any():
-                found[:, rows] = model.predict(X[rows], return_std)
-        return tuple(found) if return_std else found[0]
+    def _model_for(self, model, arm) -> Any:
+        """Copy of a model, or the default one, for this arm and for angles in rad."""
+        if model is None:
+            return ArmResidualRegressor(arm, extra=self.causes)
+        model, known = clone(model), {"arm": arm, "angle_unit": "rad"}
+        if self.causes:
+            known["extra"] = self.causes
+        for name, value in model.get_params(deep=True).items():
+            last = name.rsplit("__")[-1]
+            if last in known:
+                model.set_params(**{name: known[last]})
+            elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):
+                model.set_params(**{name: arm.azimuth})
+        return model
 
 
 def _regions(points):
@@ -232,22 +228,3 @@ def _regions(points):
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")
     codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
-
-
-def model_for(model, arm, causes=()):
-    """Copy of a model, or the default one, for this arm and for angles in rad."""
-    if model is None:
-        return ArmResidualRegressor(arm, extra=causes)
-    model = clone(model)
-    changes = {}
-    for name, value in model.get_params(deep=True).items():
-        last = name.rsplit("__")[-1]
-        if last == "arm":
-            changes[name] = arm
-        elif last == "extra" and causes:
-            changes[name] = causes
-        elif last == "angle_unit":
-            changes[name] = "rad"
-        elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):
-            changes[name] = arm.azimuth
-    return model.set_params(**changes)

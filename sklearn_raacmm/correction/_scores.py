@@ -3,8 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, field, replace
-from html import escape
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,12 @@ from scipy import stats
 from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.correction._causes import say_worth_of_directions
-from sklearn_raacmm.correction._deviations import length_findings, predict_with_std
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
 from sklearn_raacmm.utils import (
+    Finding,
     centred,
     encode_groups,
     group_means,
-    html_table,
     ignored_findings,
     listed,
     natural_order,
@@ -33,6 +30,8 @@ _N_FOLDS = 5
 _FEWEST_POSITIONS = 5
 _Z95 = 1.959964  # the standard normal quantile of 97.5 %
 _WHEN = "before", "after"
+# Coverage factor of uncertainties that are said in words.
+_K = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +84,18 @@ class CorrectionScores:
     """
 
     measure: str
-    table: dict[str, Any] = field(repr=False)
+    table: dict[str, Any]
     summary: dict[str, Any]
-    lengths: list[Any] = field(repr=False)
-    length_errors_before: np.ndarray = field(repr=False)
-    length_errors_after: np.ndarray = field(repr=False)
+    lengths: list[Any]
+    length_errors_before: np.ndarray
+    length_errors_after: np.ndarray
     coverage: float
     std_factor: float
     n_folds: int
-    outliers: np.ndarray = field(repr=False)
-    rows_by_position: list[Any] = field(repr=False)
-    left_before: np.ndarray = field(repr=False)
-    left_after: np.ndarray = field(repr=False)
+    outliers: np.ndarray
+    rows_by_position: list[Any]
+    left_before: np.ndarray
+    left_after: np.ndarray
     helps: bool
     verdict: str
     findings: tuple[Any, ...] = ()
@@ -108,25 +107,16 @@ class CorrectionScores:
         """Whether nothing has to be repaired before a judgement means something."""
         return not any(finding.weight == "repair" for finding in self.findings)
 
-    def __str__(self) -> str:
-        header, rows = self._cells()
-        widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-        lines = [
-            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
-            for row in (header, *rows)
-        ]
-        return "\n".join([self.verdict, *lines, *self._summary_lines()])
-
-    def _cells(self):
-        """Header and rows of the table as texts, cone 2 before cone 10."""
+    def __repr__(self) -> str:
         of_points = (f"{self.measure} before, mm", "after", "maximum before", "after")
+        cells = [["position", "points", *of_points]]
         rows = list(zip(*self.table.values(), strict=True))
-        rows = [rows[i] for i in natural_order(self.table["position"])]
-        texts = [[*map(str, row[:2]), *(f"{value:.4f}" for value in row[2:])] for row in rows]
-        return ["position", "points", *of_points], texts
-
-    def _summary_lines(self):
-        lines = []
+        for i in natural_order(self.table["position"]):
+            cells.append([*map(str, rows[i][:2]), *(f"{value:.4f}" for value in rows[i][2:])])
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines = [self.verdict]
+        for row in cells:
+            lines.append("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]))
         for when in _WHEN:
             mean, low, high = self.summary[when]
             measure = f"mean {self.measure.removeprefix('mean ')}"
@@ -145,11 +135,26 @@ class CorrectionScores:
             lines.append(_shares(self.share, self.fold_shares))
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
-        return lines + [f"{finding.weight}: {finding}" for finding in self.findings]
+        lines += [f"{finding.weight}: {finding}" for finding in self.findings]
+        return "\n".join(lines)
 
-    def _repr_html_(self):
-        rest = "<br>".join(map(escape, self._summary_lines()))
-        return f"{html_table(self.verdict, *self._cells())}<p>{rest}</p>"
+
+def predict_with_std(model, X, noise):
+    """Prediction (n, 3) and standard deviation of a new measurement (n, 3), mm."""
+    try:
+        mean, std = model.predict(X, return_std=True)
+        std = np.broadcast_to(np.reshape(std, (len(mean), -1)), mean.shape)
+    except (TypeError, ValueError):  # a regressor without standard deviations of this form
+        mean = model.predict(X)
+        std = np.zeros_like(mean)
+    if (linear := linear_in_use(model)) is not None:
+        noise = noise * linear.noise_ratio(X)
+    return mean, np.hypot(std, noise)
+
+
+def linear_in_use(model):
+    """The linear error model, or None where there is none, or where it is of no help."""
+    return getattr(model, "linear_model_", None) if getattr(model, "helps_", False) else None
 
 
 def _shares(share, of_folds):
@@ -164,20 +169,19 @@ def with_verdict(scores, findings, model):
     most of those that were judged were not, the verdict says so.
     """
     scores = replace(scores, findings=tuple(findings), share=_share_of(model))
-    used = float(np.median(scores.fold_shares)) > 0
-    if scores.judged and used != (scores.share > 0):
-        of_folds = scores.fold_shares
-        more = (
-            "But the model of all rows is another one than those that were judged: "
-            f"{_shares(scores.share, of_folds)}."
+    verdict = scores.verdict
+    if not scores.judged:
+        first, *more = (f for f in scores.findings if f.weight == "repair")
+        others = f" And {len(more)} more of the findings." * bool(more)
+        verdict = f"Not judged: first repair this. {first}{others}"
+    elif (np.median(scores.fold_shares) > 0) != (scores.share > 0):
+        verdict = (
+            f"{'Do not use it. ' * scores.helps}{verdict} But the model of all rows is another one "
+            f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
         )
-        verdict = scores.verdict if not scores.helps else f"Do not use it. {scores.verdict}"
-        return replace(scores, helps=False, verdict=f"{verdict} {more}")
-    if scores.judged:
+    else:
         return scores
-    first, *more = (f for f in scores.findings if f.weight == "repair")
-    others = f" And {len(more)} more of the findings." * bool(more)
-    return replace(scores, helps=False, verdict=f"Not judged: first repair this. {first}{others}")
+    return replace(scores, helps=False, verdict=verdict)
 
 
 def scores_of(data, calibration, model, cv, n_jobs, progress):
@@ -188,20 +192,26 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
-    before, after, std, unknown = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
+    before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(3))
     length_errors, fold_shares = [], []
     for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-        before[test], after[test], std[test], unknown[test] = result[:4]
-        length_errors += result[4]
-        fold_shares.append(result[5])
+        before[test], after[test], std[test], errors, share = result
+        length_errors += errors
+        fold_shares.append(share)
         if progress is not None:
             progress(i + 1, len(folds))
-    say_worth_of_directions(data, after, unknown)
     table, measure, rows_by_position = _table(data, before, after)
     block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
     summary = _summary(table["before"], table["after"], block_of)
     coverage, factor = coverage_of(after, std)
-    unknown_lengths = length_findings(calibration)
+    unknown_lengths = []
+    if "scale" in calibration.unidentified:  # the arm has it from its table alone
+        per_metre = _K * 1000 * calibration.scale_sd
+        said = f"Lengths are not known to better than {per_metre:.2g} mm per metre (k = {_K:g})."
+        advice = (
+            "Measure a known distance: a bar in two cones, or a cone plate moved by a known step."
+        )
+        unknown_lengths = [Finding("lengths-unknown", said, advice, "note", size_mm=per_metre)]
     report_findings(unknown_lengths)
     n_blocks = len(np.unique(block_of))
     helps, verdict = _verdict(table, summary, measure, n_blocks, unknown_lengths)
@@ -245,12 +255,14 @@ def _folds(data, kept, cv):
         cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
     elif not hasattr(cv, "split"):
         cv = listed("cv", cv)
-        if not all(_are_rows(pair, len(codes)) for pair in cv):
-            raise ValueError(
-                "cv must be a whole number, a splitter, or pairs of the rows to fit on and to "
-                f"leave out, got {cv!r:.60}."
-            )
-    splits = list(check_cv(cv).split(data.angles, groups=blocks))
+    splits, every = list(check_cv(cv).split(data.angles, groups=blocks)), np.arange(len(codes))
+    try:
+        splits = [(every[train], every[test]) for train, test in splits]
+    except (TypeError, ValueError, IndexError):
+        raise ValueError(
+            "cv must be a whole number, a splitter, or pairs of the rows to fit on and to leave "
+            f"out, got {cv!r:.60}."
+        ) from None
     times = np.zeros(len(codes), dtype=int)
     for train, test in splits:
         lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
@@ -271,15 +283,6 @@ def _folds(data, kept, cv):
     return [(np.intersect1d(train, kept), np.intersect1d(test, kept)) for train, test in splits]
 
 
-def _are_rows(pair, n_rows):
-    """Whether these are two arrays of numbers of rows."""
-    if not isinstance(pair, tuple | list) or len(pair) != 2:
-        return False
-    pair = [np.asarray(rows) for rows in pair]
-    whole = all(rows.ndim == 1 and rows.dtype.kind in "iu" for rows in pair)
-    return whole and all(((rows >= 0) & (rows < n_rows)).all() for rows in pair)
-
-
 def _one_fold(data, model, train, test):
     """Deviations before and after and their standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
@@ -288,7 +291,6 @@ def _one_fold(data, model, train, test):
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = _share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-        unknown = _of_unknown_directions(data, fitted, test, correction)
     points = data.shown(calibration, test)
     labels = data.positions[test]
     lengths = []
@@ -300,18 +302,8 @@ def _one_fold(data, model, train, test):
     is_tracker = data.points is not None
     left = data.residuals(calibration, test) if is_tracker else points
     codes = None if is_tracker else encode_groups(labels)[1]
-    before, after, unknown = (centred(left - part, codes) for part in (0.0, correction, unknown))
-    return before, after, std, unknown, lengths, share
-
-
-def _of_unknown_directions(data, model, rows, correction):
-    """Correction of some rows if the directions of their joints were not known."""
-    ways = [i for i, name in enumerate(data.causes) if name.startswith("direction")]
-    if not ways:
-        return correction
-    X = data.inputs[rows]
-    X[:, data.angles.shape[1] + np.array(ways)] = 0.0
-    return model.predict(X)
+    before, after = (centred(left - part, codes) for part in (0.0, correction))
+    return before, after, std, lengths, share
 
 
 def _table(data, before, after):

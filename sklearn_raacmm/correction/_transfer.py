@@ -89,7 +89,8 @@ def transferred_model(models, arm, X, y, groups=None):
     fading = replace(own.fading_, factor=_FADING, most=1.0)
     positions = poses.positions if groups is None else encode_groups(groups, len(y))[1]
     fading, judgement = judged_fading(prior, poses, fading, positions, _LOG_NOISE)
-    if fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS):
+    believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
+    if believed:
         linear = replace(linear, offsets=poses.codes is not None)
         new.linear_model_ = replace(linear, fading_half=linear.gauge_free_half)
         new.fading_, new.judgement_ = fading, judgement
@@ -97,6 +98,9 @@ def transferred_model(models, arm, X, y, groups=None):
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd_}
     new.updates_ = (entry | {"n_arms": len(models), "gain_nats": float(gain)},)
+    code, word = ("make-believed", "") if believed else ("make-not-believed", "not ")
+    said = f"The {len(models)} earlier arms of this make are {word}believed: the evidence for them "
+    report_findings([Finding(code, f"{said}is {gain:.1f} nats.", weight="note")])
     return new
 
 
@@ -104,7 +108,18 @@ def _suitable_models(models, arm, n_columns):
     """Those that a new arm can start from; the others are named with the reason."""
     kept: list = []
     for number, model in enumerate(models, start=1):
-        if why := _why_not(model, kept, arm, n_columns):
+        linear, why = getattr(model, "linear_model_", None), ""
+        if linear is None:
+            why = f"{type(model).__name__} holds no linear model"
+        elif (linear.arm.n_joints, linear.arm.convention) != (arm.n_joints, arm.convention):
+            why = "it has other joints, or another convention, than the new arm"
+        elif arm.n_joints + len(linear.terms.extra) != n_columns:
+            why = "it has other causes beside the angles than the new arm"
+        elif kept and _families(linear) != _families(kept[0].linear_model_):
+            why = "it has other families of columns than the first: fit all with the same causes"
+        elif any(np.array_equal(one.linear_model_.coef, linear.coef) for one in kept):
+            why = "it is a copy of another, and two copies are no two arms"
+        if why:
             said = f"Earlier arm {number} of {len(models)} is passed over: {why}."
             report_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
         else:
@@ -112,32 +127,10 @@ def _suitable_models(models, arm, n_columns):
     return kept
 
 
-def _why_not(model, kept, arm, n_columns):
-    """Why a model cannot be one of those that are kept, or an empty string."""
-    linear = getattr(model, "linear_model_", None)
-    if linear is None:
-        return f"{type(model).__name__} holds no linear model"
-    old, new = ((a.n_joints, a.convention) for a in (linear.arm, arm))
-    if old != new:
-        return (
-            f"it has {old[0]} joints in the {old[1]} convention, the new arm {new[0]} in the "
-            f"{new[1]} one"
-        )
-    n_extra = len(linear.terms.extra)
-    if old[0] + n_extra != n_columns:
-        return f"it has {n_extra} causes beside the angles, the new arm {n_columns - new[0]}"
-    if not kept:
-        return ""
-    first = kept[0].linear_model_
-    if _families(linear.terms) != _families(first.terms):
-        return "it has other families of columns than the first: fit all with the same causes"
-    copies = (np.array_equal(one.linear_model_.coef, linear.coef) for one in kept)
-    return "it is a copy of another, and two copies are no two arms" if any(copies) else ""
-
-
-def _families(terms):
+def _families(linear):
     """What terms of several arms have to have in common."""
-    return terms._replace(harmonics=None, extra=tuple(name for name, _ in terms.extra), up=())
+    names = tuple(name for name, _ in linear.terms.extra)
+    return linear.terms._replace(harmonics=None, extra=names, up=())
 
 
 def _pooled(linears, arm):

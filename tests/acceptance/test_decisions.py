@@ -1,5 +1,6 @@
 """Uncertainties of the tester and decisions, against hand numbers."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,8 @@ BAR = Artefact(
     u_expansion_per_k=1e-6, temperature_degc=24.0, u_temperature_k=0.5, fixture_mm=0.003,
     certificate="1",
 )  # fmt: skip
+# Nothing but U = 20 um.
+EXACT = replace(BAR, expanded_mm=0.02, expansion_per_k=0.0, u_expansion_per_k=0.0, fixture_mm=0.0)
 
 
 def bars(errors, artefact=BAR):
@@ -74,11 +77,7 @@ def test_the_uncertainty_of_lengths_and_of_what_is_made_of_them():
     ],
 )
 def test_decisions_by_hand(error, guarded, simple):
-    bar = Artefact(
-        name="bar", size_mm=500.0, expanded_mm=0.02, expansion_per_k=0.0, u_expansion_per_k=0.0,
-        temperature_degc=20.0, u_temperature_k=0.0, certificate="1",
-    )  # fmt: skip
-    run, limits = bars(error, bar), {"volumetric largest": 0.1}
+    run, limits = bars(error, EXACT), {"volumetric largest": 0.1}
     for rule, decision in (("guarded", guarded), ("simple", simple)):
         value = evaluate_acceptance(run, limits=limits, rule=rule)["volumetric largest"]
         assert value.u_before == pytest.approx(0.01)
@@ -110,21 +109,14 @@ def lengths_run(errors):
     """105 lengths of 100 to 500 mm with these errors (5,) of all that are of one bar."""
     artefacts, rows = [], []
     for i, error in enumerate(errors):
-        size = 100.0 * (i + 1)
-        artefacts.append(replace(
-            BAR, name=f"{size:.0f}", size_mm=size, expanded_mm=1e-9, expansion_per_k=0.0,
-            u_expansion_per_k=0.0, fixture_mm=0.0,
-        ))  # fmt: skip
-        for position in range(7):
-            for repeat in range(3):
-                where = (f"{size:.0f}", position, repeat)
-                rows += [(*where, "a", [0, 0, 0]), (*where, "b", [0, size + error, 0])]
-    names = zip(*rows, strict=True)
-    artefact, position, repeat, end, points = names
-    return AcceptanceRun(
-        test=["length"] * 210, artefact=artefact, position=position, repeat=repeat, end=end,
-        points=points, artefacts=artefacts,
-    )  # fmt: skip
+        size, name = 100.0 * (i + 1), f"{100 * (i + 1)}"
+        artefacts.append(replace(EXACT, name=name, size_mm=size, expanded_mm=1e-9))
+        for position, repeat in itertools.product(range(7), range(3)):
+            for end, along in (("a", 0), ("b", size + error)):
+                rows.append((name, position, repeat, end, [0, along, 0]))
+    columns = ("artefact", "position", "repeat", "end", "points")
+    given = dict(zip(columns, zip(*rows, strict=True), strict=True))
+    return AcceptanceRun(test=["length"] * 210, artefacts=artefacts, **given)
 
 
 def test_every_single_length_has_its_own_limit():

@@ -1,5 +1,6 @@
 """Predictions of runs: drawn anew by hand, and simulated runs against what is stated of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -47,8 +48,6 @@ def test_white_noise_has_the_values_of_white_noise(data):
         np.testing.assert_allclose(found[name], ends, rtol=0.12, err_msg=name)
     again = predict_acceptance(White(data.arm, sd), data.run, n_draws=20, random_state=5)
     assert again == predict_acceptance(White(data.arm, sd), data.run, n_draws=20, random_state=5)
-    narrow = predict_acceptance(White(data.arm, sd), data.run, n_draws=300, probability=0.5)
-    assert narrow["2S far"][2] - narrow["2S far"][0] < found["2S far"][2] - found["2S far"][0]
 
 
 def test_without_errors_artefacts_are_measured_as_they_are(data):
@@ -62,15 +61,11 @@ def test_without_errors_artefacts_are_measured_as_they_are(data):
 
 
 def test_what_cannot_be_predicted_is_refused(data):
-    from dataclasses import replace
-
+    points = np.zeros((len(data.run.test), 3))
     with pytest.raises(ValueError, match="a plan needs joint angles"):
-        predict_acceptance(White(data.arm, 0.1), replace(data.run, angles=None, points=np.zeros(
-            (len(data.run.test), 3))))  # fmt: skip
+        predict_acceptance(White(data.arm, 0.1), replace(data.run, angles=None, points=points))
     with pytest.raises(TypeError, match="SimpleNamespace has no sample_y"):
         predict_acceptance(SimpleNamespace(arm_=data.arm), data.run)
-    with pytest.raises(ValueError, match="probability must be between 0 and 1, got 95"):
-        predict_acceptance(White(data.arm, 0.1), data.run, probability=95)
     with pytest.raises(ValueError, match="n_draws"):
         predict_acceptance(White(data.arm, 0.1), data.run, n_draws=1)
 
@@ -104,5 +99,3 @@ def test_runs_of_one_seed_are_of_one_arm_and_artefacts_do_not_move_the_noise():
     assert np.abs(other.run.angles - one.run.angles).max() > 0.1
     with pytest.raises(ValueError, match="tests names 'pose'; known are probing"):
         make_acceptance(["pose"])
-    with pytest.raises(ValueError, match="tests names none"):
-        make_acceptance([])

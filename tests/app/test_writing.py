@@ -40,18 +40,13 @@ def test_a_folder_put_together_by_hand_is_refused(tmp_path):
         with pytest.raises(ValueError, match="was changed after it was written: its fingerprint"):
             read_folder(tmp_path / "two", ["arm.json"])
     (tmp_path / "two" / "correction.json").write_text(json.dumps(facts | {"format": 3}))
-    with pytest.raises(ValueError, match=r"has format 3, of a newer version.* reads up to 2"):
+    with pytest.raises(ValueError, match=r"has format 3, of a newer version.* reads 2"):
         read_folder(tmp_path / "two", ["arm.json"])
     write_folder(tmp_path / "b", {"written_by": "w 0.0.1"}, {"arm.json": "", "model.skops": b"m"})
     with pytest.raises(
         ValueError, match=r"b was written by w 0\.0\.1, whose model this version, .*l"
     ):
         Correction.load(tmp_path / "b")
-    # Folders of the version before have no fingerprint.
-    old = {key: value for key, value in facts.items() if key not in ("format", "fingerprint")}
-    (tmp_path / "two" / "correction.json").write_text(json.dumps(old))
-    (tmp_path / "two" / "arm.json").write_text("one")
-    assert read_folder(tmp_path / "two", ["arm.json"])[1] == [b"one"]
     for text in ("{", "[]", "{}", '{"files": 3}'):
         (tmp_path / "two" / "correction.json").write_text(text)
         with pytest.raises(ValueError, match="holds no correction: learn again"):

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
-from sklearn_raacmm.correction._deviations import _shoulder, distances
+from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
+from sklearn_raacmm.correction._correction import _shoulder
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 
 
@@ -25,34 +25,33 @@ def test_a_scale_moves_points_away_from_the_shoulder(name):
 
 
 def test_distances_of_points_that_are_drawn():
-    rng = np.random.default_rng(1)
-    first, second = np.array([[100.0, 20, 300]]), np.array([[-400.0, 700, 10]])
-    sds, scale_sd = rng.uniform(0.01, 0.05, (2, 1, 3)), 5e-5
-    pair = SimpleNamespace(model=None, scale_sd=scale_sd, _within_positions=lambda X: X)
-    _, std = distances(pair, (first, sds[0]), (second, sds[1]))
+    """A regressor with standard deviations of its own: both ends are independent."""
+    rng, arm, scale_sd = np.random.default_rng(1), Arm.from_name("ur10"), 5e-5
+    angles, sds = rng.uniform(-2, 2, (2, 6)), rng.uniform(0.01, 0.05, (2, 3))
+    of_angles = {row[0]: sd for row, sd in zip(angles, sds, strict=True)}
+    model = SimpleNamespace(
+        predict=lambda X, return_std: (np.zeros((1, 3)), of_angles[X[0, 0]][None])
+    )
+    facts = {"causes": {}, "noise_mm": 0.0, "std_factor": 1.0, "scale_sd": scale_sd}
+    _, std = Correction(arm, model, None, facts).distances(angles[:1], angles[1:])
+    points = arm.forward(angles)[:, None] + sds[:, None] * rng.normal(size=(2, 20_000, 3))
     factor = 1 + scale_sd * rng.normal(size=(20_000, 1))
-    pairs = zip((first, second), sds, strict=True)
-    ends = [p + sd * rng.normal(size=(20_000, 3)) for p, sd in pairs]
-    drawn = np.linalg.norm(factor * (ends[0] - ends[1]), axis=1)
+    drawn = np.linalg.norm(factor * (points[0] - points[1]), axis=1)
     assert drawn.std() == pytest.approx(std[0], rel=0.03)
 
 
 @pytest.fixture(scope="module")
 def learned():
-    found = []
-    for seed in (0, 1, 2):
-        test = make_single_point(8, 20, bars=[500], random_state=seed)
-        correction = learn_correction(
-            test.nominal_arm, test.data, test.groups, lengths=test.lengths, cv=3
-        )
-        found.append((seed, correction))
-    return found
+    tests = [make_single_point(8, 20, bars=[500], random_state=seed) for seed in range(3)]
+    return [
+        learn_correction(t.nominal_arm, t.data, t.groups, lengths=t.lengths, cv=3) for t in tests
+    ]
 
 
 @pytest.mark.exhaustive
 def test_errors_at_other_places_are_as_large_as_is_said(learned):
     of_distances, of_coordinates = [], []
-    for seed, correction in learned:
+    for seed, correction in enumerate(learned):
         other = make_gauge([300, 1000], 8, 2, random_state=seed)
         points, std = correction.correct(other.data)
         true = other.simulation.true_points
@@ -66,7 +65,7 @@ def test_errors_at_other_places_are_as_large_as_is_said(learned):
 
 @pytest.mark.exhaustive
 def test_three_deviations_have_three_names(learned):
-    _, correction = learned[0]
+    correction = learned[0]
     angles = correction.angles[:20]
     points, of_coordinate = correction.correct(angles)
     same, within = correction.correct(angles, std_of="position")
@@ -96,7 +95,7 @@ def test_three_deviations_have_three_names(learned):
 
 @pytest.mark.exhaustive
 def test_the_verdict_says_what_is_not_known_of_lengths(learned):
-    assert learned[0][1].verdict.startswith("It helps at new positions")
+    assert learned[0].verdict.startswith("It helps at new positions")
     test = make_single_point(8, 20, random_state=0)
     alone = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
     assert alone.helps

@@ -7,12 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    RBFNetRegressor,
-    position_residuals,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, position_residuals
 from sklearn_raacmm.correction._transfer import _pooled, transferred_model
 from sklearn_raacmm.datasets import make_single_point
 
@@ -76,18 +71,23 @@ def test_many_poses_are_a_fit_of_their_own(earlier):
     assert left(transferred_model(earlier, ARM, *rows(600, 7, 7)), 7) < left(alone(600), 7) + 2e-3
 
 
+ORDER = {"causes": [], "orders": [[], [], [1], [], [], []]}
+
+
+def of_joint_3(n, seed, arcsec, noise_mm):
+    """Poses of an arm whose encoder 3 is eccentric, and nothing else."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-2, 2, (n, 6))
+    turn = np.zeros_like(angles)
+    turn[:, 2] = arcsec * np.cos(angles[:, 2])
+    y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
+    return angles, y + rng.normal(0, noise_mm, y.shape)
+
+
 def test_prior_against_the_textbook():
     """Two models of one coefficient pair each: mean and variance by hand."""
-    models = []
-    for seed, size in ((0, 10.0), (1, 14.0)):
-        rng = np.random.default_rng(seed)
-        angles = rng.uniform(-2, 2, (200, 6))
-        turn = np.zeros_like(angles)
-        turn[:, 2] = size * np.cos(angles[:, 2])
-        y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
-        y += rng.normal(0, 1e-4, y.shape)
-        model = ArmResidualRegressor(ARM, orders=[[], [], [1], [], [], []], causes=[])
-        models.append(model.fit(angles, y))
+    of_both = (of_joint_3(200, seed, size, 1e-4) for seed, size in ((0, 10.0), (1, 14.0)))
+    models = [ArmResidualRegressor(ARM, **ORDER).fit(*data) for data in of_both]
     start = _pooled([model.linear_model_ for model in models], ARM)
     # Squares of cosine and sine together: scatter 2 * 2^2 / 2, guess half of (100 + 196) / 4.
     variance = (4.0 + 0.5 * 74.0) / 2
@@ -109,24 +109,12 @@ def credulous(monkeypatch):
 
 def test_gain_is_that_of_two_normal_densities(credulous):
     """Models of one order of joint 3; orders 1 and 2 of every joint may appear. By hand."""
-    options = {"causes": [], "orders": [[], [], [1], [], [], []]}
-
-    def measured(n, seed, arcsec):
-        rng = np.random.default_rng(seed)
-        angles = rng.uniform(-2, 2, (n, 6))
-        turn = np.zeros_like(angles)
-        turn[:, 2] = arcsec * np.cos(angles[:, 2])
-        y = np.einsum("nij,nj->ni", ARM.jacobian(angles), turn * ARCSEC)
-        return angles, y + rng.normal(0, 0.01, y.shape)
-
-    earlier = [
-        ArmResidualRegressor(ARM, **options).fit(*measured(100, i, size))
-        for i, size in enumerate((10.0, 11.0))
-    ]
-    angles, y = measured(20, 7, 10.5)
+    of_both = (of_joint_3(100, seed, size, 0.01) for seed, size in ((0, 10.0), (1, 11.0)))
+    earlier = [ArmResidualRegressor(ARM, **ORDER).fit(*data) for data in of_both]
+    angles, y = of_joint_3(20, 7, 10.5, 0.01)
     (entry,) = transferred_model(earlier, ARM, angles, y).updates_
     start = _pooled([model.linear_model_ for model in earlier], ARM)
-    alone = ArmResidualRegressor(ARM, **options).fit(angles, y)
+    alone = ArmResidualRegressor(ARM, **ORDER).fit(angles, y)
     jacobian, first = ARM.jacobian(angles), np.exp(1j * angles)
     parts = [part(turns) for turns in (first, first**2) for part in (np.real, np.imag)]
     waves = np.stack([jacobian * part[:, None] * ARCSEC for part in parts], axis=3)
@@ -170,11 +158,11 @@ def test_single_point_tests():
     near = groups < 3
     new = transferred_model(earlier, arm, X[near], y[near], groups=groups[near])
     assert new.offsets_
-    far = groups[~near]
-    without, left_over = (position_residuals(v, far) for v in (
-        y[~near], y[~near] - new.predict(X[~near])))  # fmt: skip
     # A fit to three positions alone fades at others: it leaves as much as no correction.
-    assert np.linalg.norm(left_over, axis=1).mean() < 0.85 * np.linalg.norm(without, axis=1).mean()
+    left_over = y[~near] - new.predict(X[~near])
+    parts = (position_residuals(part, groups[~near]) for part in (y[~near], left_over))
+    without, after = (np.linalg.norm(part, axis=1).mean() for part in parts)
+    assert after < 0.85 * without
 
 
 def test_options_are_those_of_the_first_model(earlier):
@@ -197,7 +185,7 @@ def test_arms_that_do_not_fit_are_named_and_passed_over(earlier):
     other = ArmResidualRegressor(ARM, orders=2).fit(X, y)
     for model, why in (
         (network, "RBFNetRegressor holds no linear model"),
-        (seven, "it has 7 joints in the modified convention, the new arm 6 in the standard one"),
+        (seven, "it has other joints, or another convention, than the new arm"),
         (other, "it has other families of columns"),
         (earlier[0], "it is a copy of another"),
     ):
@@ -230,8 +218,8 @@ def warm_rows(n, seed, arm, mean, spread=5.0, noise_mm=0.02):
 @pytest.fixture(scope="module")
 def earlier_warm():
     """Each arm was measured at another temperature."""
-    arms = ((i, warm_rows(150, i, i, mean)) for i, mean in enumerate((18.0, 21.0, 30.0)))
-    return [ArmResidualRegressor(ARM, **WARM).fit(*data) for _, data in arms]
+    of_arms = (warm_rows(150, i, i, mean) for i, mean in enumerate((18.0, 21.0, 30.0)))
+    return [ArmResidualRegressor(ARM, **WARM).fit(*data) for data in of_arms]
 
 
 def test_what_a_degree_does_is_common_to_the_make(earlier_warm, credulous):
@@ -252,5 +240,5 @@ def test_what_a_degree_does_is_common_to_the_make(earlier_warm, credulous):
     other.fit(*warm_rows(60, 1, 1, 5.0))
     with pytest.warns(UserWarning, match="it has other families of columns"):
         transferred_model([*earlier_warm, other], ARM, *few)
-    with pytest.warns(UserWarning, match="it has 1 causes beside the angles, the new arm 0"):
+    with pytest.warns(UserWarning, match="it has other causes beside the angles"):
         assert transferred_model([other], ARM, few[0][:, :6], few[1]) is None

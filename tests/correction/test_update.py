@@ -12,6 +12,7 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     calibrate,
+    position_residuals,
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
@@ -58,11 +59,14 @@ def left(model, knock, seed=99):
     return np.linalg.norm(errors(angles, knock) - model.predict(angles), axis=1).mean()
 
 
-def test_no_new_pose_is_the_old_model(model):
+def test_fewer_poses_than_freedoms_change_nothing(model):
+    angles, y = rows(50, 1)
     same = update_correction(model, np.empty((0, 6)), np.empty((0, 3)))
-    angles, _ = rows(50, 1)
-    assert_allclose(same.predict(angles), model.predict(angles), rtol=0)
-    assert same is not model
+    with pytest.warns(UserWarning, match="3 new poses give 9 coordinates, .* the 9 freedoms"):
+        few = update_correction(model, angles[:3], y[:3])
+    for one in (same, few):
+        assert_allclose(one.predict(angles), model.predict(angles), rtol=0)
+        assert one is not model
 
 
 def test_new_poses_that_show_nothing_new_change_next_to_nothing(model):
@@ -166,30 +170,15 @@ def test_single_points_update_too():
     old = data.groups < 9
     model = ArmResidualRegressor(data.arm, orders=6)
     model.fit(data.data[old], data.target[old], groups=data.groups[old])
-    new = ~old
-    updated = update_correction(model, data.data[new], data.target[new], groups=data.groups[new])
-    before = data.target[new] - model.predict(data.data[new])
-    after = data.target[new] - updated.predict(data.data[new])
-    for g in np.unique(data.groups[new]):
-        rows_of = data.groups[new] == g
-        before[rows_of] -= before[rows_of].mean(axis=0)
-        after[rows_of] -= after[rows_of].mean(axis=0)
+    X, y, groups = data.data[~old], data.target[~old], data.groups[~old]
+    updated = update_correction(model, X, y, groups=groups)
+    before, after = (position_residuals(y - one.predict(X), groups) for one in (model, updated))
     assert np.linalg.norm(after, axis=1).mean() < np.linalg.norm(before, axis=1).mean()
     # Where the base stands no such test shows: it is in no deviation, before and after.
     old_std, std = (m.predict(data.data, return_std=True)[1] for m in (model, updated))
     assert np.median(std) < 3 * np.median(old_std)
     with pytest.raises(ValueError, match="give groups, the position of each new pose"):
-        update_correction(model, data.data[new], data.target[new])
-
-
-# -- bad input ---------------------------------------------------------------------------------
-
-
-def test_fewer_poses_than_freedoms_are_named_and_change_nothing(model):
-    angles, y = rows(3, 1)
-    with pytest.warns(UserWarning, match="3 new poses give 9 coordinates, .* the 9 freedoms"):
-        same = update_correction(model, angles, y)
-    assert_allclose(same.predict(angles), model.predict(angles), rtol=0)
+        update_correction(model, X, y)
 
 
 def test_rows_of_another_arm_are_named(model):
@@ -197,8 +186,6 @@ def test_rows_of_another_arm_are_named(model):
     y = np.random.default_rng(0).normal(0, 5, (60, 3))
     with pytest.warns(UserWarning, match="are they of this arm"):
         update_correction(model, angles, y)
-    with pytest.raises(ValueError, match="7 features"):
-        update_correction(model, np.zeros((5, 7)), np.zeros((5, 3)))
     with pytest.raises(ValueError, match="X has 60 rows, but y has 4"):
         update_correction(model, angles, y[:4])
 
@@ -210,19 +197,14 @@ def test_on_the_ur10_another_day(ur10, ur10_b):
     first = calibrate(ARM, ur10.angles[some], points=ur10.points[some])
     model = ArmResidualRegressor(first.arm).fit(ur10.angles[some], first.residuals_mm)
     new = np.random.default_rng(0).permutation(len(ur10_b.angles))
-    known, rest = new[:60], new[60:]
-    angles, points = ur10_b.angles, ur10_b.points
+    known, rest = ((ur10_b.angles[part], ur10_b.points[part]) for part in (new[:60], new[60:]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = calibrate(
-            first.arm, angles[known], points=points[known], correction=model, free=["probe"]
-        )
-        updated = update_correction(
-            model, angles[known], result.residuals(angles[known], points[known])
-        )
-    true = result.residuals(angles[rest], points[rest])
+        result = calibrate(first.arm, known[0], points=known[1], correction=model, free=["probe"])
+        updated = update_correction(model, known[0], result.residuals(*known))
     registered, now = (
-        np.linalg.norm(true - m.predict(angles[rest]), axis=1).mean() for m in (model, updated)
+        np.linalg.norm(result.residuals(*rest) - m.predict(rest[0]), axis=1).mean()
+        for m in (model, updated)
     )
     assert registered < 0.32
     assert now < 0.2
@@ -266,27 +248,23 @@ def test_an_update_is_no_reason_to_fade(model, n):
 # -- extra columns ------------------------------------------------------------------------------
 
 
-def warm_rows(n, seed, per_kelvin=1.0, lag=0.0):
+def warm_rows(n, seed, lag):
     """Residuals with the temperature and the direction of joint 2 as columns 7 and 8."""
     angles, y = rows(n, seed)
     rng = np.random.default_rng([seed, 1])
     extra = np.column_stack([rng.uniform(15, 25, n), rng.choice([-1.0, 1.0], n)])
-    y = y + per_kelvin * 11.7e-6 * (extra[:, :1] - 20) * ARM.forward(angles)
+    y = y + 11.7e-6 * (extra[:, :1] - 20) * ARM.forward(angles)
     y = y + ARM.jacobian(angles)[:, :, 1] * lag * ARCSEC * extra[:, 1:]
     return np.hstack([angles, extra]), y
 
 
-@pytest.fixture(scope="module")
-def warm_model():
-    model = ArmResidualRegressor(ARM, orders=20, extra=["temperature", "direction 2"])
-    return model.fit(*warm_rows(500, 0, lag=6))
-
-
-def test_extra_columns_are_brought_up_to_date(warm_model):
+def test_extra_columns_are_brought_up_to_date():
     """The backlash of joint 2 has grown: the update finds that, and that nothing else did."""
-    updated = update_correction(warm_model, *warm_rows(60, 1, lag=16))
+    model = ArmResidualRegressor(ARM, orders=20, extra=["temperature", "direction 2"])
+    model.fit(*warm_rows(500, 0, lag=6))
+    updated = update_correction(model, *warm_rows(60, 1, lag=16))
     X, y = warm_rows(300, 2, lag=16)
-    old, new = (np.linalg.norm(y - m.predict(X), axis=1).mean() for m in (warm_model, updated))
+    old, new = (np.linalg.norm(y - m.predict(X), axis=1).mean() for m in (model, updated))
     assert new < 0.5 * old
     tau = updated.updates_[0]["tau"]
     assert max(tau, key=tau.get) == "direction"
@@ -304,11 +282,6 @@ def test_a_model_that_is_not_used_is_judged_anew(model):
     assert left(updated, 0) < 0.3 * np.linalg.norm(errors(rows(400, 99)[0]), axis=1).mean()
     # Nothing fades where the new poses have shown so.
     assert updated.fading(angles).min() > 0.9
-    # Of noise nothing is used.
-    noise = np.random.default_rng(0).normal(0, 1.0, y.shape)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert update_correction(refused, angles, noise).fading_.most < 0.5
 
 
 def test_a_likelier_explanation_hands_nothing_over(model):
@@ -319,8 +292,6 @@ def test_a_likelier_explanation_hands_nothing_over(model):
         update_correction(model, angles, corrected)
     assert caught.value.finding.code == "corrected-already"
     assert 'accept="corrected-already"' in str(caught.value)
-    with pytest.raises(FindingError):
-        update_correction(model, angles, corrected, accept="sign-of-residuals")
     with pytest.warns(UserWarning, match="corrected already"):
         taken = update_correction(model, angles, corrected, accept="corrected-already")
     assert [finding.weight for finding in taken.findings_] == ["repair"]
@@ -328,34 +299,28 @@ def test_a_likelier_explanation_hands_nothing_over(model):
 
 def test_explanations_that_are_as_likely_are_named_together(model):
     """A turn that is free explains the other sign nearly as well; many rows tell them apart."""
-    angles, y = rows(60, 1)
     both = r"corrected twice .* nats[)], or if their axes are others: they are turned and mirrored"
-    with pytest.raises(FindingError, match=both):
-        update_correction(model, angles, -y)
-    angles, y = rows(300, 1)
-    with pytest.raises(FindingError, match=r"corrected twice .* nats[)][.] Give measured"):
-        update_correction(model, angles, -y)
+    for n, said in ((60, both), (300, r"corrected twice .* nats[)][.] Give measured")):
+        angles, y = rows(n, 1)
+        with pytest.raises(FindingError, match=said):
+            update_correction(model, angles, -y)
 
 
 def test_a_missing_row_is_named_by_its_number(model):
-    angles, y = rows(60, 1)
-    dropped = np.delete(angles, 30, axis=0)
+    angles, y = rows(61, 1)
     # Residual 31 is that of the angles that are in row 30 now.
     with pytest.raises(FindingError, match="of the row before, from row 30 on") as caught:
-        update_correction(model, np.vstack([dropped, dropped[-1:]]), y)
+        update_correction(model, np.delete(angles, 30, axis=0), y[:60])
     assert caught.value.finding.rows == (30,)
 
 
-@pytest.mark.parametrize("order", ["given", "permuted"])
-def test_new_poses_that_nothing_is_wrong_with_are_taken(model, order):
-    """A knock, a moved base and slips are changes, and no mistakes."""
+def test_new_poses_that_nothing_is_wrong_with_are_taken(model):
+    """A knock, a moved base and slips are changes, and no mistakes, in any order of the rows."""
     for seed in range(6):
         angles, y = rows(40, 60 + seed, knock=15 * (seed % 2))
         y = y + place_columns(angles) @ np.random.default_rng(seed).normal(0, 0.3, 9)
         y[seed] += 2.0
-        some = np.arange(40)
-        if order == "permuted":
-            some = np.random.default_rng(seed).permutation(40)
+        some = np.random.default_rng(seed).permutation(40) if seed % 3 else np.arange(40)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             assert not update_correction(model, angles[some], y[some]).findings_
