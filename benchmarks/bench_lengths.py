@@ -9,12 +9,11 @@ Simulated arms, ten cones of 25 poses, calibrated from descriptions that are mor
 """
 
 import argparse
-import os
 import warnings
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
+from _arm_folds import rms
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate
 from sklearn_raacmm.correction._scores import _summary
@@ -91,16 +90,21 @@ KNOWN = {"none": ([], 0)} | {
 
 def with_bars(seed, lengths, n_places):
     """Arm, angles, labels and known lengths of a test with bars, sd 0.01 mm, from a drawing."""
-    test, rng = simulated(seed), np.random.default_rng([seed, 7])
+    test = simulated(seed)
+    return test, *cones_and_bars(test, seed, lengths, n_places)
+
+
+def cones_and_bars(test, seed, lengths, n_places):
+    """Angles, labels and known lengths of a test of cones and of bars, if there are any."""
+    rng, machine = np.random.default_rng([seed, 7]), test.simulation.machine
     angles, labels, known = test.data, [f"cone {g}" for g in test.groups], []
-    if lengths:
-        machine = test.simulation.machine
+    if n_places:
         bars = make_gauge(lengths, n_places, 25, machine=machine, random_state=seed)
         angles = np.vstack([angles, bars.data])
         labels += [f"end {g}" for g in bars.groups]
         for (i, j), length in zip(bars.pairs, bars.lengths, strict=True):
             known.append((f"end {i}", f"end {j}", length + rng.normal(0, 0.01), 0.01))
-    return test, angles, np.array(labels), known
+    return angles, np.array(labels), known
 
 
 def lengths(n_arms):
@@ -161,10 +165,6 @@ def intervals(n_arms):
                 ends = _summary(x, x, np.arange(n))["after"][1:], np.quantile(means, [0.025, 0.975])
                 held += [low <= every.mean() <= high for low, high in ends]
             print(f"arm {seed}, {n:2} positions: {held[0] / 2000:.3f} {held[1] / 2000:.3f}")
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def main():
