@@ -28,7 +28,7 @@ from sklearn_raacmm.app._files import (
     open_beside,
     print_notes,
     read_causes,
-    read_tools,
+    read_labels,
     write_corrected,
 )
 from sklearn_raacmm.app._lengths import known_lengths
@@ -70,8 +70,9 @@ def learn(options):
             progress=_progress,
             extra=read_causes(table, find_cause_columns(options)),
             like=like,
-            tools=read_tools(table, options),
+            tools=read_labels(table, options, "tool"),
             points_sd=options.points_sd,
+            blocks=read_labels(table, options, "block"),
         )
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}

@@ -99,7 +99,7 @@ def corrected_file(layout, correction, options):
 
 def _corrected(correction, X, block, options, std):
     """The new columns of a block, each row by its probe."""
-    tools, new = read_tools(block, options), np.empty((len(X), _N_COLUMNS[std]))
+    tools, new = read_labels(block, options, "tool"), np.empty((len(X), _N_COLUMNS[std]))
     for tool in [None] if tools is None else np.unique(tools):
         rows = slice(None) if tool is None else tools == tool
         with numbered_rows(block.rows[rows]):
@@ -146,7 +146,8 @@ def print_notes(notes):
 
 def find_rows(options, arm, labelled=True):
     """Layout of the table that the options name."""
-    points, tool = getattr(options, "points", None), getattr(options, "tool", None)
+    points = getattr(options, "points", None)
+    labels = getattr(options, "tool", None), getattr(options, "block", None)
     if points and not Path(points).is_file():
         points = points.split(",")
         if len(points) != 3:
@@ -166,7 +167,7 @@ def find_rows(options, arm, labelled=True):
         joint_names=arm.names,
         counts_per_turn=counts,
         sheet=options.sheet,
-        others=[*find_cause_columns(options).values(), *filter(None, [tool])],
+        others=[*find_cause_columns(options).values(), *filter(None, labels)],
     )
 
 
@@ -178,7 +179,7 @@ def parse_vector(option, text):
     return vector
 
 
-# -- causes: what the options --extra and --tool name ---------------------------------------------
+# -- causes: what the options --extra, --tool and --block name --------------------------------------
 
 
 def find_cause_columns(options):
@@ -208,9 +209,9 @@ def _numbers(table, column):
     return np.array(times)
 
 
-def read_tools(table, options):
-    """Labels of the probes in the column that `--tool` names, (n,); None without it."""
-    column = getattr(options, "tool", None)
+def read_labels(table, options, name):
+    """Labels in the column that the option `name`, tool or block, names, (n,); None without it."""
+    column = getattr(options, name, None)
     if column is None:
         return None
     return np.array([text_of_label(label) for label in table.others[column].tolist()])

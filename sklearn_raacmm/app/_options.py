@@ -28,7 +28,7 @@ WORDS = {
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
-        f"--lengths --places --length-sd {_CAUSES} --like --take --serial --operator",
+        f"--lengths --places --length-sd {_CAUSES} --block --like --take --serial --operator",
     ),
     "correct": (
         "_commands", "correct a table of any length",
@@ -139,6 +139,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "all",
     ),
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
+    "--block": _value("COLUMN", "column of what holds positions that are left out together"),
     # -- learning
     "--limit-2s": _number("MM", "limit of the mean 2S to judge by"),
     "--folds": _number("N", "times that some positions are left out (5)", int),

@@ -58,6 +58,7 @@ def learn_correction(
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
+    blocks: ArrayLike | None = None,
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -113,6 +114,10 @@ def learn_correction(
     points_sd : float, default=0.0
         Standard deviation of a coordinate of `points` as the tracker states it, mm: the noise that
         is not the arm's, which standard deviations of corrected points then leave out.
+    blocks : array-like of shape (n_samples,), default=None
+        Label of what holds the position of each row, where what happens to one position happens to
+        others: the plate of a socket, the placement of a bar. Positions of one block are left out
+        together, and the intervals count blocks.
 
     Returns
     -------
@@ -165,8 +170,9 @@ def learn_correction(
 
     def inside():
         data = Data(
-            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools
-        )
+            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools,
+            blocks,
+        )  # fmt: skip
         calibration = _calibrated(data, angles, angle_unit)
         data = with_kept_causes(data.seen_by(calibration), calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)

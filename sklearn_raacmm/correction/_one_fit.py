@@ -39,7 +39,7 @@ class Data:
 
     def __init__(
         self, arm, angles, positions, points, lengths, angle_unit,
-        extra=None, in_order=False, like=(), tools=None,
+        extra=None, in_order=False, like=(), tools=None, blocks=None,
     ):  # fmt: skip
         check_arm(arm)
         angles = check_angles(angles, arm.n_joints, angle_unit)
@@ -76,6 +76,13 @@ class Data:
         self.positions, self.values = positions[self.rows], values[self.rows]
         self.tools = None if tools is None else tools[self.rows]
         self.one_place = []  # positions that are one, as tuples
+        self.together = []  # positions of one block, as tuples
+        if blocks is not None:
+            of_block = encode_groups(blocks, len(angles), "blocks")[1]
+            every = np.array(self.given[1])
+            self.together = [
+                tuple(np.unique(every[of_block == i]).tolist()) for i in range(of_block.max() + 1)
+            ]
 
     def seen_by(self, calibration):
         """The same without lengths that a calibration of all rows found to be wrong.
@@ -103,10 +110,12 @@ class Data:
         return rows[~alone], rows[alone]
 
     def blocks(self):
-        """Block of each row: positions at one place, or joined by known lengths, are one."""
+        """Block of each row: positions at one place, of one block, or joined by lengths are one."""
         labels, codes = np.unique(self.positions, return_inverse=True)
         number = {label: i for i, label in enumerate(labels.tolist())}
-        pairs = [(place[0], other) for place in self.one_place for other in place]
+        pairs = [
+            (place[0], other) for place in [*self.one_place, *self.together] for other in place
+        ]
         # Of a plate whose distances are all known: position by position.
         for joined in ([*pairs, *(entry[:2] for entry in self.lengths)], pairs):
             ends = np.array([[number[a], number[b]] for a, b in joined], dtype=int).reshape(-1, 2).T

@@ -380,7 +380,7 @@ def _verdict(table, summary, measure, n_blocks, unknown_lengths):
     n, better = len(before), int(np.sum(after < before))
     ratio, low, high = summary["ratio"]
     change = f"{measure} {before.mean():.3f} -> {after.mean():.3f} mm"
-    what = "positions" if n_blocks == n else "placements of known lengths"
+    what = "positions" if n_blocks == n else "blocks of positions"
     if n_blocks < _FEWEST_POSITIONS:
         return False, (
             f"Do not use it yet: at new positions {change}, but {n_blocks} {what} are too few to "

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import main, read_table
-from sklearn_raacmm.app._files import read_tools
+from sklearn_raacmm.app._files import read_labels
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
 
@@ -284,7 +284,7 @@ def test_labels_of_tools_are_the_same_in_every_block():
         (["01", "long", ""], ["1", "long", ""]),
     ):
         table = SimpleNamespace(others={"t": np.array(cells)})
-        assert read_tools(table, options).tolist() == names
+        assert read_labels(table, options, "tool").tolist() == names
 
 
 @pytest.mark.parametrize(("learnt", "words", "sentence"), [

@@ -122,6 +122,24 @@ def test_slipped_probes_are_found_and_nothing_else(test_data):
     assert "row 7 (0)" in str(learned)
 
 
+def test_positions_of_one_block_are_left_out_together(test_data):
+    blocks = np.array(["left", "right", "top", "back"])[test_data.groups % 4]
+    folds = list(GroupKFold(4).split(test_data.data, groups=blocks))
+    given = test_data.nominal_arm, test_data.data, test_data.groups
+    by_hand, scores = (
+        cross_validate_correction(*given, model=QUICK, **options)
+        for options in ({"cv": folds}, {"cv": 4, "blocks": blocks})
+    )
+    assert_allclose(scores.left_after, by_hand.left_after)
+    # Seven positions would be enough to tell; four blocks are not.
+    assert "4 blocks of positions are too few" in scores.verdict
+    assert "too few" not in by_hand.verdict
+    with pytest.raises(ValueError, match="at least 3 positions"):
+        cross_validate_correction(*given, model=QUICK, blocks=test_data.groups % 2)
+    with pytest.raises(ValueError, match="blocks"):
+        cross_validate_correction(*given, model=QUICK, blocks=blocks[:-1])
+
+
 @pytest.mark.exhaustive
 def test_lengths_are_judged_where_both_ends_were_left_out():
     data = make_gauge(400, n_placements=6, n_poses=12, random_state=3)
