@@ -179,7 +179,7 @@ def parse_vector(option, text):
     return vector
 
 
-# -- causes: what the options --extra, --tool and --block name --------------------------------------
+# -- causes: what the options --extra, --tool and --block name -------------------------------------
 
 
 def find_cause_columns(options):
