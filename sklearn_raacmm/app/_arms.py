@@ -1,14 +1,15 @@
-"""The word ``arm``: an arm of a file, a table or lengths, shown and written."""
+"""The word ``arm``: an arm of a file, a table, lengths or answers, shown and written."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, check_installed
+from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
 from sklearn_raacmm.app._files import load_arm, parse_vector
@@ -26,6 +27,27 @@ _COLUMNS = {
 }
 _ANGLES = ("alpha", "theta_offset")
 _FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
+_DRAWING = r"""
+           elbow: axes 2 and 3 cross, or pass at the elbow offset
+              o
+    upper    / \    fore
+            /   \
+           o     o--( probe
+   shoulder|     wrist: axes 4 and 5 cross, or pass at the wrist offset
+    height |
+         =====  base: axis 1 upright, axis 2 across it
+"""
+_QUESTIONS = (
+    ("shoulder", "height of the shoulder above the base"),
+    ("upper", "shoulder to elbow"),
+    ("fore", "elbow to wrist"),
+    ("probe", "wrist to the centre of the probe"),
+    ("elbow_offset", "how far axes 2 and 3 pass each other, 0 if they cross"),
+    ("wrist_offset", "how far axes 4 and 5 pass each other, 0 if they cross"),
+)
+_ADVICE = """Shoulder to elbow and elbow to wrist decide the scale of the arm: take them from a
+drawing, to half a millimetre, or measure a known distance. The height of the shoulder only says
+where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
 
 
 def arm(options):
@@ -39,6 +61,7 @@ def arm(options):
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_vector("--up", options.up))
+    shown = _with_encoders(shown, options)
     print(shown)
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
@@ -53,6 +76,24 @@ def arm(options):
     for path in written:
         print(f"Written to {path}")
     return 0, json.loads(shown.to_json())
+
+
+def _with_encoders(shown, options):
+    """The arm, read by other encoders: theta = sign (angle - zero) + offset."""
+    values = {}
+    for name, text in (("--sign", options.sign), ("--zero", options.zero)):
+        values[name] = [parse_number(cell) for cell in text.split(",")] if text else None
+        n = shown.n_joints
+        if text and len(values[name]) != n:
+            raise TableError(f"{name} needs {n} numbers, one for each joint, got {text!r}.")
+    if values["--sign"]:
+        if any(abs(sign) != 1 for sign in values["--sign"]):
+            raise TableError(f"--sign needs 1 or -1 for each joint, got {options.sign!r}.")
+        shown = shown.replace(joint_signs=shown.joint_signs * np.array(values["--sign"]))
+    if values["--zero"]:
+        moved = shown.joint_signs * np.deg2rad(values["--zero"])
+        shown = shown.replace(theta_offset=shown.theta_offset - moved)
+    return shown
 
 
 def take(arm, code):
@@ -72,7 +113,7 @@ def take(arm, code):
 
 def _check_arm_options(options, given):
     """Refuse options that do not belong together."""
-    if sum(one is not None for one in given) != 1:
+    if sum(one is not None for one in given) > 1:
         raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
     if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
         raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
@@ -83,7 +124,7 @@ def _check_arm_options(options, given):
 
 
 def _meant_arm(options):
-    """The arm of a file, a table, a name or lengths."""
+    """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
     if options.lengths_222 or options.lengths_223:
         layout = "2-2-2" if options.lengths_222 else "2-2-3"
         lengths = options.lengths_222 or options.lengths_223
@@ -94,7 +135,15 @@ def _meant_arm(options):
         return read_dh(options.dh, convention, parse_vector("--probe", options.probe or "0,0,0"))
     if options.source and options.into:
         return load_arm(options.source)  # --base and --tip are those of the other file
-    return load_arm(options.source, options.base, options.tip)
+    if options.source:
+        return load_arm(options.source, options.base, options.tip)
+    if not sys.stdin.isatty():
+        raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
+    print(_DRAWING)
+    print(_ADVICE)
+    layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
+    lengths = {name: parse_number(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
+    return Arm.from_lengths(layout, **lengths)
 
 
 def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):

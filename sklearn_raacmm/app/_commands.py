@@ -157,7 +157,7 @@ def export(options):
     print_notes([saved.verdict] * (not saved.helps))
     if (unnamed := find_unnamed_probe(saved)) and not (options.c and options.any_probe):
         print_notes([f"{unnamed}: what is written is for this one."])
-    paths = []
+    paths, fade = [], False if options.fade == "none" else options.fade
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         card = describe(saved.model)
@@ -165,11 +165,11 @@ def export(options):
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
         paths += export_c(
             saved.model, source, std=options.std, card=card, poses="random",
-            any_probe=options.any_probe,
+            any_probe=options.any_probe, fade=fade,
         )  # fmt: skip
         paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
-        to_onnx(saved.model, options.onnx)
+        to_onnx(saved.model, options.onnx, fade=fade)
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}

@@ -58,13 +58,13 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std --any-probe",
+        "--model --c --onnx --name --std --any-probe --fade",
     ),
     "arm": (
-        "_arms", "show an arm and write its file",
+        "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --up --into --out --picture",
+        "--modified --probe --up --sign --zero --into --out --picture",
     ),
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -160,6 +160,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("standard deviations in C, too"),
     "--any-probe": _flag("functions in C take the vector of the probe, too"),
+    "--fade": _choice(
+        ("small", "exact", "none"),
+        "how it fades where little is known: by small tables, as in Python, not at all",
+        "small",
+    ),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
     "accept --model": _value("FOLDER", "folder written by raacmm learn: the arm as left"),
@@ -178,6 +183,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--modified": _flag("the table of --dh is in the modified convention"),
     "arm --probe": _value("X,Y,Z", "probe centre in the last frame, mm, for --dh"),
     "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
+    "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
+    "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),
     "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
     "--picture": _value("SVG", "picture of the arm and its axes"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
@@ -221,6 +228,8 @@ def make_parser(as_json=False):
             word, help=text, description=text, epilog=f"example:\n  {example}\n\n{_EPILOG}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
+        # Lists of numbers may begin with a negative one: --up -1,0,0.
+        own._negative_number_matcher = re.compile(r"^-\.?\d[-\d.,e]*$")
         own.set_defaults(module=module)
         for option in (*names.split(), "--json", "--quiet"):
             own.add_argument(option, **(OPTIONS.get(f"{word} {option}") or OPTIONS[option]))

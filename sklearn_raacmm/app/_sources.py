@@ -10,6 +10,9 @@ from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
+import numpy as np
+from scipy.io import loadmat
+
 from sklearn_raacmm.app._cells import (
     Dialect,
     TableError,
@@ -23,6 +26,7 @@ _LOOKED_AT = 300
 # A record of a program stands within so many, or the file is none.
 _HEAD_CHARACTERS = 1 << 20
 SHEETS = (".xlsx", ".xlsm")
+_ARRAYS = (".npy", ".npz", ".mat")
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 # Programs and logs of controllers: what they are, a record with its name and its body, and the
 # joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
@@ -58,6 +62,8 @@ def find_source(path, n_numbers, sheet=None):
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
+    if path.suffix.lower() in _ARRAYS:
+        return _arrays(path, n_numbers)
     if path.suffix.lower() == ".jsonl":
         return _json_lines(path)
     return _program(path, n_numbers) or find_dialect(path, n_numbers)
@@ -141,6 +147,41 @@ def _json_lines(path):
     names = list(dict.fromkeys(chain(*rows)))
     cells = [names, *([row.get(name, "") for name in names] for row in rows)]
     return Dialect(path, what="Lines of JSON", read=partial(enumerate, cells))
+
+
+# -- arrays of NumPy and MATLAB -------------------------------------------------------------------
+
+
+def _arrays(path, n_numbers):
+    """A table of the arrays of a file that have as many rows as the longest one."""
+    try:
+        if path.suffix.lower() == ".mat":
+            content = loadmat(path, squeeze_me=True)
+        else:
+            loaded = np.load(path, allow_pickle=False)
+            content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
+    except NotImplementedError:  # HDF5
+        raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
+    except Exception as error:  # no such file, or one that would have to be unpickled
+        raise TableError(f"{path} cannot be read: {error}.") from None
+    columns: dict = {}
+    for name, values in content.items():
+        if name.startswith("__") or not np.ndim(values):
+            continue
+        if values.dtype.names:
+            columns |= {field: values[field] for field in values.dtype.names}
+        elif values.ndim == 1:
+            columns[name] = values
+        else:
+            columns |= {f"{name}{i}": column for i, column in enumerate(values.T, 1)}
+    n_rows = max(map(len, columns.values()), default=0)
+    columns = {k: v for k, v in columns.items() if len(v) == n_rows and np.ndim(v) == 1}
+    if len(columns) < n_numbers:
+        raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
+    cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
+    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
+    rows = [(0, names)] * bool(names) + list(enumerate(map(list, zip(*cells, strict=True)), 1))
+    return Dialect(path, what="Arrays", read=partial(iter, rows))
 
 
 # -- programs of robots ---------------------------------------------------------------------------

@@ -252,7 +252,7 @@ def test_demo(monkeypatch, tmp_path, capsys):
     assert opened == [(tmp_path / "demo" / "report.html").as_uri()]
 
 
-def test_arm_from_every_source(tmp_path, capsys):
+def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
     (tmp_path / "arm.urdf").write_text(URDF)
     for source in ([f"{tmp_path}/arm.urdf", "--tip", "tip"], ["ur10"]):
         out = ["--out", f"{tmp_path}/arm.json", "--picture", f"{tmp_path}/arm.svg"]
@@ -264,6 +264,13 @@ def test_arm_from_every_source(tmp_path, capsys):
     offsets = ["--elbow-offset", "62", "--wrist-offset", "40", "--out", f"{tmp_path}/own.json"]
     assert main(["arm", "--lengths-222", "376", "750", "500", "98", *offsets]) == 0
     assert Arm.from_json(tmp_path / "own.json").a.tolist() == [0, 62, 0, 40, 0, 0]
+    answers = iter(["2-2-2", "300", "420,5", "380", "120", "62", "0"])
+    monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    assert main(["arm"]) == 0
+    printed = capsys.readouterr().out
+    assert "420.5" in printed
+    assert "decide the scale of the arm" in printed
 
 
 @pytest.mark.parametrize("words", ["learn log.csv --arm ur10", "plan --arm ur10", "accept no.xlsx"])

@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.app import TableError, read_table
@@ -249,12 +250,36 @@ def test_damaged_files_get_a_sentence(book, tmp_path):
         ("long.csv", b"k;q1;q2\n" + b"x" * 200_000 + b";1;2\n", {}, "as a table: field larger"),
         ("long.csv", b"k;q1;q2\n", {"sheet": "1"}, "--sheet is for spreadsheets"),
         ("a.h5", bytes(range(256)), {}, r"is no table of text.*: save it as \.xlsx or CSV"),
+        ("a.mat", b"MATLAB 7.3 MAT-file" + 105 * b" " + b"\0\2IM", {}, "7.3 are not read"),
+        ("a.npz", b"PK", {}, "cannot be read"),
         ("log.jsonl", b"{", {}, r"log\.jsonl cannot be read"),
         ("log.jsonl", b"[1]", {}, r"log\.jsonl cannot be read"),
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(TableError, match=message):
             read_table(tmp_path / name, 2, **options)
+
+
+STRUCTURED = np.array(
+    [(lab, *row) for lab, row in zip(LABELS, RAD, strict=True)],
+    dtype=[("station", "U3"), *((f"{q} [rad]", float) for q in Q)],
+)
+CELLS = np.array(LABELS, dtype=object)
+# Name of the file, what writes it, and what it holds: NumPy's arrays and MATLAB's before 7.3.
+ARRAYS = [
+    ("a.npy", np.save, STRUCTURED),
+    ("a.npz", lambda file, parts: np.savez(file, **parts), {"station": LABELS, "q": DEG}),
+    ("a.mat", savemat, {"q": DEG, "station": CELLS, "fs": 50.0}),
+    ("a.mat", savemat, {"station": CELLS} | {q: DEG[:, i] for i, q in enumerate(Q)}),
+]
+
+
+@pytest.mark.parametrize(("name", "write", "content"), ARRAYS)
+def test_arrays(name, write, content, tmp_path):
+    write(tmp_path / name, content)
+    table = read_table(tmp_path / name, 6)
+    np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
+    assert table.positions.tolist() == LABELS
 
 
 def test_json_lines_of_messages(tmp_path):

@@ -379,3 +379,24 @@ def test_fewer_columns_are_the_first_of_all(folder, tmp_path, capsys):
     assert [len(found[std].columns) for std in found] == [10, 13, 17]
     for std in ("no", "point"):
         pd.testing.assert_frame_equal(found[std], found["all"][found[std].columns])
+
+
+def test_senses_and_zeros_of_encoders_are_options(tmp_path, capsys):
+    """Readings of other encoders of the same arm give the same points."""
+    signs, zeros = [-1, 1, 1, -1, 1, 1], [-10.0, 0, 0, 20, 0, 3.5]
+    lists = [",".join(map(str, values)) for values in (signs, zeros)]
+    out = tmp_path / "arm.json"
+    words = ["arm", "aacmm6", "--up", "-1,0,0", "--sign", lists[0], "--zero", lists[1]]
+    assert run(capsys, *words, "--out", out)[0] == 0
+    arm, plain = Arm.from_json(out.read_text()), Arm.from_name("aacmm6")
+    true = np.random.default_rng(0).uniform(-2, 2, (5, 6))
+    assert_allclose(arm.forward(true * signs + np.deg2rad(zeros)), plain.forward(true), atol=1e-9)
+    assert_allclose(arm.up, (-1, 0, 0))
+    for option, wrong, said in (
+        ("--sign", "1,1", "--sign needs 6 numbers, one for each joint, got '1,1'"),
+        ("--sign", "1,1,1,1,1,2", "--sign needs 1 or -1 for each joint"),
+        ("--zero", "0,0,0,0,0,x", "'x' is not a number"),
+    ):
+        code, printed = run(capsys, "arm", "aacmm6", option, wrong)
+        assert code == 2
+        assert said in printed
