@@ -5,6 +5,7 @@
 
 import itertools
 from collections import Counter
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def _missing(test, readings):
     for (name, needed), column in zip(levels, columns, strict=True):
         labels.append(sorted(set(column)))
         there, named = labels[-1], needed if isinstance(needed, tuple) else ()
-        least = len(named) or needed
+        least: Any = len(named) or needed
         enough = len(there) > least and more and name == names[0]
         if set(there) != set(named) if named else len(there) != least and not enough:
             asked = f" ({', '.join(named)})" if named else ""

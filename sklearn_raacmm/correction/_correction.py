@@ -208,23 +208,21 @@ class Correction:
         ends = tuple(map(self.inputs, given))
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
-        linear = linear_in_use(self.model)
+        linear, n = linear_in_use(self.model), self.arm.n_joints
         if linear is None:
-            (first, one), (second, other) = map(self._within_positions, ends)
+            points, stds = zip(*map(self._within_positions, ends), strict=True)
         else:
-            first, second = (
-                self.arm.forward(X[:, : self.arm.n_joints]) - self.model.predict(X) for X in ends
-            )
-        apart = second - first
+            points = [self.arm.forward(X[:, :n]) - self.model.predict(X) for X in ends]
+            stds = [self._of_arm(self.noise * linear.noise_ratio(X)) for X in ends]
+        apart = points[1] - points[0]
         lengths = np.linalg.norm(apart, axis=1)
         along = apart / np.maximum(lengths, 1e-300)[:, None]
         if linear is None:  # the errors of both ends are taken as independent
-            variance = np.sum(along**2 * (one**2 + other**2), axis=1)
+            variance = np.sum(along**2 * (stds[0] ** 2 + stds[1] ** 2), axis=1)
         else:  # which knows how they belong together, and how much positions did not show of them
             variance = linear.distance_std(*ends) ** 2
-            for X in ends:
-                noise = self._of_arm(self.noise * linear.noise_ratio(X))
-                variance += np.sum(np.square(along * noise), axis=1)
+            for std in stds:
+                variance += np.sum(np.square(along * std), axis=1)
         return lengths, np.sqrt(variance + (self.scale_sd * lengths) ** 2)
 
     def check(

@@ -130,7 +130,7 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
-    def _at(self, rows):
+    def _at(self, rows) -> Any:
         """Angles, positions, points and tools of some rows."""
         parts = self.angles, self.positions, self.points, self.tools
         return [None if part is None else part[rows] for part in parts]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from sklearn.model_selection import GroupKFold, check_cv
+from sklearn.model_selection import GroupKFold
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
@@ -253,9 +253,8 @@ def _folds(data, kept, cv):
         )
     if cv is None or isinstance(cv, int | np.integer):
         cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
-    elif not hasattr(cv, "split"):
-        cv = listed("cv", cv)
-    splits, every = list(check_cv(cv).split(data.angles, groups=blocks)), np.arange(len(codes))
+    is_splitter, every = hasattr(cv, "split"), np.arange(len(codes))
+    splits = listed("cv", cv.split(data.angles, groups=blocks) if is_splitter else cv)
     try:
         splits = [(every[train], every[test]) for train, test in splits]
     except (TypeError, ValueError, IndexError):
