@@ -1,4 +1,4 @@
-"""Data of arms in folds, which the benchmarks of the arm's model share.
+"""Data of arms in folds, and the measures that the benchmarks of the arm's model share.
 
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that the
 environment variable SKLEARN_RAACMM_DATA names. Every real fold calibrates the arm on its own
@@ -16,8 +16,24 @@ from sklearn.model_selection import GroupKFold
 from sklearn_raacmm import Arm, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 
+NOMINAL_PANDA = Arm.from_name("panda", probe=(0, 0, 138))
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
+
+
+def rms(values):
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def mean_deviation(residuals):
+    """Mean length of vectors."""
+    return float(np.linalg.norm(residuals, axis=1).mean())
+
+
+def pairs_known(placements):
+    """Known lengths of a Panda's placements: two sockets are 50 mm apart."""
+    return [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in placements]
 
 
 def readers():
@@ -71,11 +87,9 @@ def tracked_folds(angles, points, groups, fold):
     """Arm, angles, residuals, groups and training rows of each of five folds."""
     for k in range(5):
         train = fold != k
-        result = calibrate(
-            Arm.from_name("ur10", probe=(0, 0, 109)), angles[train], points=points[train]
-        )
-        measured = (points - result.base_translation) @ result.base_rotation
-        yield result.arm, angles, result.arm.forward(angles) - measured, groups, train
+        nominal = Arm.from_name("ur10", probe=(0, 0, 109))
+        result = calibrate(nominal, angles[train], points=points[train])
+        yield result.arm, angles, result.residuals(angles, points), groups, train
 
 
 def panda_folds(name, data_home=DATA):
@@ -83,9 +97,8 @@ def panda_folds(name, data_home=DATA):
     angles, sockets, placements = read_panda(name, data_home)
     for placement in np.unique(placements):
         train = placements != placement
-        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements[train])]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, angles[train], sockets[train], lengths=lengths).arm
+        lengths = pairs_known(np.unique(placements[train]))
+        arm = calibrate(NOMINAL_PANDA, angles[train], sockets[train], lengths=lengths).arm
         yield arm, angles, position_residuals(arm.forward(angles), sockets), sockets, train
 
 

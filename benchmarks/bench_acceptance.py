@@ -1,52 +1,26 @@
-"""Acceptance tests: whether uncertainties, intervals and predictions hold what they promise.
+"""Acceptance tests: whether intervals and predictions hold what they promise.
 
 Simulated arms and artefacts; learnt from ten cones of 25 poses and two bars.
 
-    python benchmarks/bench_acceptance.py coverage --runs 300  # U of values, of true artefacts
     python benchmarks/bench_acceptance.py intervals            # of 2S and of 2 rms from one run
     python benchmarks/bench_acceptance.py predict --arms 15    # values against those predicted
-    python benchmarks/bench_acceptance.py after --arms 15      # what a correction changes
 """
 
 import argparse
-import os
 import warnings
-from dataclasses import replace
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
+from _arm_folds import rms
 from scipy.stats import chi2
 
 from sklearn_raacmm import learn_correction
 from sklearn_raacmm.acceptance import evaluate_acceptance, predict_acceptance
-from sklearn_raacmm.datasets import ArmErrors, make_acceptance, make_gauge, make_single_point
+from sklearn_raacmm.datasets import make_acceptance, make_gauge, make_single_point
 from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
 
 MIXES = ("typical", "gravity", "eccentricity")
 SIZES = ((3, 10), (4, 12), (10, 20))
-
-
-def coverage(options):
-    """Values of a run, less those of the same readings on artefacts that are as stated, over U."""
-    z = {}
-    for run in range(options.runs):
-        # Without their step readings are the same but for what the artefacts are off by.
-        errors = replace(ArmErrors.from_name(MIXES[run % 3]), quantisation_arcsec=0.0)
-        given = {"machine": errors, "random_state": run}
-        data, exact = make_acceptance(**given), make_acceptance(exact=True, **given)
-        one, other = (evaluate_acceptance(d.run, d.arm) for d in (data, exact))
-        for value in one.values:
-            # Of the worst of both signs another may be the worst: sizes of values are compared.
-            off = abs(value.before) - abs(other[value.name].before)
-            if value.test != "single-point":
-                z.setdefault(value.name, []).append(off / (2 * value.u_before))
-    print(
-        f"{options.runs} runs: share of |value - true value| within U (k = 2), rms of both over u"
-    )
-    for name, values in z.items():
-        held = np.mean(np.abs(values) < 1)
-        print(f"{name:<20} {held:.3f} {2 * rms(values):6.2f}", flush=True)
 
 
 def intervals(options):
@@ -109,19 +83,16 @@ def _held(points, groups, true):
     return np.mean((low < true) & (true < high)), ends[0] < true.mean() < ends[1]
 
 
-def _learnt(seed):
-    """An arm's correction, from cones and two bars, and a run of the same arm at other places."""
-    test = make_single_point(10, 25, bars=[500, 900], machine=MIXES[seed % 3], random_state=seed)
-    learned = learn_correction(test.nominal_arm, test.data, test.groups, lengths=test.lengths, cv=3)
-    data = make_acceptance(machine=test.simulation.machine, random_state=seed + 1000)
-    return learned, data
-
-
 def predict(options):
     """How often the interval of a prediction, from the model alone, holds the value of the run."""
     held, share = {}, {}
     for seed in range(options.first, options.first + options.arms):
-        learned, data = _learnt(seed)
+        mix = MIXES[seed % 3]
+        test = make_single_point(10, 25, bars=[500, 900], machine=mix, random_state=seed)
+        given = {"lengths": test.lengths, "cv": 3}
+        learned = learn_correction(test.nominal_arm, test.data, test.groups, **given)
+        # A run of the same arm at other places.
+        data = make_acceptance(machine=test.simulation.machine, random_state=seed + 1000)
         result = evaluate_acceptance(data.run, model=learned)
         expected = predict_acceptance(learned, data.run, random_state=seed)
         for name, (low, middle, high) in expected.items():
@@ -135,30 +106,9 @@ def predict(options):
     print(f"{'all':<20} {np.mean(list(held.values())):.3f}")
 
 
-def after(options):
-    """Mean values as found, in the nominal table and calibrated, and as left."""
-    rows = {}
-    for seed in range(options.first, options.first + options.arms):
-        learned, data = _learnt(seed)
-        result = evaluate_acceptance(data.run, model=learned)
-        nominal = evaluate_acceptance(data.run, learned.arm, found=data.nominal_arm)
-        for value in result.values:
-            if value.before is not None and nominal[value.name].before is not None:
-                numbers = nominal[value.name].before, value.before, value.after
-                rows.setdefault(value.name, []).append(np.abs(numbers))
-        print(f"arm {seed}", flush=True)
-    print("means in um: nominal table, calibrated, corrected")
-    for name, values in rows.items():
-        print(f"{name:<20}" + "".join(f"{1000 * v:9.1f}" for v in np.mean(values, axis=0)))
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["coverage", "intervals", "predict", "after"])
+    parser.add_argument("what", choices=["intervals", "predict"])
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--arms", type=int, default=15)
     parser.add_argument("--first", type=int, default=100, help="number of the first arm")

@@ -1,8 +1,7 @@
-"""What a correction is worth where poses or placements are few, and what more poses leave.
+"""What a correction is worth where poses or placements are few.
 
     python benchmarks/bench_few_poses.py
     python benchmarks/bench_few_poses.py --gears
-    python benchmarks/bench_few_poses.py --curves
     python benchmarks/bench_few_poses.py --narrow
     python benchmarks/bench_few_poses.py --constants
 
@@ -13,12 +12,11 @@ without correction (geometric mean, worst draw), the share of coordinates inside
 and how often the model decided for no correction.
 
 ``--gears``: simulated arms with a gear at one joint; single-point tests of 6 to 12 positions, every
-other one left out. ``--curves``: 60 to 400 poses of a real UR10 and a tracker, of real Pandas (by
-placements), and of simulated arms in wide and narrow ranges of their joints; printed is the mean
-deviation left over that of the calibrated arm. ``--narrow``: simulated arms in narrow ranges only:
-random poses within 0.25 rad of a centre, gravity and eccentric encoders, a tracker's noise of 0.01
-mm. Calibration has taken the easy directions out of what is left, which is where a search of the
-families' variances can stay at zero.
+other one left out.
+
+``--narrow``: simulated arms in narrow ranges of their joints, 300 random poses within 0.25 rad of a
+centre, gravity and eccentric encoders, a tracker's noise of 0.01 mm. Calibration has taken the easy
+directions out of what is left, which is where a search of the families' variances can stay at zero.
 
 ``--constants``: deviations from the mean, the median, the first or the last row of each position of
 simulated single-point tests, and constants of 0 to 0.05 mm a coordinate added to the errors of a
@@ -27,17 +25,13 @@ arms the mean deviation from the truth.
 """
 
 import argparse
-import os
 import warnings
-from functools import partial
-from itertools import product
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import read_panda, read_ur10
+from _arm_folds import NOMINAL_PANDA, mean_deviation, pairs_known, read_panda
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -46,7 +40,6 @@ PLACEMENTS, ROWS, DRAWS = (1, 2, 3, 4), (60, 120, 200), 2
 GEARS, GEAR_ARCSEC = (100, 120, 160, 200, 240), 8.0
 LEAST_TEETH = 30  # gears are sought above: wobble and eccentricity have the orders below
 NOISE_MM, N_OTHERS = 0.01, 400
-COUNTS = (60, 90, 125, 200, 300, 400)
 SOURCES = ("eccentricity", "torsion", "sag", "wobble", "runout")
 KINDS = ("typical", "gravity", "eccentricity")
 FROM = {
@@ -56,10 +49,6 @@ FROM = {
     "last row": lambda y: y[-1],
 }
 CONSTANTS_MM = (0.0, 0.002, 0.004, 0.008, 0.05)
-
-
-def deviation(left):
-    return float(np.linalg.norm(left, axis=1).mean())
 
 
 def geometric(ratios):
@@ -75,9 +64,8 @@ def panda_fit(angles, sockets, train):
     train = train[np.isin(sockets[train], used[counts > 1])]
     here = set(sockets[train])
     both = [p for p in {s.rpartition("/")[0] for s in here} if {f"{p}/0", f"{p}/1"} <= here]
-    lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in sorted(both)]
-    nominal = Arm.from_name("panda", probe=(0, 0, 138))
-    arm = calibrate(nominal, angles[train], sockets[train], lengths=lengths).arm
+    lengths = pairs_known(sorted(both))
+    arm = calibrate(NOMINAL_PANDA, angles[train], sockets[train], lengths=lengths).arm
     y = position_residuals(arm.forward(angles), sockets)
     own = position_residuals(arm.forward(angles[train]), sockets[train])
     return ArmResidualRegressor(arm).fit(angles[train], own, groups=sockets[train]), y
@@ -100,8 +88,9 @@ def pandas():
                 model, y = panda_fit(angles, sockets, some[:n])
                 mean, std = model.predict(angles[~inside], return_std=True, with_noise=True)
                 left = position_residuals(y[~inside] - mean, sockets[~inside])
-                row = deviation(left) / deviation(y[~inside]), np.mean(np.abs(left) < 1.96 * std)
-                found.setdefault(min(k, 4), []).append((*row, not model.helps_))
+                ratio = mean_deviation(left) / mean_deviation(y[~inside])
+                row = ratio, np.mean(np.abs(left) < 1.96 * std), not model.helps_
+                found.setdefault(min(k, 4), []).append(row)
     print("| placements | draws | of no correction (worst) | inside (least) | refused |")
     for k, rows in sorted(found.items()):
         ratios, inside, refused = np.transpose(rows)
@@ -126,98 +115,35 @@ def gears(n_arms):
         model.fit(test.data[train], y[train], groups=test.groups[train])
         left = y[~train] - model.predict(test.data[~train])
         left = position_residuals(left, test.groups[~train])
-        ratios.append(deviation(left) / deviation(y[~train]))
+        ratios.append(mean_deviation(left) / mean_deviation(y[~train]))
         high = model.harmonics_[model.harmonics_["order"] > LEAST_TEETH]
         right = (high["joint"] == joint + 1) & (high["order"] == gear)
         hits, false = hits + right.sum(), false + (~right).sum()
     print(f"of no correction {geometric(ratios)}; {hits} of {n_arms} gears found, {false} false")
 
 
-def ranged_arm(seed, width, kind):
-    """An arm measured by a tracker in a range of its joints: draws angles, and measures points."""
-    rng = np.random.default_rng([21, seed])
-    machine = SimulatedArm(kind, random_state=seed)
-    centre = np.array([0.0, -0.9, 0.0, 1.4, 0.0, 0.6]) + rng.uniform(-0.4, 0.4, 6)
-
-    def draw(n):
-        return centre + rng.uniform(-width, width, (n, 6))
-
-    def measure(angles, noise):
-        off = machine.deviations(angles)
-        points = machine.true_arm.forward(angles) + sum(off[name] for name in SOURCES)
-        return points + rng.normal(0, noise, points.shape)
-
-    return machine.nominal_arm, draw, measure
-
-
-def tracked(arm, angles, points, train, others):
-    """What a model of some rows leaves at others, over nothing; and the model."""
-    found = calibrate(arm, angles[train], points=points[train])
-    model = ArmResidualRegressor(found.arm).fit(angles[train], found.residuals_mm)
-    y = found.residuals(angles[others], points[others])
-    return deviation(y - model.predict(angles[others])) / deviation(y), deviation(y), model
-
-
 def narrow(n_draws, n_poses=300, width=0.25):
     """One line a draw: what is left, and the deviations that the families were given."""
     ratios = []
     for seed in range(n_draws):
-        arm, draw, measure = ranged_arm(seed, width, "gravity")
-        angles = np.concatenate([draw(n_poses), draw(N_OTHERS)])
-        points = measure(angles, NOISE_MM)
-        points[n_poses:] = measure(angles[n_poses:], 0.0)
-        rows = np.arange(len(angles))
-        ratio, size, model = tracked(arm, angles, points, rows < n_poses, rows >= n_poses)
+        rng = np.random.default_rng([21, seed])
+        machine = SimulatedArm("gravity", random_state=seed)
+        centre = np.array([0.0, -0.9, 0.0, 1.4, 0.0, 0.6]) + rng.uniform(-0.4, 0.4, 6)
+        near, far = (centre + rng.uniform(-width, width, (n, 6)) for n in (n_poses, N_OTHERS))
+
+        def points(angles, machine=machine):
+            off = machine.deviations(angles)
+            return machine.true_arm.forward(angles) + sum(off[name] for name in SOURCES)
+
+        measured = points(near) + rng.normal(0, NOISE_MM, (n_poses, 3))
+        found = calibrate(machine.nominal_arm, near, points=measured)
+        model = ArmResidualRegressor(found.arm).fit(near, found.residuals_mm)
+        y = found.residuals(far, points(far))
+        ratio, size = mean_deviation(y - model.predict(far)) / mean_deviation(y), mean_deviation(y)
         ratios.append(ratio)
         sizes = " ".join(f"{name} {sd:.3g}" for name, sd in model.prior_sd_.items())
         print(f"{seed:3} left {ratio:.3f} of {size:.4f} mm; arc seconds: {sizes}", flush=True)
     print(f"{n_draws} arms: {geometric(ratios)}, gained in {np.sum(np.less(ratios, 1))}")
-
-
-def ur10_curve(seed):
-    """Ratio by number of poses of series A."""
-    angles, points, goals = read_ur10("A")
-    rng = np.random.default_rng([22, seed])
-    order = rng.permutation(goals.max() + 1)
-    others = np.flatnonzero(np.isin(goals, order[: len(order) // 5]))
-    rest = rng.permutation(np.flatnonzero(~np.isin(goals, order[: len(order) // 5])))
-    nominal = Arm.from_name("ur10", probe=(0, 0, 93))
-    return [tracked(nominal, angles, points, rest[:n], others)[0] for n in COUNTS]
-
-
-def panda_curve(name, seed):
-    """The same of a Panda: a third of the placements is left out."""
-    angles, sockets, placements = read_panda(name)
-    rng = np.random.default_rng([23, seed])
-    labels = rng.permutation(np.unique(placements))
-    out = np.isin(placements, labels[: max(1, len(labels) // 3)])
-    rest, ratios = rng.permutation(np.flatnonzero(~out)), []
-    for n in COUNTS:
-        model, y = panda_fit(angles, sockets, rest[:n])
-        left = position_residuals(y[out] - model.predict(angles[out]), sockets[out])
-        ratios.append(deviation(left) / deviation(y[out]))
-    return ratios
-
-
-def simulated_curve(kind, width, seed):
-    """The same of a simulated arm and a tracker."""
-    arm, draw, measure = ranged_arm(100 + seed, width, kind)
-    angles = draw(max(COUNTS) + N_OTHERS)
-    points = measure(angles, NOISE_MM)
-    rows = np.arange(len(angles))
-    return [tracked(arm, angles, points, rows < n, rows >= max(COUNTS))[0] for n in COUNTS]
-
-
-def curves(n_draws):
-    """Print what is left by the number of poses, and the worst rise from one to the next."""
-    functions = {"UR10 A": ur10_curve} | {name: partial(panda_curve, name) for name in SETS}
-    for kind, width in product(KINDS, (0.25, 2.0)):
-        functions[f"{kind}, +-{width:g} rad"] = partial(simulated_curve, kind, width)
-    print(f"{'poses':22}" + "".join(f"{n:>8}" for n in COUNTS) + "  worst rise")
-    for name, curve in functions.items():
-        ratios = np.exp(np.mean([np.log(curve(seed)) for seed in range(n_draws)], axis=0))
-        rise = (ratios[1:] / ratios[:-1]).max()
-        print(f"{name:22}" + "".join(f"{v:8.3f}" for v in ratios) + f"{rise:12.2f}", flush=True)
 
 
 def left_of(test, y, train, truth=None):
@@ -259,15 +185,13 @@ def constants(draws):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     which = parser.add_mutually_exclusive_group()
-    for name in ("gears", "curves", "narrow", "constants"):
+    for name in ("gears", "narrow", "constants"):
         which.add_argument(f"--{name}", action="store_true")
-    parser.add_argument("--draws", type=int, help="20 arms, 3 of each curve, 1 of constants")
+    parser.add_argument("--draws", type=int, help="20 arms, 1 of constants")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.gears or options.narrow:
         (gears if options.gears else narrow)(options.draws or 20)
-    elif options.curves:
-        curves(options.draws or 3)
     elif options.constants:
         constants(options.draws or 1)
     else:

@@ -18,12 +18,10 @@ CPU time and of its ratio in the same round.
 """
 
 import argparse
-import os
 import time
 from functools import partial
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
 from _problems import GENERATED, Problem, generated
 from bench_selection import data as selection_data

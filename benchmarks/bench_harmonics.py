@@ -10,11 +10,10 @@ Sets are
 - ur10-goal, ur10-space: real, five folds of goal positions, at random or of neighbours; `--rows`
   draws so many of the 11 911 poses;
 - ur10b-space: another series of that robot, 1495 clustered poses, five folds of regions;
-- grid: panda_3, every placement left out once: its distances to the others, and of its pair;
 - octants: a UR10, trained on 60 or 200 poses of one octant of its volume and used in the others.
 
 The real data are looked for where `_arm_folds` says. `--defaults` runs `ArmResidualRegressor`
-alone, without the table of ideas; `--inputs` compares what a network alone is given instead.
+alone, without the table of ideas.
 
 Every real fold calibrates the arm on its own training rows. The settings of every method are its
 defaults, or found inside the training rows. The tables are printed as the documentation has them,
@@ -26,56 +25,32 @@ deviations, noise included.
 """
 
 import argparse
-import sys
 import warnings
-from itertools import combinations
-from operator import itemgetter
 
 import numpy as np
-from _arm_folds import panda_folds, read_panda, read_ur10, simulated_folds, ur10_folds, ur10b_folds
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer, StandardScaler
-
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    RBFNetRegressor,
-    calibrate,
-    position_residuals,
+from _arm_folds import (
+    mean_deviation,
+    panda_folds,
+    read_ur10,
+    simulated_folds,
+    ur10_folds,
+    ur10b_folds,
 )
+
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths
-
-
-def network(arm, first=0, **inputs):
-    """The network on the pose's features from a number on."""
-    kept = FunctionTransformer(itemgetter((slice(None), slice(first, None))))
-    steps = PoseFeatures(arm, **inputs), kept, StandardScaler(), RBFNetRegressor(random_state=0)
-    return CylindricalResidualTarget(make_pipeline(*steps), azimuth=arm.azimuth)
-
 
 NONE, MODEL = "no correction", "`ArmResidualRegressor`"
 
 
 def ideas(arm, tracked):
-    """Name, estimator, and whether it takes groups, of what the linear model is made of."""
-    yield "harmonics alone", ArmResidualRegressor(arm, causes=[]), True
-    yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"]), True
-    yield "and kinematics", ArmResidualRegressor(arm, causes=["gravity", "kinematics"]), True
+    """Name and estimator of what the linear model is made of."""
+    yield "harmonics alone", ArmResidualRegressor(arm, causes=[])
+    yield "and gravity", ArmResidualRegressor(arm, causes=["gravity"])
+    yield "and kinematics", ArmResidualRegressor(arm, causes=["gravity", "kinematics"])
     if not tracked:
-        yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False), True
-
-
-def inputs(arm, tracked):
-    """The same network with other inputs."""
-    words = {"angle": "angles", "periodic": "cosines and sines"}
-    for joints, name in (("pose", "pose"), ("all", "all joints")):
-        for encoding, what in words.items():
-            yield f"{name}, {what}", network(arm, joints=joints, encoding=encoding), False
-    model = network(arm, first=2, joints="all", encoding="periodic")
-    yield "all but the first, cosines and sines", model, False
+        yield "the default, but no offsets", ArmResidualRegressor(arm, offsets=False)
 
 
 def statistics(left, groups, reference):
@@ -121,7 +96,7 @@ def folds_of(name, n_rows):
     return simulated_folds(name[4:]) if name.startswith("sim") else panda_folds(name)
 
 
-def run(name, n_rows, others, with_defaults):
+def run(name, n_rows, with_ideas):
     """What is left by each method in all folds, their groups, and shares inside 1.96 deviations."""
     tracked = name.startswith("ur10")
     lefts, labels, inside = {}, [], []
@@ -133,20 +108,17 @@ def run(name, n_rows, others, with_defaults):
             return left if tracked else position_residuals(left, groups[~train])
 
         found = {NONE: y[~train] if tracked else left_by(0.0)}
-        for title, model, takes_groups in others(arm, tracked):
-            extra = {"groups": groups[train]} if takes_groups else {}
-            model.fit(theta[train], y[train], **extra)
-            found[title] = left_by(model.predict(theta[~train]))
-        if with_defaults:
-            model = ArmResidualRegressor(arm)
+        for title, model in ideas(arm, tracked) if with_ideas else ():
             model.fit(theta[train], y[train], groups=groups[train])
-            mean, std = model.predict(theta[~train], return_std=True, with_noise=True)
-            found[MODEL] = left_by(mean)
-            inside.append(np.abs(found[MODEL]) < 1.96 * std)
+            found[title] = left_by(model.predict(theta[~train]))
+        model = ArmResidualRegressor(arm).fit(theta[train], y[train], groups=groups[train])
+        mean, std = model.predict(theta[~train], return_std=True, with_noise=True)
+        found[MODEL] = left_by(mean)
+        inside.append(np.abs(found[MODEL]) < 1.96 * std)
         for title, left in found.items():
             lefts.setdefault(title, []).append(left)
     lefts = {title: np.concatenate(parts) for title, parts in lefts.items()}
-    return lefts, np.concatenate(labels), 100 * np.mean(np.concatenate(inside)) if inside else None
+    return lefts, np.concatenate(labels), 100 * np.mean(np.concatenate(inside))
 
 
 def rows_of(name, lefts, groups, inside):
@@ -154,8 +126,6 @@ def rows_of(name, lefts, groups, inside):
     reference = np.linalg.norm(lefts[NONE], axis=1)
     found = {title: statistics(left, groups, reference) for title, left in lefts.items()}
     ideas = {title: f"{found[title][0]:.4f} / {found[title][2]:.3f}" for title in found}
-    if MODEL not in found:
-        return ideas, {}
     mean, half, largest, _ = found[MODEL]
     defaults = {NONE: ideas[NONE], MODEL: f"{mean:.4f} ± {half:.4f} / {largest:.3f}"}
     defaults["2S: none, model"] = f"{found[NONE][3]:.4f}, {found[MODEL][3]:.4f}"
@@ -174,7 +144,6 @@ def print_table(rows):
     print("\n| | " + " | ".join(heads) + " |\n|" + "---|" * (len(heads) + 1))
     for name, cells in rows.items():
         print(f"| {name} | " + " | ".join(cells.get(head, "") for head in heads) + " |")
-    sys.stdout.flush()
 
 
 def octants():
@@ -186,8 +155,7 @@ def octants():
     def calibrated(mask):
         nominal = Arm.from_name("ur10", probe=(0, 0, 109))
         result = calibrate(nominal, theta[mask], points=points[mask])
-        measured = (points - result.base_translation) @ result.base_rotation
-        return result.arm, result.arm.forward(theta) - measured
+        return result.arm, result.residuals(theta, points)
 
     everywhere = calibrated(np.ones(len(theta), dtype=bool))
     place = everywhere[0].forward(theta)
@@ -202,98 +170,34 @@ def octants():
                 model = ArmResidualRegressor(arm).fit(theta[train], y[train], groups=goals[train])
                 test = octant != here
                 left = y[test] - model.predict(theta[test])
-                before, after = (np.linalg.norm(part, axis=1).mean() for part in (y[test], left))
-                ratios.setdefault((f"{n} poses", f"calibrated {how}"), []).append(after / before)
+                ratio = mean_deviation(left) / mean_deviation(y[test])
+                ratios.setdefault((f"{n} poses", f"calibrated {how}"), []).append(ratio)
     print("\noctants: mean deviation elsewhere over that without correction, 8 octants of a UR10")
-    _print_ratios(ratios)
-
-
-# Where panda_3 stood on its grid, mm; the front left one not on it, as its distances show.
-GRID = {
-    f"{row}{column}": (x - 25.3 * ((row, column) == ("front", "left")), y)
-    for row, y in (("front", 0.0), ("back", 150.0))
-    for column, x in (("left", 0.0), ("center", 175.0), ("right", 350.0))
-}
-
-
-def grid():
-    """Distances that one placement of panda_3 has to the others, by models of the others."""
-    angles, sockets, placements = read_panda("panda_3")
-    errors = {}
-    for out in GRID:
-        train = placements != out
-        rest = [name for name in GRID if name != out]
-        pairs = [(f"{name}/0", f"{name}/1", 50.0, 0.1) for name in rest]
-        between = [
-            (f"{a}/{hole}", f"{b}/{hole}", np.linalg.norm(np.subtract(GRID[a], GRID[b])), 0.2)
-            for a, b in combinations(rest, 2)
-            for hole in "01"
-        ]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, angles[train], sockets[train], lengths=pairs).arm
-        points = arm.forward(angles)
-        learn = angles[train], position_residuals(points[train], sockets[train])
-        found = {"no correction": np.zeros_like(points)}
-        for title, known in (("no lengths", ()), ("50 mm pairs", pairs), ("all", pairs + between)):
-            model = ArmResidualRegressor(arm)
-            model.fit(*learn, groups=sockets[train], lengths=known)
-            found[f"lengths in the fit: {title}"] = model.predict(angles)
-        for title, correction in found.items():
-            centre = {
-                label: (points - correction)[sockets == label].mean(axis=0)
-                for label in np.unique(sockets)
-            }
-
-            def error(a, b, length, centre=centre):
-                return abs(np.linalg.norm(centre[a] - centre[b]) - length)
-
-            far = [
-                error(
-                    f"{out}/{hole}", f"{b}/{hole}", np.linalg.norm(np.subtract(GRID[out], GRID[b]))
-                )
-                for b in rest
-                for hole in "01"
-            ]
-            lists = errors.setdefault(title, ([], []))
-            lists[0].extend(far)
-            lists[1].append(error(f"{out}/0", f"{out}/1", 50.0))
-    print(f"\ngrid: mean absolute error\n{'':<40}{'others':>8}{'50 mm':>8}")
-    for title, (far, pair) in errors.items():
-        print(f"{title:<40}{np.mean(far):8.3f}{np.mean(pair):8.3f}")
-
-
-def _print_ratios(ratios):
     print(f"{'':<40}{'mean':>8}{'worst':>8}")
     for names, values in ratios.items():
         print(f"{', '.join(names):<40}{np.mean(values):8.2f}{np.max(values):8.2f}")
-    sys.stdout.flush()
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=None, help="of the UR10 (default: all)")
-    parser.add_argument("--inputs", action="store_true", help="compare the network's inputs")
     parser.add_argument("--defaults", action="store_true", help="only the default")
-    mixes = ["sim-gravity", "sim-typical", "sim-eccentricity"]
-    others = {"grid": grid, "octants": octants}
-    sets = [*mixes, "panda_3", "panda_2", "ur10-goal", "ur10-space", "ur10b-space", *others]
+    sets = ["sim-gravity", "sim-typical", "sim-eccentricity", "panda_3", "panda_2"]
+    sets += ["ur10-goal", "ur10-space", "ur10b-space", "octants"]
     parser.add_argument("sets", nargs="*", default=sets, metavar="sets", help=", ".join(sets))
     args = parser.parse_args()
     warnings.filterwarnings("ignore", message=".*known lengths disagree")
     warnings.filterwarnings("ignore", message="Without the cause kinematics")
-    compared = inputs if args.inputs else (lambda *_: ()) if args.defaults else ideas
     tables = {}, {}
     for name in args.sets:
-        if name in others:
-            others[name]()
+        if name == "octants":
+            octants()
             continue
-        found = run(name, args.rows, compared, not args.inputs)
-        for table, cells in zip(tables, rows_of(name, *found), strict=True):
-            table[name] = cells
-    if tables[0] and not args.defaults:
-        print_table(tables[0])
-    if tables[1] and not args.inputs:
-        print_table(tables[1])
+        cells = rows_of(name, *run(name, args.rows, not args.defaults))
+        for table, of_set in zip(tables, cells, strict=True):
+            table[name] = of_set
+    for table in tables[args.defaults :] if tables[0] else ():
+        print_table(table)
 
 
 if __name__ == "__main__":

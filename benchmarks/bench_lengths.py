@@ -9,12 +9,11 @@ Simulated arms, ten cones of 25 poses, calibrated from descriptions that are mor
 """
 
 import argparse
-import os
 import warnings
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
+from _arm_folds import rms
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate
 from sklearn_raacmm.correction._scores import _summary
@@ -161,10 +160,6 @@ def intervals(n_arms):
                 ends = _summary(x, x, np.arange(n))["after"][1:], np.quantile(means, [0.025, 0.975])
                 held += [low <= every.mean() <= high for low, high in ends]
             print(f"arm {seed}, {n:2} positions: {held[0] / 2000:.3f} {held[1] / 2000:.3f}")
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def main():

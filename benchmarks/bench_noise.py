@@ -11,11 +11,9 @@ intervals of a smooth function in 2, 8 and 20 features from few rows.
 """
 
 import argparse
-import os
 import warnings
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
 from _problems import generated
 

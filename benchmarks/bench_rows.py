@@ -15,7 +15,6 @@ function: no step should be larger than 1.5, in time or in error. One BLAS threa
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -24,8 +23,7 @@ import time
 import warnings
 from pathlib import Path
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
 
 from sklearn_raacmm import RBFNetRegressor

@@ -18,14 +18,12 @@ on the same rows: forward selection (ols), means of clusters of the scaled input
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
 import time
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
 from _problems import GENERATED, generated
 from scipy.spatial.distance import cdist

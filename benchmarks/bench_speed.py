@@ -20,7 +20,6 @@ too: 2000 poses, the default model.
 
 import argparse
 import ctypes
-import os
 import platform
 import shutil
 import statistics
@@ -28,13 +27,11 @@ import subprocess
 import tempfile
 import time
 import warnings
-
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
 from datetime import date
 from functools import partial
 from pathlib import Path
 
+import _one_thread  # noqa: F401
 import numpy as np
 from _arm_folds import read_ur10
 from scipy.optimize import least_squares

@@ -8,12 +8,10 @@ a position by zone, distances, and diameters of spheres, at places that were nev
 """
 
 import argparse
-import os
 import warnings
 from dataclasses import replace
 
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
+import _one_thread  # noqa: F401
 import numpy as np
 
 from sklearn_raacmm import learn_correction

@@ -23,11 +23,9 @@ import os
 import sys
 import time
 import warnings
-
-os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
 from pathlib import Path
 
+import _one_thread  # noqa: F401
 import numpy as np
 from _arm_folds import DATA
 from _golden_arm import SECTIONS, seconds
