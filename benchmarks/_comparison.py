@@ -1,4 +1,4 @@
-"""What the comparisons share: the models that they compare, and tables for the terminal."""
+"""What the comparisons share: the models that they compare, and the data."""
 
 import numpy as np
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -50,28 +50,3 @@ def fetched(fetch, *args, **options):
         return fetch(*args, **options)
     except OSError as error:
         raise SystemExit(f"{error}\n\n{WHERE}") from None
-
-
-class Table:
-    """A table for the terminal whose rows appear as soon as they are known."""
-
-    def __init__(self, *columns):
-        self.widths = [max(width, len(name)) for name, width, _ in columns]
-        self.formats = [form for *_, form in columns]
-        self._print([name for name, *_ in columns])
-        print("  ".join("-" * width for width in self.widths))
-
-    def row(self, *values):
-        """Print one row; None leaves a field empty."""
-        self._print(
-            "" if value is None else format(value, form)
-            for value, form in zip(values, self.formats, strict=True)
-        )
-
-    def _print(self, texts):
-        # Words to the left, numbers to the right.
-        aligned = [
-            f"{text:>{width}}" if form else f"{text:<{width}}"
-            for text, width, form in zip(texts, self.widths, self.formats, strict=True)
-        ]
-        print("  ".join(aligned).rstrip(), flush=True)

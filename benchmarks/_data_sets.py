@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from _comparison import UNCORRECTED, Table, fetched
+from _comparison import UNCORRECTED, fetched
 from _regressors import Fold, run
 from joblib import Parallel, delayed
 from sklearn.metrics import r2_score
@@ -191,25 +191,8 @@ def assess(problem, corrections):
 
 
 def compare(problem, names, jobs):
-    """Print the table of one data set; return a record of every model."""
-    sizes = [] if problem.lengths is None else np.unique(problem.lengths)
-    # Heading of each column, its width and format, and the measure that it shows.
-    columns = {
-        "mean_mm": ("mean", 6, ".4f"),
-        "max_mm": ("max", 6, ".4f"),
-        "two_s_mean_mm": ("2S mean", 7, ".4f"),
-        "two_s_max_mm": ("2S max", 7, ".4f"),
-        "less": ("less", 5, ".0%"),
-        "of_possible": ("of possible", 11, ".0%"),
-        **{f"length_{size:g}_mean_mm": (f"{size:g} mm", 6, ".4f") for size in sizes},
-        **({"scaled_mean_mm": ("scaled", 6, ".4f")} if len(sizes) > 1 else {}),
-        "r2": ("R2", 6, ".2f"),
-        "r2_within": ("R2 within", 9, ".2f"),
-        "fit_seconds": ("fit s", 7, ".2f"),
-        "predict_seconds_per_row": ("s/row", 8, ".1e"),
-        "pickle_bytes": ("bytes", 8, ".0f"),
-    }
-    table, records = Table(("inputs", 24, ""), ("regressor", 26, ""), *columns.values()), []
+    """Print a line for every model on one data set; return a record of each."""
+    records = []
     # What a correction is judged by: the deviation where it is known, else 2S.
     measure = "mean_mm" if problem.folds[0].absolute else "two_s_mean_mm"
     nothing = [np.zeros_like(points) for points in problem.measured]
@@ -227,7 +210,8 @@ def compare(problem, names, jobs):
                 results["of_possible"] = gain / possible
         if costs is not None:
             results |= dict(zip(COSTS, np.mean(costs, axis=0), strict=True))
-        table.row(*name, *(results.get(key) for key in columns))
+        shown = ", ".join(f"{key} {value:.3g}" for key, value in results.items())
+        print(f"{name[0]:<24}  {name[1]:<26}  {shown}", flush=True)
         records.append({"data": problem.name, "inputs": name[0], "regressor": name[1]} | results)
 
     show(UNCORRECTED, nothing)

@@ -8,6 +8,9 @@ from functools import partial
 
 import numpy as np
 from _arm_folds import (
+    NOMINAL_PANDA,
+    mean_deviation,
+    pairs_known,
     panda_folds,
     read_panda,
     read_ur10,
@@ -15,7 +18,7 @@ from _arm_folds import (
     ur10_folds,
     ur10b_folds,
 )
-from bench_after_the_lab import Robot, mean_deviation, one_draw
+from bench_after_the_lab import Robot, one_draw
 from bench_check import knock, poses_of_simulated_arm
 from bench_speed import simulated as simulated_cones
 
@@ -190,24 +193,21 @@ def transfer(data_home):
             moved = transferred_model(earlier, own.arm, new, own.residuals_mm)
             left.append(mean_deviation(true - moved.predict(far)))
         found[f"transfer, robots, {n} poses: mean deviation"] = np.mean(left)
-    nominal = Arm.from_name("panda", probe=(0, 0, 138))
     angles, sockets, _ = read_panda("panda_3", data_home)
-    old = calibrate(nominal, angles, sockets)
+    old = calibrate(NOMINAL_PANDA, angles, sockets)
     y = old.residuals(angles, groups=sockets)
     model = ArmResidualRegressor(old.arm).fit(angles, y, groups=sockets)
     angles, sockets, placements = read_panda("panda_2", data_home)
     known = np.isin(placements, np.unique(placements)[:3])
-    own = calibrate(nominal, angles[known], sockets[known])
+    own = calibrate(NOMINAL_PANDA, angles[known], sockets[known])
     y = own.residuals(angles[known], groups=sockets[known])
     moved = transferred_model([model], own.arm, angles[known], y, groups=sockets[known])
     left = own.residuals(angles[~known], groups=sockets[~known]) - moved.predict(angles[~known])
     left = mean_deviation(position_residuals(left, sockets[~known]))
-    gain = moved.updates_[0]["gain_nats"]
     name = "transfer, panda_3 to panda_2"
-    return found | {
-        f"{name}: mean deviation": left,
-        f"{name}: gain in nats": gain,
-    }
+    found[f"{name}: mean deviation"] = left
+    found[f"{name}: gain in nats"] = moved.updates_[0]["gain_nats"]
+    return found
 
 
 def calibration(data_home):
@@ -237,9 +237,8 @@ def calibration(data_home):
     found["calibrate, twenty sockets: prior sd of lengths"] = result.prior_sd["length_mm"]
     for name in ("panda_2", "panda_3"):
         angles, sockets, placements = read_panda(name, data_home)
-        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        result = calibrate(nominal, angles, sockets, lengths=lengths)
+        lengths = pairs_known(np.unique(placements))
+        result = calibrate(NOMINAL_PANDA, angles, sockets, lengths=lengths)
         found[f"calibrate, {name}: scatter"] = result.scatter_after_mm
         found[f"calibrate, {name}: prior sd of lengths"] = result.prior_sd["length_mm"]
         found[f"calibrate, {name}: outliers"] = len(result.outliers)

@@ -8,7 +8,7 @@ inside the 95 % interval, and the number of centres. Everything by default param
 import warnings
 
 import numpy as np
-from _arm_folds import read_panda, read_ur10
+from _arm_folds import NOMINAL_PANDA, pairs_known, read_panda, read_ur10
 from _problems import GENERATED, generated
 from scipy.stats import norm
 from sklearn.model_selection import GroupKFold
@@ -65,8 +65,8 @@ def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
 def _panda(name, home):
     """Arm, angles, residuals, labels and folds of whole placements."""
     angles, groups, placements = read_panda(name, home)
-    known = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
-    found = calibrate(Arm.from_name("panda", probe=(0, 0, 138)), angles, groups, lengths=known)
+    known = pairs_known(np.unique(placements))
+    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known)
     good = found.sample_weight > 0
     angles, groups = angles[good], groups[good]
     residuals = position_residuals(found.arm.forward(angles), groups)
@@ -85,17 +85,7 @@ def _ur10(home):
 
 
 def numbers(data_home):
-    """Golden numbers of the network.
-
-    Parameters
-    ----------
-    data_home : str or Path
-        Folder of the real data, see tests/conftest.py.
-
-    Returns
-    -------
-    dict of str to float
-    """
+    """Golden numbers of the network by name; `data_home` is the folder of the real data."""
     found = {}
     warnings.simplefilter("ignore")
     for name in GENERATED:

@@ -3,7 +3,6 @@
     python benchmarks/bench_after_the_lab.py series              # two minutes
     python benchmarks/bench_after_the_lab.py months              # two minutes
     python benchmarks/bench_after_the_lab.py probes              # three minutes
-    python benchmarks/bench_after_the_lab.py reflectors          # two minutes
     python benchmarks/bench_after_the_lab.py plan                # two minutes
     python benchmarks/bench_after_the_lab.py transfer --panda    # three minutes
     python benchmarks/bench_after_the_lab.py mounts              # four minutes
@@ -24,11 +23,6 @@ other cones the mean 2S is printed: without a correction; with that of the old p
 with the same causes through the Jacobian of the new probe (``model.with_arm``); moved in the same
 way, but learnt with probes of 100 and 250 mm together, 7 cones each; and with a new fit.
 
-``reflectors``: the target on a real UR10 has a measured orientation, so that points beside it are
-known as well. Learnt is with the target's centre, on the last axis, or with it and two such points;
-used at 1500 other poses is a reflector 130 mm off the axis, moved by its known vector or registered
-in 60 poses: mean deviations in mm, and the share of coordinates inside their 95 % intervals.
-
 ``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses each: by chance, at
 cones that are spread, and by :func:`plan_poses`, with a probe that leans at most 60 degrees or
 comes from anywhere. The other cones have poses by chance, or those of another plan with a lean of
@@ -44,7 +38,7 @@ start for the other one, some of its placements being known.
 ``mounts``: five measuring arms in a cone test and five robots before a tracker, each upright, on
 the ceiling, inclined by 45 degrees and on a wall: mean 2S at positions left out, um, where ``up``
 is stated and where it is left at its default and found by the data; also over that of the same arm
-upright, of means and of the worst arm.
+upright, of the worst arm.
 
 The real data are looked for where `_arm_folds` says.
 """
@@ -54,7 +48,7 @@ import warnings
 from copy import copy
 
 import numpy as np
-from _arm_folds import DATA, read_panda, read_ur10
+from _arm_folds import NOMINAL_PANDA, mean_deviation, read_panda, read_ur10
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import (
@@ -67,16 +61,12 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.arm import solve
 from sklearn_raacmm.correction._transfer import LEAST_GAIN_NATS, transferred_model
-from sklearn_raacmm.datasets import SimulatedArm, fetch_ur10_tracker, make_single_point
+from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
 ARCSEC = np.pi / 180 / 3600
 NOISE_MM = 0.03
 PROBES_MM = (100, 150, 250, 400)
-
-
-def mean_deviation(residuals):
-    return float(np.linalg.norm(residuals, axis=1).mean())
 
 
 def show(title, columns, rows):
@@ -411,10 +401,9 @@ def transfer_measuring_arms(seeds):
 
 def transfer_pandas(draws):
     """A model of one Panda as the start for the other: within placements that are not known."""
-    nominal = Arm.from_name("panda", probe=(0, 0, 138))
     for old, new in (("panda_2", "panda_3"), ("panda_3", "panda_2")):
         angles, groups, _ = read_panda(old)
-        starts = {"of 1": [fitted(nominal, angles, groups)[1]]}
+        starts = {"of 1": [fitted(NOMINAL_PANDA, angles, groups)[1]]}
         angles, groups, _ = read_panda(new)
         labels, table = np.unique(groups), {n: [] for n in (1, 2, 4)}
         for draw in range(draws):
@@ -422,7 +411,7 @@ def transfer_pandas(draws):
             for n, rows in table.items():
                 known = np.isin(groups, labels[order[:n]])
                 near, there = (angles[known], groups[known]), (angles[~known], groups[~known])
-                found = calibrate(nominal, *near)
+                found = calibrate(NOMINAL_PANDA, *near)
                 y, true = (found.residuals(q, groups=labels) for q, labels in (near, there))
 
                 def left(model, true=true, there=there):
@@ -489,75 +478,14 @@ def mounts(options):
             for mount, up in MOUNTS.items()
         }
         show(f"{title}: 2S, um", names, {m: values.mean(axis=0) for m, values in every.items()})
-        of_upright = {
-            m: values.mean(axis=0) / every["upright"].mean(axis=0) for m, values in every.items()
-        }
-        show(f"{title}: over upright", names, of_upright)
         worst = {m: (values / every["upright"]).max(axis=0) for m, values in every.items()}
         show(f"{title}: over upright, worst arm", names, worst)
-
-
-# -- reflectors beside the last axis --------------------------------------------------------------
-
-
-def reflectors(options):
-    data = fetch_ur10_tracker(data_home=DATA, download_if_missing=False)
-    beside = {"130 mm along x": (130, 0, 0), "130 mm along y": (0, 130, 0)}
-    ways = "one reflector, moved", "one, registered", "three, moved"
-    rows, held = {name: [] for name in beside}, {name: [] for name in beside}
-    for seed in range(options.seeds):
-        order = np.random.default_rng(seed).permutation(len(data.data))
-        known, few, new = order[:1000], order[1000:1060], order[1060:2560]
-        centre = calibrate(data.nominal_arm, data.data[known], points=data.tracker_points[known])
-        frames = centre.base_rotation @ centre.arm.frames(data.data)[:, -1, :, :3]
-        mount = Rotation.from_matrix(frames.swapaxes(1, 2) @ data.tracker_orientations)[
-            known
-        ].mean()
-        aside = {n: (mount.inv().apply(v), centre.arm.probe + v) for n, v in beside.items()}
-        points = {
-            n: data.tracker_points + data.tracker_orientations @ v for n, (v, _) in aside.items()
-        }
-        one = ArmResidualRegressor(centre.arm).fit(data.data[known], centre.residuals_mm)
-        # A third of the poses with each: as many rows as with the one.
-        seen = [data.tracker_points, *points.values()]
-        which = np.arange(len(known)) % 3
-        measured = np.stack(seen)[which, known]
-        three = calibrate(
-            data.nominal_arm, data.data[known], points=measured, tools=which.astype(str)
-        )
-        y = three.residuals_mm
-        vectors = np.array([three.arms[str(k)].probe for k in which])
-        several = ArmResidualRegressor(three.arms["0"]).fit(data.data[known], y, probes=vectors)
-        for name, (_, probe) in aside.items():
-            p = points[name]
-            registered = calibrate(
-                centre.arm, data.data[few], points=p[few], free=["probe"], correction=one
-            )
-            label = str(1 + list(aside).index(name))
-            uses = [
-                (one.with_arm(centre.arm.replace(probe=probe)), centre),
-                (one.with_arm(registered.arm), registered),
-                (several.with_arm(three.arms[label]), three),
-            ]
-            left, inside = [], []
-            for model, base in uses:
-                mean, std = model.predict(data.data[new], return_std=True, with_noise=True)
-                measured = (p[new] - base.base_translation) @ base.base_rotation
-                y = model.arm_.forward(data.data[new]) - measured
-                left += [mean_deviation(y), mean_deviation(y - mean)]
-                inside.append(np.mean(np.abs(y - mean) < 1.96 * std))
-            rows[name].append(left)
-            held[name].append(inside)
-    columns = [f"{way}{part}" for way in ways for part in (": none", "")]
-    show("reflector; mm", columns, {n: np.mean(v, axis=0) for n, v in rows.items()})
-    show("reflector; inside", ways, {n: np.mean(v, axis=0) for n, v in held.items()})
 
 
 PARTS = {
     "series": series,
     "months": months,
     "probes": probes,
-    "reflectors": reflectors,
     "plan": plan,
     "transfer": transfer,
     "mounts": mounts,
@@ -570,7 +498,7 @@ def main():
     parser.add_argument("--seeds", type=int, help="arms or draws (default: as on the pages)")
     parser.add_argument("--panda", action="store_true", help="transfer of two real robots, too")
     options = parser.parse_args()
-    usual = {"months": 2, "probes": 4, "reflectors": 1, "plan": 8}
+    usual = {"months": 2, "probes": 4, "plan": 8}
     options.seeds = options.seeds or usual.get(options.part, 5)
     warnings.simplefilter("ignore")
     PARTS[options.part](options)

@@ -38,7 +38,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from _arm_folds import read_panda, read_ur10
+from _arm_folds import NOMINAL_PANDA, mean_deviation, pairs_known, read_panda, read_ur10
 from sklearn.cluster import KMeans
 
 from sklearn_raacmm import (
@@ -87,9 +87,8 @@ class Counts:
 
 def knock(arm, arcsec):
     def change(angles, rng, run):
-        return arm.jacobian(angles)[
-            :, :, run % 5
-        ] * arcsec * ARCSEC, f"offset of joint {run % 5 + 1}"
+        moved = arm.jacobian(angles)[:, :, run % 5] * arcsec * ARCSEC
+        return moved, f"offset of joint {run % 5 + 1}"
 
     return change
 
@@ -197,8 +196,7 @@ def kind_of_panda(name, runs):
     for run in range(runs):
         mixed = np.random.default_rng([5, run]).permutation(labels)
         known, rest = (np.isin(groups, half) for half in np.array_split(mixed, 2))
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        found = calibrate(nominal, angles[known], groups[known])
+        found = calibrate(NOMINAL_PANDA, angles[known], groups[known])
         model = ArmResidualRegressor(found.arm)
         model.fit(angles[known], found.residuals_mm, groups=groups[known])
         if not model.helps_:
@@ -225,7 +223,7 @@ def kinds(options):
 
 def um(vectors):
     """Mean length in micrometres."""
-    return f"{1e3 * np.linalg.norm(vectors, axis=1).mean():.1f}"
+    return f"{1e3 * mean_deviation(vectors):.1f}"
 
 
 def dwells(options):
@@ -318,9 +316,8 @@ def steps(options):
         print(f"step of {size} mm, {n} poses: found in {sum(hits)} of {len(hits)}")
     for name in ("panda_3", "panda_2") if options.real else ():
         angles, groups, placements = read_panda(name)
-        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, angles, groups, lengths=lengths).arm
+        lengths = pairs_known(np.unique(placements))
+        arm = calibrate(NOMINAL_PANDA, angles, groups, lengths=lengths).arm
         y = position_residuals(arm.forward(angles), groups)
         left, codes, variance = look(arm, angles, y, groups)
         for step in find_steps(left, angles, codes, variance):
@@ -336,8 +333,7 @@ def halves(name, run):
         return Arm.from_name("ur10", probe=(0, 0, 93)), angles[some], goals[some], points[some], ()
     if name.startswith("panda"):
         angles, groups, placements = read_panda(name)
-        lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(placements)]
-        nominal = Arm.from_name("panda", probe=(0, 0, 138))
+        nominal, lengths = NOMINAL_PANDA, pairs_known(np.unique(placements))
     else:
         test = make_single_point(16, 25, machine=SimulatedArm(KINDS[name], random_state=run))
         nominal, angles, groups, lengths = test.arm, test.data, test.groups, []

@@ -90,16 +90,21 @@ KNOWN = {"none": ([], 0)} | {
 
 def with_bars(seed, lengths, n_places):
     """Arm, angles, labels and known lengths of a test with bars, sd 0.01 mm, from a drawing."""
-    test, rng = simulated(seed), np.random.default_rng([seed, 7])
+    test = simulated(seed)
+    return test, *cones_and_bars(test, seed, lengths, n_places)
+
+
+def cones_and_bars(test, seed, lengths, n_places):
+    """Angles, labels and known lengths of a test of cones and of bars, if there are any."""
+    rng, machine = np.random.default_rng([seed, 7]), test.simulation.machine
     angles, labels, known = test.data, [f"cone {g}" for g in test.groups], []
-    if lengths:
-        machine = test.simulation.machine
+    if n_places:
         bars = make_gauge(lengths, n_places, 25, machine=machine, random_state=seed)
         angles = np.vstack([angles, bars.data])
         labels += [f"end {g}" for g in bars.groups]
         for (i, j), length in zip(bars.pairs, bars.lengths, strict=True):
             known.append((f"end {i}", f"end {j}", length + rng.normal(0, 0.01), 0.01))
-    return test, angles, np.array(labels), known
+    return angles, np.array(labels), known
 
 
 def lengths(n_arms):

@@ -17,8 +17,8 @@ import argparse
 import warnings
 
 import numpy as np
+from _arm_folds import mean_deviation as deviation
 from bench_after_the_lab import Robot
-from bench_after_the_lab import mean_deviation as deviation
 
 import sklearn_raacmm.error_model._structures as structures
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals

@@ -13,6 +13,8 @@ from dataclasses import replace
 
 import _one_thread  # noqa: F401
 import numpy as np
+from _arm_folds import rms
+from bench_lengths import cones_and_bars
 
 from sklearn_raacmm import learn_correction
 from sklearn_raacmm.datasets import (
@@ -33,21 +35,13 @@ TRACKER_MM = 0.01  # of each coordinate
 def learnt(kind, machine, seed):
     """Correction of a simulated arm from what `kind` names."""
     cones = make_single_point(10, 25, machine=machine, random_state=seed)
-    rng = np.random.default_rng([seed, 7])
-    angles, labels, known = cones.data, [f"cone {g}" for g in cones.groups], []
+    places = {"cones": 0, "a bar": 1, "three bars": 3, "tracker": 0}[kind]
+    angles, labels, known = cones_and_bars(cones, seed, [500.0], places)
+    given = {"lengths": known}
     if kind == "tracker":
-        points = cones.simulation.true_points + rng.normal(0, TRACKER_MM, (len(angles), 3))
-        return learn_correction(
-            cones.nominal_arm, angles, labels, points=points, cv=3, points_sd=TRACKER_MM
-        )
-    places = {"cones": 0, "a bar": 1, "three bars": 3}[kind]
-    if places:
-        bars = make_gauge([500.0], places, 25, machine=machine, random_state=seed)
-        angles = np.vstack([angles, bars.data])
-        labels += [f"end {g}" for g in bars.groups]
-        for (i, j), length in zip(bars.pairs, bars.lengths, strict=True):
-            known.append((f"end {i}", f"end {j}", length + rng.normal(0, 0.01), 0.01))
-    return learn_correction(cones.nominal_arm, angles, labels, lengths=known, cv=3)
+        noise = np.random.default_rng([seed, 7]).normal(0, TRACKER_MM, (len(angles), 3))
+        given = {"points": cones.simulation.true_points + noise, "points_sd": TRACKER_MM}
+    return learn_correction(cones.nominal_arm, angles, labels, cv=3, **given)
 
 
 def single_points(learned, machine, seed):
@@ -106,8 +100,8 @@ def main():
         print(f"{kind}: rms of error over standard deviation, share inside 95 %")
         for name, parts in z.items():
             every = np.concatenate(parts)
-            rms, inside = np.sqrt(np.mean(np.square(every))), np.mean(np.abs(every) < 1.96)
-            print(f"  {name:<14} {rms:6.2f} {inside:6.3f}", flush=True)
+            inside = np.mean(np.abs(every) < 1.96)
+            print(f"  {name:<14} {rms(every):6.2f} {inside:6.3f}", flush=True)
 
 
 if __name__ == "__main__":

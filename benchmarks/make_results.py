@@ -10,11 +10,11 @@ part, which ``--print`` only prints. Numbers that are not made again stay as the
 says when it was made. Whoever stops the job with Ctrl-C keeps what was finished. Real data are
 downloaded the first time.
 
-In the tables lengths are in mm. mean, max: deviation from the position's mean point (UR10: from the
-tracker's point); 2S: single-point repeatability; less: reduction of its mean (UR10: of the
-deviation); of possible: share of what a perfect model reduces, which knows all but the noise; 300
-mm, 500 mm: error of known lengths; R2: plain, and with one free constant per position (within);
-fit s: CPU seconds with the choice of settings; bytes: pickled.
+Lengths are in mm. mean, max: deviation from the position's mean point (UR10: from the tracker's
+point); two_s: single-point repeatability; less: reduction of its mean (UR10: of the deviation);
+of_possible: share of what a perfect model reduces, which knows all but the noise; length: error of
+known lengths; r2: plain, and with one free constant per position (within); fit_seconds: CPU time
+with the choice of settings; bytes: pickled.
 """
 
 import argparse
