@@ -239,7 +239,7 @@ def places(tmp_path, monkeypatch):
         ("learn t.csv --arm ur10 --out o --counts-per-turn x", "'x' is not a number"),
         ("correct t.csv --model . --out o.csv", "has no correction.json"),
         ("export --model old", "say what to write: --c FOLDER"),
-        ("arm", "give one arm: a file or name, --dh"),
+        ("arm", "give an arm: a file, a URDF"),
         ("arm ur10 --dh x.csv", "give one arm: a file or name, --dh"),
         ("arm ur10 --probe 0,0,1", "--modified and --probe belong to --dh"),
         ("arm ur10 --into x.urdf", "--into needs --out"),
