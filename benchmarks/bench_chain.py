@@ -20,7 +20,7 @@ import warnings
 from itertools import product
 
 import numpy as np
-from _comparison import ALL, INPUTS, PAPER, Table, chain, gaussian_process
+from _comparison import ALL, INPUTS, PAPER, chain, gaussian_process
 from _data_sets import MIXES, panda, ur10
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -203,9 +203,8 @@ def main(argv=None):
     if args.slips or args.few:
         warnings.simplefilter("ignore")
         return slips() if args.slips else few()
-    columns = [("inputs", 24, ""), ("data", 26, ""), ("regressor", 19, "")]
-    columns += [("without", 7, ".3f"), ("with", 6, ".3f"), ("ratio", 6, ".3f")]
-    table, ratios = Table(*columns), {}
+    print(f"{'inputs':<25} {'data':<27} {'regressor':<19} without  with   ratio")
+    ratios = {}
 
     def show(kind, label, folds, labels, absolute):
         before = left(folds, labels, absolute)
@@ -215,7 +214,8 @@ def main(argv=None):
                 return MODELS[name](arm, inputs)
 
             both = [left(folds, labels, absolute, model, known) / before for known in (False, True)]
-            table.row(inputs, label, name, *both, both[1] / both[0])
+            row = f"{inputs:<25} {label:<27} {name:<19} {both[0]:7.3f} {both[1]:6.3f}"
+            print(f"{row} {both[1] / both[0]:6.3f}", flush=True)
             ratios.setdefault((name, inputs, kind), []).append(both)
 
     for shape, mix in product(args.shapes, MIXES):
@@ -227,7 +227,9 @@ def main(argv=None):
     for name in args.real:
         show(name, name, *real(name, args.data_home))
     for (name, inputs, kind), found in ratios.items():
-        table.row(inputs, f"median, {kind}", name, *np.median(found, axis=0), None)
+        without, with_them = np.median(found, axis=0)
+        row = f"{inputs:<25} {f'median, {kind}':<27} {name:<19}"
+        print(f"{row} {without:7.3f} {with_them:6.3f}")
 
 
 if __name__ == "__main__":
