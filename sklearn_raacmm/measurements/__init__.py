@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
+    EQUAL,
     FAR,
     PRICE,
     UNITS,
@@ -34,6 +35,7 @@ from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import check_targets
 
 __all__ = [
+    "EQUAL",
     "FAR",
     "MOST_EXPLAINED",
     "PRICE",
