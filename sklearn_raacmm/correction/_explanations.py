@@ -131,12 +131,9 @@ class _Rows:
         explained = spread.log_likelihood(one.left[some], taus, noise_log_sd, noise)
         explained += spread.freedom * np.log(one.factor)
         tables = (0.0, _CALIBRATED) if other_table else (0.0,)
-        given = self.given[rows]
-        as_given = max(self._spread(rows, table).log_likelihood(given) for table in tables)
-        if one.of is not None:  # without an outlier rows are likelier by any model
-            parts = (self.y[of] for of in (one.of[some], rows))
-            ahead = [spread.log_likelihood(part, _TAUS[:1]) for part in parts]
-            as_given += max(ahead[0] - ahead[1], 0.0)
+        own = rows if one.of is None else one.of[some]  # the same residuals at their own angles
+        given = self.given[own]
+        as_given = max(self._spread(own, table).log_likelihood(given) for table in tables)
         return explained - as_given - np.log(one.n_tried)
 
     def _spread(self, rows, table):
