@@ -5,7 +5,6 @@
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
-    EQUAL,
     FAR,
     PRICE,
     UNITS,
@@ -35,7 +34,6 @@ from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import check_targets
 
 __all__ = [
-    "EQUAL",
     "FAR",
     "MOST_EXPLAINED",
     "PRICE",
