@@ -24,6 +24,7 @@ from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
+from sklearn_raacmm.measurements import medians_of
 from sklearn_raacmm.utils import (
     centred,
     encode_groups,
@@ -304,13 +305,10 @@ def _slipped(linear, poses, left):
     usual in proportion.
     """
     spread = linear.predict(poses.angles, return_std=True)[1]
-    used, codes = poses.weights > 0, poses.codes
+    used = poses.weights > 0
     noise = linear.noise_variance / np.where(used, poses.weights, 1.0)
     sd = np.sqrt(np.square(spread).max(axis=1) + noise)
-    middle = np.zeros_like(left)
-    if codes is not None:  # medians: a slipped pose would pull the mean of its position
-        of_position = [np.median(left[codes == code], axis=0) for code in range(codes.max() + 1)]
-        middle = np.stack(of_position)[codes]
+    middle = medians_of(left, poses.codes)
     distance = np.linalg.norm(left - middle, axis=1) / sd
     far = used & (distance > chi.isf(_FALSE_NAMES / len(left), 3))
     slipped = far if far.sum() <= _MOST_SLIPS * used.sum() else np.zeros(len(left), bool)

@@ -4,6 +4,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._explanations import (
+    FAR,
+    PRICE,
+    UNITS,
+    Explanation,
+    explanations,
+    likeliest,
+    medians_of,
+    of_own_points,
+)
 from sklearn_raacmm.measurements._labels import (
     no_readings,
     other_labels,
@@ -20,24 +30,27 @@ from sklearn_raacmm.measurements._order import (
     drift_of,
     order_explained_by,
 )
-from sklearn_raacmm.measurements._own_points import UNITS, WORDS, changed_joints, of_own_points
 from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
 from sklearn_raacmm.measurements._targets import check_targets
 
 __all__ = [
+    "FAR",
     "MOST_EXPLAINED",
+    "PRICE",
     "UNITS",
-    "WORDS",
     "Dwells",
+    "Explanation",
     "base_motions",
-    "changed_joints",
     "check_targets",
     "coarse_angles",
     "directions_of",
     "drift_of",
+    "explanations",
     "find_dwells",
     "find_poses",
     "find_steps",
+    "likeliest",
+    "medians_of",
     "moved_positions",
     "moved_set_up",
     "no_readings",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
-from sklearn_raacmm.measurements._own_points import of_own_points
+from sklearn_raacmm.measurements._explanations import of_own_points
 from sklearn_raacmm.measurements._set_ups import base_motions
 from sklearn_raacmm.utils import Finding, align, centred
 

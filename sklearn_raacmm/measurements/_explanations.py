@@ -1,0 +1,247 @@
+"""What may be wrong with residuals: one table of explanations, for every function that asks.
+
+`WORDS` says what each is called and what to do about it, `explanations` what it does to the data.
+Where a model says how residuals scatter, likelihoods are compared by `likeliest`; deviations of a
+single-point test are those of the arm's own points to the last digit, and compared with them.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations, permutations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
+from sklearn_raacmm.utils import Finding, align, centred, row_numbers
+
+# Nats by which an explanation has to be better than the data as given, beside the logarithm of how
+# many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
+# that nothing is wrong with. Within the second nothing tells two explanations apart: a choice.
+PRICE, _EQUAL = 11.0, 7.0
+UNITS = {25.4: "inches", 10.0: "centimetres", 1000.0: "metres", 1e-3: "micrometres"}
+_FILES = "Are angles and points from two files, of which one has a row more, or another order?"
+WORDS = {
+    "sign-of-residuals": (
+        "their sign is wrong, or they were corrected twice",
+        "Give measured minus reference.",
+    ),
+    "corrected-already": (
+        "they have been corrected already",
+        "Give what the arm shows without the correction: result.residuals(angles, points), not "
+        "result.residuals_mm.",
+    ),
+    "unit-of-residuals": ("they are in {}", "Give millimetres."),
+    "axes-of-residuals": (
+        "their axes are others: {}",
+        "Give residuals in the arm's base frame, x, y and z in this order.",
+    ),
+    "rows-shifted": ("they are of the row {}", _FILES),
+    "rows-unrelated": ("they do not belong to the angles of their rows", _FILES),
+    "joints": ("of the angles, {}", "Look at the order and the sense of the joints."),
+    "other-table": (
+        "they are of another table of this arm, such as the nominal one",
+        "Take the arm that the model was fitted with, model.arm_.",
+    ),
+    "another-arm": (
+        "they are of another arm",
+        "Are they of this arm, and of the table that the model was fitted with?",
+    ),
+}
+# Exchanges and mirrors of axes beside the given ones and all mirrored; of a turn three numbers,
+# each known to some hundredths.
+_EXCHANGES = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3))
+    if order != (0, 1, 2) or len(set(signs)) > 1
+]
+_TURNS, _JOINTS = 10_000, 20
+# Rows that an order can be seen of. Residuals farther off than so many medians count as though they
+# lay there.
+_LEAST_ROWS, FAR = 12, 3.0
+# What deviations are made of is met by this share of the differences between two rows, to this part
+# of their median; rows that are looked at have to be so many.
+_SHARE, _EXACT, _LEAST_PAIRS = 0.9, 0.05, 8
+# Positions that deviate by more of the reach had no cone, and of deviations that are explained by
+# less than this share of their squares the rows are not related. Of four real arms and of simulated
+# ones all are explained.
+_ONE_CONE, _RELATED = 0.01, 0.25
+# What another model has left of deviations looks like these, and is a legitimate target of a fit.
+_MAYBE_MEANT = ("other-table", "rows-unrelated")
+
+
+class Explanation(NamedTuple):
+    """What may be wrong with residuals, and what is then left of them beside what is expected."""
+
+    code: str  # of `WORDS`
+    what: str  # fills the gap in the words
+    left: np.ndarray  # (n, 3) mm
+    rows: np.ndarray  # (n,) of the angles that it is left at
+    n_tried: int = 1  # explanations of this kind
+    factor: float = 1.0  # of each coordinate
+    first: int = 0  # the first row that it is about
+    of: Any = None  # (n,) rows of the residuals, where they are others
+
+    def said(self, numbers: np.ndarray) -> str:
+        """The words, with the row from which on it is so; `numbers` are what rows are called."""
+        row = row_numbers(numbers[[self.first]])[0]
+        what = self.what + f", from row {row} on" * (self.first > 0)
+        return WORDS[self.code][0].format(what)
+
+    def finding(
+        self, text: str, numbers: np.ndarray, size_mm: float, weight: Any = "repair"
+    ) -> Finding:
+        """That it is so; `text` says how it was found."""
+        rows = row_numbers(numbers[[self.first]]) if self.first else ()
+        return Finding(self.code, text, WORDS[self.code][1], weight, rows=rows, size_mm=size_mm)
+
+
+def likeliest(explained: Iterable[tuple[float, Any]], given: float = 0.0) -> list[Any]:
+    """The best of (nats, explanation) and all that are as likely, the best first.
+
+    None where the data as given are likelier than the best.
+    """
+    ranked = sorted(explained, key=lambda one: -one[0])
+    best = ranked[0][0]
+    return [one for nats, one in ranked if nats > best - _EQUAL] if best > given else []
+
+
+def explanations(
+    y: np.ndarray,
+    expected: np.ndarray,
+    angles: np.ndarray,
+    n_joints: int,
+    codes: np.ndarray | None,
+    predict: Callable[[np.ndarray], np.ndarray],
+    correction: np.ndarray | None,
+) -> Iterator[Explanation]:
+    """Yield what may have been done to residuals (n, 3), in mm.
+
+    `expected` (n, 3) is what they should be at the angles, and `predict` says so for others; a
+    `correction` (n, 3) may have been taken away. `codes` (n,) are the positions, where these have
+    offsets.
+    """
+    every = np.arange(len(y))
+    yield Explanation("sign-of-residuals", "", -y - expected, every)
+    for factor, unit in UNITS.items():
+        left = factor * y - expected
+        yield Explanation("unit-of-residuals", unit, left, every, len(UNITS), factor)
+    for times, code in enumerate(("corrected-already", "sign-of-residuals"), 1):
+        if correction is not None:
+            yield Explanation(code, "", y + times * correction - expected, every)
+    best = max(_EXCHANGES, key=lambda one: np.vdot(y @ one.T, expected))
+    names = [("-" if row.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in best]
+    turns = [(best, " ".join(names), len(_EXCHANGES))]
+    for mirror, words in ((1.0, "they are turned"), (-1.0, "they are turned and mirrored")):
+        turns.append((mirror * align(mirror * y, expected)[0], words, _TURNS))
+    for turn, words, n_tried in turns:
+        yield Explanation("axes-of-residuals", words, y @ turn.T - expected, every, n_tried)
+    for words, changed in _changed_joints(angles, n_joints):
+        yield Explanation("joints", words, y - predict(changed), every, _JOINTS)
+    yield from _late(y, expected, codes)
+
+
+def _changed_joints(angles, n):
+    """Yield what may have been done to the angles (n_samples, n or more), and how they were."""
+    for i, j in combinations(range(n), 2):
+        order = np.arange(angles.shape[1])
+        order[[i, j]] = j, i
+        yield f"joints {i + 1} and {j + 1} are exchanged", angles[:, order]
+    for i in range(n):
+        signs = np.ones(angles.shape[1])
+        signs[i] = -1
+        yield f"joint {i + 1} is reversed", angles * signs
+
+
+def _late(y, expected, codes):
+    """From some row on, residuals are of the row before or after."""
+    for step, word in ((1, "before"), (-1, "after")):
+        rows = np.arange(max(-step, 0), len(y) - max(step, 0))
+        if codes is not None:
+            rows = rows[codes[rows + step] == codes[rows]]
+        if len(rows) < _LEAST_ROWS:
+            continue
+        parts = [y[of] - expected[rows] for of in (rows, rows + step)]
+        middles = (medians_of(one, None if codes is None else codes[rows]) for one in parts)
+        good, late = (np.square(a - b).sum(axis=1) for a, b in zip(parts, middles, strict=True))
+        limit = FAR**2 * max(np.median(good), np.median(late))
+        ahead = np.cumsum(np.minimum(good, limit) - np.minimum(late, limit))
+        first = int(np.argmin(np.r_[0.0, ahead]))
+        if first == len(rows):
+            continue
+        is_late = np.arange(len(rows)) >= first
+        left, of = np.where(is_late[:, None], *parts[::-1]), rows + step * is_late
+        n_tried, row = (4 * len(rows), int(rows[first])) if first else (4, 0)
+        yield Explanation("rows-shifted", word, left, rows, n_tried, first=row, of=of)
+
+
+def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
+    """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
+    middle = np.zeros_like(values)
+    if codes is not None:
+        for code in np.unique(codes):
+            middle[codes == code] = np.median(values[codes == code], axis=0)
+    return middle
+
+
+def of_own_points(
+    y: np.ndarray,
+    codes: np.ndarray,
+    arm: Arm,
+    angles: np.ndarray,
+    numbers: np.ndarray,
+    probes: Any = None,
+    expected: Any = None,
+) -> tuple[bool, list[Finding]]:
+    """Whether deviations (n, 3) of a single-point test are of the arm's points, and what was done.
+
+    They are those of the arm's own points from where each position is, to the last digit: what else
+    explains their differences from row to row is what was done to them. `numbers` (n,) are what the
+    rows are called; `expected` (n, 3) in mm is what a correction says; None: there is none.
+    """
+
+    def steps(values, rows=slice(None)):  # from row to row of one position
+        order = np.argsort(codes[rows], kind="stable")
+        return np.diff(values[order], axis=0)[np.diff(codes[rows][order]) == 0]
+
+    size = np.linalg.norm(steps(y), axis=1)
+    usual = np.median(size) if len(size) >= _LEAST_PAIRS else 0.0
+    if not usual > 0:
+        return False, []
+
+    def explains(one):
+        left = np.linalg.norm(steps(one.left, one.rows), axis=1)
+        right = left < _EXACT * usual * one.factor
+        return len(left) >= _LEAST_PAIRS and right.mean() >= _SHARE
+
+    def own_of(angles):
+        return points_of(arm, angles, probes)
+
+    every, given, own = np.arange(len(y)), centred(y, codes), centred(own_of(angles), codes)
+    as_given = Explanation("", "", given - own, every)
+    if explains(as_given):
+        return True, []
+    of = angles, arm.n_joints, codes, own_of, expected
+    tried = [*explanations(given, own, *of)]
+    # Any deviations are those of some table where there are few.
+    jac = parameter_jacobian(arm, angles)[1]
+    slope, shown = steps(jac.reshape(len(y), -1)), steps(own)
+    if len(slope) > jac.shape[2]:
+        table = np.linalg.lstsq(slope.reshape(-1, jac.shape[2]), (steps(y) - shown).ravel())[0]
+        tried.append(Explanation("other-table", "", as_given.left - jac @ table, every))
+    found = next((one for one in tried if explains(one)), None)
+    text = "Beside the arm's own points at these angles, y are deviations from positions only if"
+    if found is None:
+        related = np.vdot(given, own) ** 2
+        related /= max(np.vdot(own, own) * np.vdot(given, given), 1e-300)
+        coincide = np.median(np.linalg.norm(shown, axis=1)) < _ONE_CONE * reach_mm(arm)
+        if not coincide or related >= _RELATED:
+            return False, []
+        text = "y are not the deviations of the arm's own points at these angles:"
+        found = Explanation("rows-unrelated", "", y, every)
+    maybe_meant = expected is None and found.code in _MAYBE_MEANT
+    size = float(np.sqrt(np.square(y).sum(axis=1).mean()))
+    weight = "doubt" if maybe_meant else "repair"
+    return False, [found.finding(f"{text} {found.said(numbers)}.", numbers, size, weight)]
