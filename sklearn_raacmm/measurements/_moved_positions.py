@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.utils import Finding, chunks, encode_groups, row_numbers
+from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
-# Poses on either side of a step that are compared: what lasts for fewer than three is an outlier;
-# beyond ten a slow change of the residuals counts as much as a step.
-_WINDOWS, _LEAST = (3, 5, 10), 3
+# Poses on either side of a step that are compared, and the fewest: what lasts for fewer than three
+# is an outlier; beyond ten a slow change of the residuals counts as much as a step.
+_MOST, _LEAST = 10, 3
 # Squared size of a step over its variance from which on it is one. The largest of 12 000 poses of a
 # UR10 is 112; two sockets of a Panda that did move have 889 and 521.
 _LIMIT = 150.0
 # Ratios that are looked at, their quantile that is compared, and what it is of independent normal
-# errors.
-_TRIED, _QUANTILE, _USUAL = 200, 0.7, 4.8
+# errors: chi-squared of three freedoms.
+_TRIED, _QUANTILE, _USUAL = 200, 0.7, 3.66
 # Orders of the rows that are tried, and how many of them may look as orderly as the one given.
 _ORDERS, _AS_ORDERLY = 1999, 4
 # Rows beside the step whose order is tried: the table of their distances stays small.
@@ -70,18 +70,25 @@ def find_steps(
     poses = poses[np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST]
     if not len(poses):
         return []
-    spread = _semivariogram(poses, noise_variance)
-    kept = poses[~_alone(poses, _OUTLIER * np.sqrt(spread[1][-1]))]
-    spread = _widened(spread, kept)
-    found = []
-    for code in np.unique(kept.codes[_contrasts(kept, spread, _LIMIT) > _LIMIT]).tolist():
-        one = kept[kept.codes == code]
-        cuts, clearest = _cuts(one, spread)
-        if not cuts:
-            continue
-        sizes = _sizes(one.left, cuts)
-        if _in_order(poses[poses.codes == code], one.first[clearest[0]], max(sizes)):
-            rows = [(int(one.last[k - 1]), int(one.first[k])) for k in cuts]
+    edges, half = _semivariogram(poses, noise_variance)
+    whole = [poses[poses.codes == code] for code in np.unique(poses.codes)]
+    kept = [one[~_alone(one.left, _OUTLIER * np.sqrt(half[-1]))] for one in whole]
+    # A model that is far from complete leaves errors that change faster in some directions of joint
+    # space than the distance shows: most differences of runs are to be as large as expected.
+    every = max(len(poses) // _TRIED, 1)
+    usual = np.concatenate([_contrasts(one, (edges, half), 0.0, every)[0] for one in kept])
+    wider = np.quantile(usual, _QUANTILE) / _USUAL if len(usual) else 1.0
+    spread, found = (edges, half * max(wider, 1.0)), []
+    for every_pose, one in zip(whole, kept, strict=True):
+        cuts = _cuts(one, spread)
+        parts = pairwise(np.split(one.left, sorted(cuts)))
+        steps = [
+            after[:_MOST].mean(axis=0) - before[-_MOST:].mean(axis=0) for before, after in parts
+        ]
+        sizes = np.linalg.norm(steps, axis=1).tolist() if cuts else []
+        if cuts and _in_order(every_pose, one.first[cuts[0]], max(sizes)):
+            rows = [(int(one.last[k - 1]), int(one.first[k])) for k in sorted(cuts)]
+            code = int(one.codes[0])
             found += [Step(code, *pair, size) for pair, size in zip(rows, sizes, strict=True)]
     return found
 
@@ -165,7 +172,7 @@ def _semivariogram(poses, noise_variance):
     hold, by medians, since steps are in few of them.
     """
     distance, square = [], []
-    for lag in range(1, 2 * max(_WINDOWS)):
+    for lag in range(1, 2 * _MOST):
         same = np.flatnonzero(poses.codes[lag:] == poses.codes[:-lag])
         for values, out in ((poses.place, distance), (poses.left, square)):
             out.append(np.square(values[same + lag] - values[same]).sum(axis=1))
@@ -176,20 +183,6 @@ def _semivariogram(poses, noise_variance):
     medians = [np.median(square[of == i]) if np.any(of == i) else 0.0 for i in range(n)]
     half = np.maximum.accumulate(np.array(medians) / (2 * _MEDIAN_SQUARE))
     return edges, np.maximum(half, max(noise_variance, _LEAST_NOISE_MM**2))
-
-
-def _widened(spread, poses):
-    """A semivariogram such that most differences of runs of poses are as large as expected.
-
-    A model that is far from complete leaves errors that change faster in some directions of joint
-    space than the distance shows.
-    """
-    edges, half = spread
-    tried = np.linspace(0, len(poses), _TRIED, endpoint=False).astype(int)
-    ratio = _contrasts(poses, spread, 0.0, np.unique(tried))
-    ratio = ratio[ratio >= 0]
-    wider = np.quantile(ratio, _QUANTILE) / _USUAL if len(ratio) else 1.0
-    return edges, half * max(wider, 1.0)
 
 
 def _variance_of_difference(place, n_before, spread):
@@ -203,80 +196,44 @@ def _variance_of_difference(place, n_before, spread):
     return max(found, half[0] * (1 / n_before + 1 / (len(place) - n_before)))
 
 
-def _alone(poses, limit):
+def _alone(left, limit):
     """Poses that differ from the median of the five about them: a step of three is kept."""
-    start, end = _bounds(poses.codes)
-    middle = np.clip(np.arange(len(start)), start + 2, end - 3)
-    about = np.median(poses.left[middle[:, None] + np.arange(-2, 3)], axis=1)
-    return np.linalg.norm(poses.left - about, axis=1) > limit
+    middle = np.clip(np.arange(len(left)), 2, len(left) - 3)
+    about = np.median(left[middle[:, None] + np.arange(-2, 3)], axis=1)
+    return np.linalg.norm(left - about, axis=1) > limit
 
 
-def _bounds(codes):
-    """First row of the position of each row, and the row behind its last."""
-    first = np.flatnonzero(np.diff(codes, prepend=-1) != 0)
-    size = np.diff(first, append=len(codes))
-    return np.repeat(first, size), np.repeat(first + size, size)
+def _contrasts(one, spread, limit, every=1):
+    """Squared steps in one position over their variances, and over those of noise alone.
 
-
-def _contrasts(poses, spread, limit, k=None):
-    """Squared step before each pose over its variance; a bound of it where that is below `limit`.
-
-    The largest of three lengths of the windows; negative where a position has too few poses on
-    one side.
+    Before each pose from the fourth to the third from the end; the first are bounds where they are
+    below `limit`.
     """
-    k = np.arange(len(poses.codes)) if k is None else k
-    start, end = (ends[k] for ends in _bounds(poses.codes))
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(poses.left, axis=0)])
-    largest = np.full(len(k), -np.inf)
-    for window in _WINDOWS:
-        low, high = np.maximum(start, k - window), np.minimum(end, k + window)
-        before, after = np.maximum(k - low, 1), high - k
-        step = (sums[high] - sums[k]) / after[:, None] - (sums[k] - sums[low]) / before[:, None]
-        square = np.square(step).sum(axis=1)
-        square[(k - start < _LEAST) | (end - k < _LEAST)] = -1.0
-        bound = square / (spread[1][0] * (1 / before + 1 / after))
-        for i in np.flatnonzero(bound > np.maximum(limit, largest)):
-            place = poses.place[low[i] : high[i]]
-            bound[i] = square[i] / _variance_of_difference(place, before[i], spread)
-        largest = np.maximum(largest, bound)
-    return largest
+    k = np.arange(_LEAST, len(one) - _LEAST + 1, every)
+    low, high = np.maximum(0, k - _MOST), np.minimum(len(one), k + _MOST)
+    before, after = k - low, high - k
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(one.left, axis=0)])
+    step = (sums[high] - sums[k]) / after[:, None] - (sums[k] - sums[low]) / before[:, None]
+    square = np.square(step).sum(axis=1)
+    of_noise = square / (spread[1][0] * (1 / before + 1 / after))
+    ratio = of_noise.copy()
+    for i in np.flatnonzero(of_noise > limit):
+        ratio[i] = square[i] / _variance_of_difference(
+            one.place[low[i] : high[i]], before[i], spread
+        )
+    return ratio, of_noise
 
 
-def _cuts(poses, spread):
-    """First poses behind the steps of one position, in their order, and that of the clearest."""
-    found, parts = [], [(0, len(poses.codes))]
+def _cuts(one, spread):
+    """First poses behind the steps of one position, the clearest first."""
+    found, parts = [], [(0, len(one))]
     while parts:
         low, high = parts.pop()
-        if high - low < 2 * _LEAST:
-            continue
-        ratio = _contrasts(poses[low:high], spread, _LIMIT)
-        k = int(np.argmax(ratio))
-        if ratio[k] > _LIMIT:
-            k = _sharpest(poses.left, low, low + k, high)
+        ratio, of_noise = _contrasts(one[low:high], spread, _LIMIT)
+        if np.any(ratio > _LIMIT):
+            k = low + _LEAST + int(np.argmax(np.where(ratio > _LIMIT, of_noise, 0.0)))
             found.append(k)
             parts += [(low, k), (k, high)]
-    return sorted(found), found[:1]
-
-
-def _sharpest(left, low, k, high):
-    """Of the cuts near k that with the least distances from the medians on its two sides."""
-    width = max(_WINDOWS)
-    a, b = max(low, k - width), min(high, k + width)
-    tried = range(max(low + _LEAST, k - _LEAST), min(high - _LEAST, k + _LEAST) + 1)
-
-    def distances(i):
-        sides = np.split(left[a:b], [i - a])
-        return sum(np.linalg.norm(s - np.median(s, axis=0), axis=1).sum() for s in sides)
-
-    return min(tried, key=distances)
-
-
-def _sizes(left, cuts):
-    """How far the means on either side of each cut are apart, between it and its neighbours."""
-    n, found = max(_WINDOWS), []
-    for before, after in pairwise(np.split(left, cuts)):
-        step = after[:n].mean(axis=0) - before[-n:].mean(axis=0)
-        found.append(float(np.linalg.norm(step)))
     return found
 
 
@@ -289,9 +246,6 @@ def _in_order(poses, row, size):
     left = poses.left[max(0, k - _BESIDE) : k + _BESIDE]
     apart = np.minimum(np.linalg.norm(left[:, None] - left, axis=2), size)
     rng, n = np.random.default_rng(0), len(left)
-    way = apart[np.arange(n - 1), np.arange(1, n)].sum()
-    shorter = 0
-    for tried in chunks(_ORDERS, 200):
-        order = rng.permuted(np.tile(np.arange(n), (tried.stop - tried.start, 1)), axis=1)
-        shorter += np.count_nonzero(apart[order[:, :-1], order[:, 1:]].sum(axis=1) <= way)
-    return shorter <= _AS_ORDERLY
+    orders = (rng.permutation(n) for _ in range(_ORDERS))
+    ways = np.array([apart[order[:-1], order[1:]].sum() for order in orders])
+    return np.sum(ways <= np.diag(apart, 1).sum()) <= _AS_ORDERLY
