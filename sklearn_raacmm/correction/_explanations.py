@@ -75,7 +75,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     used = np.flatnonzero((poses.weights > 0) & known)
     if len(used) < _LEAST_ROWS:
         return
-    data = _Rows(linear, poses, used)
+    data = _Rows(linear, poses.at(used))
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
     found = likeliest([(data.gain(one), one) for one in data.tried(as_given)], PRICE)
@@ -96,13 +96,14 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
 class _Rows:
     """New poses that count, what the model expects of them, and likelihoods of what is left."""
 
-    def __init__(self, linear, poses, used):
-        self.linear, self.prior = linear, prior_of(linear)
-        self.angles, self.y = poses.angles[used], poses.residuals[used]
-        self.codes = None if poses.codes is None else poses.codes[used]
-        self.expected = linear.predict(self.angles)[0]
+    def __init__(self, linear, poses):
+        self.linear, self.poses, self.y = linear, poses, poses.residuals
+        self.expected = self.predict(poses.angles)
         self.given = self.y - self.expected
         self.spreads = {}
+
+    def predict(self, angles):
+        return self.linear.predict(angles)[0]
 
     def tried(self, as_given):
         """Yield what may be wrong with residuals; if they are as given, the arm is another one."""
@@ -113,10 +114,8 @@ class _Rows:
         if self.linear.n_positions >= LEAST_POSITIONS:  # from fewer no table is known elsewhere
             yield Explanation("other-table", "", self.given, every)
         yield Explanation("rows-unrelated", "", self.y, every)
-        of = self.angles, self.linear.arm.n_joints, self.codes
-        yield from explanations(
-            self.y, self.expected, *of, lambda X: self.linear.predict(X)[0], self.expected
-        )
+        of = self.poses.angles, self.linear.arm.n_joints, self.poses.codes
+        yield from explanations(self.y, self.expected, *of, self.predict, self.expected)
 
     def gain(self, one):
         """Log likelihood of an explanation less that of the same rows as they are given, nats.
@@ -126,57 +125,52 @@ class _Rows:
         some = np.linspace(0, len(one.rows) - 1, min(_ROWS, len(one.rows))).astype(int)
         rows, other_table = one.rows[some], one.code == "other-table"
         spread = self._spread(rows, _ANOTHER_TABLE * other_table)
-        left, taus = _tamed(one.left[some], self._codes(rows)), _TAUS_OF.get(one.code, _TAUS)
+        taus = _TAUS_OF.get(one.code, _TAUS)
         noise_log_sd = _KNOWN_LOG_SD if one.code in _NOISE_IS_KNOWN else _NOISE_LOG_SD
         noise = spread.log_noise(self.expected[rows]) if one.code == "rows-unrelated" else 0.0
-        explained = spread.log_likelihood(left, taus, noise_log_sd, noise)
+        explained = spread.log_likelihood(one.left[some], taus, noise_log_sd, noise)
         explained += spread.freedom * np.log(one.factor)
-        left = _tamed(self.given[rows], self._codes(rows))
         tables = (0.0, _CALIBRATED) if other_table else (0.0,)
-        given = max(self._spread(rows, table).log_likelihood(left) for table in tables)
+        given = self.given[rows]
+        as_given = max(self._spread(rows, table).log_likelihood(given) for table in tables)
         if one.of is not None:  # without an outlier rows are likelier by any model
-            parts = (_tamed(self.y[of], self._codes(rows)) for of in (one.of[some], rows))
+            parts = (self.y[of] for of in (one.of[some], rows))
             ahead = [spread.log_likelihood(part, _TAUS[:1]) for part in parts]
-            given += max(ahead[0] - ahead[1], 0.0)
-        return explained - given - np.log(one.n_tried)
+            as_given += max(ahead[0] - ahead[1], 0.0)
+        return explained - as_given - np.log(one.n_tried)
 
-    def _codes(self, rows):
-        return None if self.codes is None else self.codes[rows]
-
-    def _spread(self, rows, table=0.0):
+    def _spread(self, rows, table):
         """Covariance of what is left at some rows; most explanations share it."""
         key = (rows.tobytes(), table)
         if key not in self.spreads:
-            parts = self.angles[rows], self._codes(rows), table
-            self.spreads[key] = _Spread(self.linear, self.prior, *parts)
+            self.spreads[key] = _Spread(self.linear, self.poses.at(rows), table)
         return self.spreads[key]
 
 
 class _Spread:
     """Covariance of the residuals of some poses about the model, along its own axes."""
 
-    def __init__(self, linear, prior, angles, codes, table):
-        n_joints, n = linear.arm.n_joints, 3 * len(angles)
-        columns = linear.columns(angles).reshape(n, -1)
+    def __init__(self, linear, poses, table):
+        n_joints, n, prior = linear.arm.n_joints, poses.residuals.size, prior_of(linear)
+        self.codes = poses.codes
+        columns = linear.columns(poses.angles).reshape(n, -1)
         known = max(linear.std_scale, 1.0) * (columns @ linear.half)
-        covariance = known @ known.T
+        noise = max(linear.noise_scale, 1.0) ** 2 * prior.noise_variance
+        covariance = known @ known.T + noise * np.eye(n)
         if table:
             size = np.repeat([table, 1e-3 * table] * 2, n_joints)
-            other = parameter_jacobian(linear.arm, angles[:, :n_joints])[1][:, :, :-3] * size
-            other = other.reshape(n, -1)
-            covariance += other @ other.T
-        noise = max(linear.noise_scale, 1.0) ** 2 * prior.noise_variance
-        covariance[np.diag_indices(n)] += noise
-        nuisance = place_columns(linear.arm, angles, codes is None).reshape(n, -1)
-        if codes is not None:
-            offsets = np.kron(codes[:, None] == np.unique(codes), np.eye(3))
+            other = parameter_jacobian(linear.arm, poses.angles[:, :n_joints])[1][:, :, :-3] * size
+            covariance += other.reshape(n, -1) @ other.reshape(n, -1).T
+        nuisance = place_columns(linear.arm, poses.angles, self.codes is None).reshape(n, -1)
+        if self.codes is not None:
+            offsets = np.kron(self.codes[:, None] == np.unique(self.codes), np.eye(3))
             nuisance = np.hstack([nuisance, offsets])
         root = cholesky(covariance, lower=True, check_finite=False)
         self.whiten = Whitened(root, nuisance)
         self.freedom = self.whiten.freedom
         changes = self.whiten(columns * prior.size)
-        axes, size, _ = np.linalg.svd(changes, full_matrices=False)
-        self.axes, self.size = axes, np.square(size)
+        self.axes, size, _ = np.linalg.svd(changes, full_matrices=False)
+        self.size = np.square(size)
         # Of the restricted likelihood: nuisances that are seen better cost more.
         seen = np.linalg.svd(self.whiten.scaled(nuisance), compute_uv=False)
         seen = seen[seen > 1e-8 * seen.max()]
@@ -188,27 +182,24 @@ class _Spread:
         return 0.5 * np.log1p(vectors @ vectors / self.freedom)
 
     def log_likelihood(self, left, taus=_TAUS, noise_log_sd=_NOISE_LOG_SD, noise=0.0):
-        """Highest log likelihood of residuals (n, 3) over changes of the arm and the noise."""
-        left = self.whiten(left.ravel())
+        """Highest log likelihood of residuals (n, 3) over changes of the arm and the noise.
+
+        None counts as farther from the middle of its position than some medians.
+        """
+        middle = medians_of(left, self.codes)
+        distance = np.linalg.norm(left - middle, axis=1)
+        share = np.minimum(1.0, FAR * np.median(distance) / np.maximum(distance, 1e-300))
+        left = self.whiten((middle + share[:, None] * (left - middle)).ravel())
         along = np.square(self.axes.T @ left)
         rest = max(left @ left - along.sum(), 0.0)
         wider = 1 + np.square(taus)[:, None] * self.size
         squares = rest + (along / wider).sum(axis=1)
         log_noise = 0.5 * np.log(np.maximum(squares / self.freedom, 1e-300))
+        off = (log_noise - noise) / noise_log_sd
         value = -0.5 * squares * np.exp(-2 * log_noise) - self.freedom * log_noise
-        value -= 0.5 * np.log(wider).sum(axis=1) + 0.5 * np.square(
-            (log_noise - noise) / noise_log_sd
-        )
+        value -= 0.5 * np.log(wider).sum(axis=1) + 0.5 * np.square(off)
         log_tau = np.log(np.maximum(taus, _TAUS[1]) / _TAU) / _TAU_LOG_SD
         return float(np.max(value - 0.5 * np.square(log_tau))) + self.log_volume
-
-
-def _tamed(left, codes):
-    """Residuals of which none is farther from the middle of its position than some medians."""
-    middle = medians_of(left, codes)
-    distance = np.linalg.norm(left - middle, axis=1)
-    limit = FAR * np.median(distance)
-    return middle + np.minimum(1.0, limit / np.maximum(distance, 1e-300))[:, None] * (left - middle)
 
 
 def _rms(vectors):

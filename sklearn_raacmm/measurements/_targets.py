@@ -34,158 +34,6 @@ HOW_TO = (
 )
 
 
-class _Targets:
-    """What a model of residuals is given to learn, without rows of no weight."""
-
-    def __init__(self, y, weights, arm, angles, codes, offsets, probes):
-        kept = weights > 0
-        self.y, self.weights, self.arm, self.offsets = y[kept], weights[kept], arm, offsets
-        self.codes = None if codes is None else codes[kept]
-        self.numbers = np.flatnonzero(kept)
-        self.probes = None if probes is None else probes[kept]
-        self.angles = self.points = None
-        self.reach = np.inf
-        if arm is not None:
-            self.angles = angles[kept]
-            self.points, self.reach = points_of(arm, self.angles, self.probes), reach_mm(arm)
-
-
-def are_points(targets):
-    """The probe's points, in whatever frame, are refused."""
-    y, points = targets.y, targets.points
-    if points is None or len(y) < _LEAST_ROWS:
-        return
-    rotation, shift = align(points, y)
-    left, spread = _rms(y - points @ rotation.T - shift), _spread(points)
-    # The points of a single position are residuals but for a shift.
-    if left < _SHARE_OF_SPREAD * spread and spread > _SHARE_OF_REACH * targets.reach:
-        yield Finding(
-            "points-for-residuals",
-            "y are points, not residuals: up to a motion of the base they are where the arm "
-            f"says that its probe is, with a root mean square difference of {left:.4g} mm.",
-            HOW_TO,
-            "refuse",
-        )
-
-
-def are_too_large(targets):
-    """Half of the targets are longer than any residual."""
-    y, reach = targets.y, targets.reach
-    if targets.offsets:  # offsets may be of any size
-        y = centred(y, targets.codes, targets.weights)
-    half = np.median(np.linalg.norm(y, axis=1))
-    known = np.isfinite(reach)
-    if half > (_SHARE_OF_REACH * reach if known else _LARGEST_MM):
-        of_what = f"of an arm that reaches {reach:.4g} mm" if known else "in mm"
-        yield Finding(
-            "no-residuals",
-            f"y are no residuals {of_what}: half of them are longer than {half:.4g} mm.",
-            f"Are they points, differences between two frames, or in another unit? {HOW_TO}",
-            "refuse",
-            size_mm=half,
-        )
-
-
-def are_of_another_frame(targets):
-    """A motion of the base explains nearly all of them; without the arm, a shift."""
-    y, points = targets.y, targets.points
-    size = _rms(y)
-    striking = _STRIKING_MM if points is None else _STRIKING_SHARE * targets.reach
-    if targets.offsets or len(y) < _LEAST_ROWS or size < striking:
-        return
-    if points is None:
-        turn, left, n_found = 0.0, y - y.mean(axis=0), 3
-    else:
-        rotation, shift = align(points, points - y)
-        turn = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
-        left, n_found = points - y - points @ rotation.T - shift, 6
-    rest = _rms(left) * np.sqrt(y.size / (y.size - n_found))
-    if rest < _LEFT * size:
-        mean = np.linalg.norm(y.mean(axis=0))
-        about = f"a turn by {turn:.2g} rad and " if points is not None else ""
-        yield Finding(
-            "another-frame",
-            f"The residuals of {size:.4g} mm (root mean square) are nearly one motion of the base: "
-            f"{about}a shift by {mean:.4g} mm on the average leave {rest:.4g} mm.",
-            f"Is the reference in another frame? {HOW_TO}",
-            "repair",
-            size_mm=size,
-        )
-
-
-def are_not_of_these_points(targets):
-    """In a single-point test y are the deviations of the arm's own points, in mm."""
-    if targets.points is None or targets.codes is None:
-        return
-    # In another order their means are not 0, but they are as long.
-    deviations = centred(targets.points, targets.codes)
-    sizes = [np.sort(np.linalg.norm(part, axis=1)) for part in (targets.y, deviations)]
-    if targets.offsets or np.allclose(*sizes, rtol=1e-6, atol=1e-9):
-        own = targets.y, targets.codes, targets.arm, targets.angles, targets.numbers
-        yield from of_own_points(*own, targets.probes)[1]
-
-
-def are_what_calibration_takes(targets):
-    """The arm's static parameters explain nearly all: it has not been calibrated."""
-    y, arm, points = targets.y, targets.arm, targets.points
-    # In a small part of the volume a table explains whatever is smooth.
-    size = _rms(y)
-    if points is None or size < _LARGE_MM or _spread(points) < _WIDE * targets.reach:
-        return
-    # An arm without lengths has no deviations at all, but tables change by millimetres only.
-    sizes = [_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM]
-    jac = parameter_jacobian(arm, targets.angles)[1] * np.repeat(sizes, [arm.n_joints] * 4 + [3])
-    if not targets.offsets:
-        # A base that stands elsewhere is another finding.
-        base = base_motions(points, targets.reach)
-        place = np.linalg.qr(base.reshape(-1, 6))[0]
-        y = y - (place @ (place.T @ y.ravel())).reshape(y.shape)
-        jac = np.concatenate([jac, 1e3 * base], axis=2)
-    else:
-        y, jac = (centred(v, targets.codes, targets.weights) for v in (y, jac))
-    n_columns = jac.shape[2]
-    # Every second position by the others: those at hand could be imitated.
-    fold = (np.arange(len(y)) if targets.codes is None else targets.codes) % 2 == 0
-    if min(fold.sum(), (~fold).sum()) * 3 < _COORDINATES_OF_TABLES * n_columns:
-        return
-    off, ridge = np.empty_like(y), _LEFT_OF_TABLE / 3 * _rms(y) * np.eye(n_columns)
-    for rows in (fold, ~fold):
-        columns = np.concatenate([jac[~rows].reshape(-1, n_columns), ridge])
-        coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
-        off[rows] = y[rows] - jac[rows] @ coef
-    size, left = _rms(y), _rms(off)
-    if size > _LARGE_MM and left < _LEFT_OF_TABLE * size:
-        yield Finding(
-            "not-calibrated",
-            f"The residuals of {size:.3g} mm (root mean square) are nearly what a calibration "
-            f"of the arm takes away: other lengths and zeros leave {left:.3g} mm.",
-            "Calibrate the arm first, and give its residuals and result.arm.",
-            size_mm=size,
-        )
-
-
-def are_all_zero(targets):
-    """The arm's own points were given as measured ones."""
-    if targets.y.size and not targets.y.any():
-        yield Finding(
-            "residuals-all-zero",
-            "All residuals are 0: there is nothing to learn.",
-            "Are the measured points the arm's own, arm.forward(angles)?",
-            "note",
-        )
-
-
-# Each takes `_Targets` and yields findings; after a finding of weight the rest has nothing to add.
-CHECKS = (
-    are_points,
-    are_too_large,
-    are_of_another_frame,
-    are_not_of_these_points,
-    are_what_calibration_takes,
-    are_all_zero,
-)
-
-
 def check_targets(
     y: np.ndarray,
     weights: np.ndarray,
@@ -202,16 +50,125 @@ def check_targets(
     and `offsets` whether positions have constants that nobody knows; `probes` (n, 3) those of the
     rows in the last frame, mm, where they are not the arm's.
     """
-    targets = _Targets(y, weights, arm, angles, codes, offsets, probes)
-    for check in CHECKS:
-        found = list(check(targets))
+    numbers = np.flatnonzero(weights > 0)
+    parts = y, weights, angles, codes, probes
+    y, weights, angles, codes, probes = (None if v is None else v[numbers] for v in parts)
+    about_means = centred(y, codes, weights) if offsets else y  # offsets may be of any size
+    checks = [_are_too_large(about_means, np.inf if arm is None else reach_mm(arm))]
+    if arm is None:
+        checks.append(_are_of_another_frame(y, None, _STRIKING_MM))
+    else:
+        points, reach = points_of(arm, angles, probes), reach_mm(arm)
+        checks.insert(0, _are_points(y, points, reach))
+        if not offsets:
+            checks.append(_are_of_another_frame(y, points, _STRIKING_SHARE * reach))
+        if codes is not None:
+            # In another order their means are not 0, but they are as long.
+            sizes = [np.sort(np.linalg.norm(v, axis=1)) for v in (y, centred(points, codes))]
+            if offsets or np.allclose(*sizes, rtol=1e-6, atol=1e-9):
+                checks.append(iter(of_own_points(y, codes, arm, angles, numbers, probes)[1]))
+        checks.append(_are_what_calibration_takes(y, arm, angles, points, codes, offsets, weights))
+    for check in checks:
+        found = list(check)
         if found:
             return found
+    if y.size and not y.any():
+        said = "All residuals are 0: there is nothing to learn."
+        advice = "Are the measured points the arm's own, arm.forward(angles)?"
+        return [Finding("residuals-all-zero", said, advice, "note")]
     return []
 
 
-def _spread(points):
-    return _rms(points - points.mean(axis=0)) if len(points) else 0.0
+def _are_points(y, points, reach):
+    """The probe's points, in whatever frame, are refused."""
+    if len(y) < _LEAST_ROWS:
+        return
+    rotation, shift = align(points, y)
+    left, spread = _rms(y - points @ rotation.T - shift), _rms(points - points.mean(axis=0))
+    # The points of a single position are residuals but for a shift.
+    if left < _SHARE_OF_SPREAD * spread and spread > _SHARE_OF_REACH * reach:
+        yield Finding(
+            "points-for-residuals",
+            "y are points, not residuals: up to a motion of the base they are where the arm "
+            f"says that its probe is, with a root mean square difference of {left:.4g} mm.",
+            HOW_TO,
+            "refuse",
+        )
+
+
+def _are_too_large(y, reach):
+    """Half of the targets are longer than any residual."""
+    half, known = np.median(np.linalg.norm(y, axis=1)), np.isfinite(reach)
+    if half > (_SHARE_OF_REACH * reach if known else _LARGEST_MM):
+        of_what = f"of an arm that reaches {reach:.4g} mm" if known else "in mm"
+        yield Finding(
+            "no-residuals",
+            f"y are no residuals {of_what}: half of them are longer than {half:.4g} mm.",
+            f"Are they points, differences between two frames, or in another unit? {HOW_TO}",
+            "refuse",
+            size_mm=half,
+        )
+
+
+def _are_of_another_frame(y, points, striking):
+    """A motion of the base explains nearly all of them; without the arm, a shift."""
+    size = _rms(y)
+    if len(y) < _LEAST_ROWS or size < striking:
+        return
+    left, n_found, about = y - y.mean(axis=0), 3, ""
+    if points is not None:
+        rotation, shift = align(points, points - y)
+        turn = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
+        left, n_found = points - y - points @ rotation.T - shift, 6
+        about = f"a turn by {turn:.2g} rad and "
+    rest = _rms(left) * np.sqrt(y.size / (y.size - n_found))
+    if rest < _LEFT * size:
+        mean = np.linalg.norm(y.mean(axis=0))
+        yield Finding(
+            "another-frame",
+            f"The residuals of {size:.4g} mm (root mean square) are nearly one motion of the base: "
+            f"{about}a shift by {mean:.4g} mm on the average leave {rest:.4g} mm.",
+            f"Is the reference in another frame? {HOW_TO}",
+            "repair",
+            size_mm=size,
+        )
+
+
+def _are_what_calibration_takes(y, arm, angles, points, codes, offsets, weights):
+    """The arm's static parameters explain nearly all: it has not been calibrated."""
+    reach = reach_mm(arm)
+    # In a small part of the volume a table explains whatever is smooth.
+    if _rms(y) < _LARGE_MM or _rms(points - points.mean(axis=0)) < _WIDE * reach:
+        return
+    # An arm without lengths has no deviations at all, but tables change by millimetres only.
+    sizes = [_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM]
+    jac = parameter_jacobian(arm, angles)[1] * np.repeat(sizes, [arm.n_joints] * 4 + [3])
+    if offsets:
+        y, jac = (centred(v, codes, weights) for v in (y, jac))
+    else:  # a base that stands elsewhere is another finding
+        base = base_motions(points, reach)
+        place = np.linalg.qr(base.reshape(-1, 6))[0]
+        y = y - (place @ (place.T @ y.ravel())).reshape(y.shape)
+        jac = np.concatenate([jac, 1e3 * base], axis=2)
+    n_columns = jac.shape[2]
+    # Every second position by the others: those at hand could be imitated.
+    fold = (np.arange(len(y)) if codes is None else codes) % 2 == 0
+    if min(fold.sum(), (~fold).sum()) * 3 < _COORDINATES_OF_TABLES * n_columns:
+        return
+    off, ridge = np.empty_like(y), _LEFT_OF_TABLE / 3 * _rms(y) * np.eye(n_columns)
+    for rows in (fold, ~fold):
+        columns = np.concatenate([jac[~rows].reshape(-1, n_columns), ridge])
+        coef = np.linalg.lstsq(columns, np.r_[y[~rows].ravel(), np.zeros(n_columns)])[0]
+        off[rows] = y[rows] - jac[rows] @ coef
+    size, left = _rms(y), _rms(off)
+    if size > _LARGE_MM and left < _LEFT_OF_TABLE * size:
+        yield Finding(
+            "not-calibrated",
+            f"The residuals of {size:.3g} mm (root mean square) are nearly what a calibration "
+            f"of the arm takes away: other lengths and zeros leave {left:.3g} mm.",
+            "Calibrate the arm first, and give its residuals and result.arm.",
+            size_mm=size,
+        )
 
 
 def _rms(vectors):

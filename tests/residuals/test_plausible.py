@@ -1,7 +1,6 @@
 """What is no residual is refused, and what is one in another frame is warned of, by every fit."""
 
 import warnings
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.measurements._targets import are_points
+from sklearn_raacmm.measurements._targets import _are_points
 
 ARM = Arm.from_name("aacmm6")
 ANGLES = np.random.default_rng(0).uniform(-2, 2, (60, 6))
@@ -113,8 +112,7 @@ def moved_points(share, n=40):
 
 def find_weights(y, points):
     """Weights of the findings on these targets."""
-    targets = SimpleNamespace(y=y, points=points, reach=reach_mm(ARM))
-    return [found.weight for found in are_points(targets)]
+    return [found.weight for found in _are_points(y, points, reach_mm(ARM))]
 
 
 def test_points_are_known_by_a_twentieth_of_their_spread():
