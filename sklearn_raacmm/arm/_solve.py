@@ -165,7 +165,8 @@ def _bare(arm, aim, turned, angles, low, high):
         if stuck.any():
             step = _shortest(jacobian * ~stuck[:, None], gap)
         size = np.abs(step).max(axis=1, keepdims=True)
-        angles[open_] = np.clip(own + step * np.minimum(1, _LARGEST_STEP / size), low, high)
+        step *= _LARGEST_STEP / np.maximum(size, _LARGEST_STEP)
+        angles[open_] = np.clip(own + step, low, high)
     return angles
 
 

@@ -13,6 +13,7 @@ from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
 from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
 from sklearn_raacmm.measurements import (
+    PRICE,
     base_motions,
     moved_positions,
     moved_set_up,
@@ -45,9 +46,9 @@ _MEANING = {
 # Departures from the table that are worth a word, mm and rad: more than a tape and a protractor get
 # wrong; and the same in standard deviations of a prior that was given.
 _FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
-# A length that was typed wrong is off by up to this, mm, and has to be likelier by so many nats; a
-# parameter is seen where its standard deviation is less than this part of the prior's.
-_TYPED_MM, _PRICE, _SEEN = 100.0, 11.0, 0.5
+# A length that was typed wrong is off by up to this, mm; a parameter is seen where its standard
+# deviation is less than this part of the prior's.
+_TYPED_MM, _SEEN = 100.0, 0.5
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
 # leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
 _TRIED, _OPEN = 100, 0.1
@@ -200,7 +201,7 @@ def _far(fit, sd):
         square = np.square(fit.x[seen] - fit.nominal[seen])
         n = len(seen)
         size = np.sqrt((LONG_MM[0] ** 2 + square.sum() - square) / n)
-        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * _PRICE / (n + 1))
+        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * PRICE / (n + 1))
         far[seen] = np.minimum(far[seen], size * np.sqrt(n * (wider - 1)))
     far[~fit.is_free] = np.inf
     return far

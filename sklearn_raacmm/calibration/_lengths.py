@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import reach_mm
-from sklearn_raacmm.measurements import UNITS
+from sklearn_raacmm.measurements import UNITS, likeliest
 from sklearn_raacmm.utils import Finding
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
@@ -22,8 +22,6 @@ _LENGTH_OUTLIER = 5.0
 _CHANGE, _SDS = 0.01, 4.0
 # Noise of the cones with lengths over that without from which on the lengths bend the arm.
 _BENDS = 2.0
-# Nats within which two explanations are told apart by nothing that was measured. A choice.
-_EQUAL = 7.0
 # What all lengths of a table may be off by, as a part, and a constant that may be missing, mm.
 _TABLE, _CONSTANT_MM = 0.03, 100.0
 
@@ -131,11 +129,11 @@ def _causes(lengths, found, covariance, places, reach, labels):
         explained.append((value, f"{missing}, as by the diameter of a ball"))
     value = log_likelihood(left, more=_TABLE**2 * np.outer(found, found))
     explained.append((value, "all lengths of the table may be wrong"))
-    best, said = max(explained)
-    equal = sorted((one for one in explained if one[0] > best - _EQUAL), reverse=True)
-    code = "unit-of-lengths" if said.startswith("lengths may be in") else "wrong-length"
-    code = code if best > log_likelihood(left) else ""
-    return code, [words for _, words in equal]
+    causes = likeliest(explained, log_likelihood(left))
+    if not causes:
+        return "", []
+    in_unit = causes[0].startswith("lengths may be in")
+    return "unit-of-lengths" if in_unit else "wrong-length", causes
 
 
 def _other_ends(entry, places, labels, variance):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_arm, dh_theta, frame_columns
+from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.calibration import calibrate, typical_scatter
 from sklearn_raacmm.utils import align, centred, encode_groups, ignored_findings
 
@@ -126,24 +126,29 @@ def search_table(
     check_arm(arm)
     given = _scatter(arm, angles, positions, points, angle_unit)
     raw = np.asarray(angles, dtype=float)
-    rows = _some_rows(raw, positions)
-    few = None if positions is None else encode_groups(np.asarray(positions)[rows])[1]
-    few_points = None if points is None else np.asarray(points, dtype=float)[rows]
+    # Whole positions, as many as fit; of a tracker's points some from everywhere.
+    rows = np.linspace(0, len(raw) - 1, min(len(raw), _RANKED_ROWS)).astype(int)
+    codes = few_points = None
+    if points is None:
+        codes = encode_groups(positions, len(raw))[1]
+        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
+        codes = codes[rows]
+    else:
+        few_points = np.asarray(points, dtype=float)[rows]
     ranked = []
-    for n_changes, change, other, columns, unit in _candidates(arm, angle_unit, np.abs(raw).max()):
-        radians = np.deg2rad(raw[rows]) if unit == "deg" else raw[rows]
-        size = _quick_scatter(other, radians[:, columns], few, few_points)
-        ranked.append((size, n_changes, change, other, columns, unit))
+    with ignored_findings():  # of the wrong tables, nearly all have something to be said
+        for entry in _candidates(arm, angle_unit, np.abs(raw).max()):
+            _, _, other, columns, unit = entry
+            radians = np.deg2rad(raw[rows]) if unit == "deg" else raw[rows]
+            ranked.append((_quick_scatter(other, radians[:, columns], codes, few_points), *entry))
     ranked.sort(key=lambda entry: entry[:2])
     # Of those that coincide about as well as the best, the simple ones first.
     best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
     best = sorted(best, key=lambda entry: entry[1:3])[:_CALIBRATED]
-    found = []
     # A mirror image of the arm coincides as well, but for what calibration has to find.
-    for _, _, change, other, columns, unit in [
-        *best,
-        *(entry for entry in ranked[:3] if entry not in best),
-    ]:
+    best += [entry for entry in ranked[:3] if entry not in best]
+    found = []
+    for _, _, change, other, columns, unit in best:
         scatter = _scatter(other, raw[:, columns], positions, points, unit)
         with ignored_findings():
             where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
@@ -174,56 +179,47 @@ def _scatter(arm, angles, positions, points, unit):
         return typical_scatter(calibrate(arm, angles, angle_unit=unit, **where))
 
 
-def _some_rows(angles, positions):
-    """Rows to rank on: whole positions, as many as fit."""
-    if positions is None:
-        return np.arange(len(angles))[:: -(-len(angles) // _RANKED_ROWS)]
-    _, codes = encode_groups(positions, len(angles))
-    order = np.argsort(codes, kind="stable")
-    return order[:_RANKED_ROWS]
-
-
 def _candidates(arm, unit, largest):
     """Yield (number of changes, words, arm, order of columns, unit) of every candidate."""
-    n = arm.n_joints
-    straight = list(range(n))
-    orders = [(0, [], straight), (1, ["the joints in reverse order"], straight[::-1])]
+    n, straight = arm.n_joints, [*range(arm.n_joints)]
+    senses = [*product((1.0, -1.0), repeat=n)]
+    # Orders with the given senses, and senses in the given order: both wrong at once is rare.
+    joints = [(0, "", straight, senses[0])]
+    joints.append((1, "the joints in reverse order", straight[::-1], senses[0]))
     for i, j in combinations(range(n), 2):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
-        orders.append((1, [f"joints {i + 1} and {j + 1} exchanged"], columns))
-    signs = []
-    for flips in product((False, True), repeat=n):
-        which = [str(i + 1) for i in range(n) if flips[i]]
-        words = [f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"] if which else []
-        signs.append((len(which), words, np.where(flips, -1.0, 1.0)))
+        joints.append((1, f"joints {i + 1} and {j + 1} exchanged", columns, senses[0]))
+    for signs in senses[1:]:
+        which = [str(i + 1) for i in range(n) if signs[i] < 0]
+        words = f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"
+        joints.append((len(which), words, straight, signs))
     other = {"standard": "modified", "modified": "standard"}[arm.convention]
-    conventions = [(0, [], arm.convention), (1, [f"the {other} convention"], other)]
-    other = {"rad": ("degrees", "deg"), "deg": ("radians", "rad")}[unit]
-    units = [(0, [], unit)]
+    conventions = [("", arm.convention), (f"the {other} convention", other)]
+    units = [("", unit)]
     # Read as degrees, an arm in radians hardly moves, and its points scatter little for that.
     if (largest > 2 * np.pi) == (unit == "rad"):
-        units.append((1, [f"the angles in {other[0]}"], other[1]))
-    # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    pairs = [(order, signs[0]) for order in orders] + [(orders[0], sign) for sign in signs[1:]]
-    for (order, sign), convention, angle_unit in product(pairs, conventions, units):
-        parts = (order, sign, convention, angle_unit)
-        words = [word for part in parts for word in part[1]]
-        if not words:
-            continue
-        changed = arm.replace(joint_signs=arm.joint_signs * sign[2], convention=convention[2])
-        yield sum(p[0] for p in parts), " and ".join(words), changed, order[2], angle_unit[2]
+        units.append(
+            {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}[unit]
+        )
+    for (n_changes, *moved), form, angle_unit in product(joints, conventions, units):
+        words = [one for one in (moved[0], form[0], angle_unit[0]) if one]
+        if words:
+            changed = arm.replace(joint_signs=arm.joint_signs * moved[2], convention=form[1])
+            n_changes += bool(form[0]) + bool(angle_unit[0])
+            yield n_changes, " and ".join(words), changed, moved[1], angle_unit[1]
 
 
 def _quick_scatter(arm, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
-    frames = frame_columns(arm, dh_theta(arm, angles))[-1]
-    # Points are linear in the probe: origin + turn @ probe.
-    turn, origin = frames[:3].transpose(2, 1, 0), frames[3].T
     if points is None:
-        A, b = centred(turn.reshape(-1, 9), codes).reshape(-1, 3), centred(origin, codes)
-        probe = np.linalg.lstsq(A, -b.ravel(), rcond=None)[0]
-        left = b + (A @ probe).reshape(-1, 3)
-        return float(np.linalg.norm(left, axis=1).mean())
-    ours = origin + turn @ arm.probe
-    rotation, shift = align(ours, points)
-    return float(np.linalg.norm(ours @ rotation.T + shift - points, axis=1).mean())
+        frames = arm.frames(angles)[:, -1]
+        # Points are linear in the probe: origin + turn @ probe.
+        turn, origin = frames[:, :3, :3].reshape(-1, 9), frames[:, :3, 3]
+        A, left = centred(turn, codes).reshape(-1, 3), centred(origin, codes)
+        probe = np.linalg.lstsq(A, -left.ravel(), rcond=None)[0]
+        left = left + (A @ probe).reshape(-1, 3)
+    else:
+        ours = arm.forward(angles)
+        rotation, shift = align(ours, points)
+        left = ours @ rotation.T + shift - points
+    return float(np.linalg.norm(left, axis=1).mean())

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from sklearn_raacmm.measurements._explanations import PRICE
 from sklearn_raacmm.utils import Finding, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
@@ -19,9 +20,9 @@ from sklearn_raacmm.utils import Finding, group_means, row_numbers
 APART_MM = 40.0
 # Rows of which all distances are looked at: of 3000 they take 36 MB.
 _MOST_ROWS = 3000
-# Nats by which one place has to be likelier than two that are given. For a row that is at none of
-# its own it takes fewer: by chance few slips end at another place.
-_PRICE, _PRICE_OF_ROW = 11.0, 3.0
+# Nats by which a row that is at none of its own places has to be likelier at another one: fewer
+# than the usual price, as by chance few slips end at another place.
+_PRICE_OF_ROW = 3.0
 # Rows or places that a sentence names.
 _NAMED = 4
 _ONE_VALUE = 1e-9  # rad: joints that all have the same value
@@ -132,7 +133,7 @@ def same_places(centres: np.ndarray, labels: Any, sigma: float) -> Iterator[Find
         return
     square = np.square(centres[:, None] - centres).sum(axis=2)
     gain = 3 * np.log(max(_spread(centres), sigma) / sigma) - square / (2 * sigma**2)
-    one = np.argwhere(np.triu(gain > _PRICE + np.log(n * (n - 1) / 2), 1))
+    one = np.argwhere(np.triu(gain > PRICE + np.log(n * (n - 1) / 2), 1))
     graph = coo_array((np.ones(len(one)), one.T), shape=(n, n))
     place = connected_components(graph, directed=False)[1]
     for code in np.flatnonzero(np.bincount(place) > 1):
