@@ -184,7 +184,7 @@ def _candidates(arm, unit, largest):
     n, straight = arm.n_joints, [*range(arm.n_joints)]
     senses = [*product((1.0, -1.0), repeat=n)]
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    joints = [(0, "", straight, senses[0])]
+    joints: list[Any] = [(0, "", straight, senses[0])]
     joints.append((1, "the joints in reverse order", straight[::-1], senses[0]))
     for i, j in combinations(range(n), 2):
         columns = [{i: j, j: i}.get(column, column) for column in straight]

@@ -20,8 +20,8 @@ from sklearn_raacmm.utils import Finding, group_means, row_numbers
 APART_MM = 40.0
 # Rows of which all distances are looked at: of 3000 they take 36 MB.
 _MOST_ROWS = 3000
-# Nats by which a row that is at none of its own places has to be likelier at another one: fewer
-# than the usual price, as by chance few slips end at another place.
+# Nats by which a row that is not at its own place has to be likelier at another one: fewer than
+# `PRICE`, as by chance few slips end at another place.
 _PRICE_OF_ROW = 3.0
 # Rows or places that a sentence names.
 _NAMED = 4

@@ -16,8 +16,8 @@ from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 # is an outlier; beyond ten a slow change of the residuals counts as much as a step.
 _MOST, _LEAST = 10, 3
 # Squared size of a step over its variance from which on it is one. With the largest of windows of
-# 3, 5 and 10 poses 12 000 poses of a UR10 came to 112, two sockets of a Panda that did move to 889
-# and 521; `benchmarks/bench_check.py steps` finds the same with windows of 10.
+# 3, 5 and 10 poses the largest of 12 000 poses of a UR10 was 112, and two sockets of a Panda that
+# did move had 889 and 521; with windows of 10 `benchmarks/bench_check.py steps` has no false alarm.
 _LIMIT = 150.0
 # Ratios that are looked at, their quantile that is compared, and what it is of independent normal
 # errors: chi-squared of three freedoms.

@@ -51,10 +51,11 @@ def check_targets(
     rows in the last frame, mm, where they are not the arm's.
     """
     numbers = np.flatnonzero(weights > 0)
-    parts = y, weights, angles, codes, probes
-    y, weights, angles, codes, probes = (None if v is None else v[numbers] for v in parts)
+    y, weights = y[numbers], weights[numbers]
+    parts = angles, codes, probes
+    angles, codes, probes = (None if v is None else v[numbers] for v in parts)
     about_means = centred(y, codes, weights) if offsets else y  # offsets may be of any size
-    checks = [_are_too_large(about_means, np.inf if arm is None else reach_mm(arm))]
+    checks: list[Any] = [_are_too_large(about_means, np.inf if arm is None else reach_mm(arm))]
     if arm is None:
         checks.append(_are_of_another_frame(y, None, _STRIKING_MM))
     else:
@@ -66,7 +67,7 @@ def check_targets(
             # In another order their means are not 0, but they are as long.
             sizes = [np.sort(np.linalg.norm(v, axis=1)) for v in (y, centred(points, codes))]
             if offsets or np.allclose(*sizes, rtol=1e-6, atol=1e-9):
-                checks.append(iter(of_own_points(y, codes, arm, angles, numbers, probes)[1]))
+                checks.append(of_own_points(y, codes, arm, angles, numbers, probes)[1])
         checks.append(_are_what_calibration_takes(y, arm, angles, points, codes, offsets, weights))
     for check in checks:
         found = list(check)
