@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import contextlib
+import json
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -69,6 +70,8 @@ def register(options):
     else:
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
+    if hasattr(new.model, "linear_model_"):
+        _print_sizes(saved, new)
     _save(new, options, facts, layout)
     return (OK if holds else CHANGED), facts
 
@@ -113,10 +116,29 @@ def move(options):
     saved = _open_correction(options)
     new = saved.move(parse_vector("--probe", options.probe))
     facts = _print_moves(saved, new)
+    old_mm, new_mm = _print_sizes(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    facts = step_of("move", None, facts)
+    facts = step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
     _save(new, options, facts)
     return OK, facts
+
+
+def _print_sizes(saved, new):
+    """Print how large corrections and their deviations are with both probes; return the first."""
+    sizes = []
+    for one in (saved, new):
+        tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
+        parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
+        sizes += [float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in parts]
+    old, old_sd, now, now_sd = sizes
+    advice = " Learn with two probes: the first alone shows less of the last joints."
+    print(
+        f"The corrections are now of {now:.3f} mm (rms over all poses), before {old:.3f} mm; their "
+        f"standard deviation is {now_sd:.3f} mm, before {old_sd:.3f} mm."
+        + advice
+        * (now_sd * old > old_sd * now)
+    )
+    return old, now
 
 
 def check(options):
@@ -154,6 +176,7 @@ def check(options):
         print(f"It holds: {_describe_poses(today)}, {usual}.")
     facts |= {"holds": not changed}
     try:
+        _refuse_other_writers(saved, files[0].parent)
         spread: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
         step = step_of("check", today, facts, *spread)
         save_step(saved, files[0].parent, step, _page_of(options))
@@ -351,6 +374,8 @@ def _save(correction, options, step, layout=None, learnt=None):
     out = Path(options.out) if options.out else correction_files(options.model)[0].parent
     contents = {} if layout is None else corrected_file(layout, correction, options)
     aside = out / f"corrected_before_{step['what']}.csv"
+    if not options.out:
+        _refuse_other_writers(correction, out)
     with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
         (out / "corrected.csv").replace(aside)
         print(f"The corrected points of before are now in {aside.name}.")
@@ -362,6 +387,13 @@ def _page_of(options):
     """The report in the folder of the model, empty where there is none."""
     path = correction_files(options.model)[0].with_name("report.html")
     return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+
+def _refuse_other_writers(saved, folder):
+    """Refuse to replace what another process has written since the correction was read."""
+    now = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    if now.get("fingerprint") != saved.facts.get("fingerprint"):
+        raise TableError(f"{folder} was changed by another process meanwhile: run this again.")
 
 
 def step_of(what, today, facts, measure=None, before_mm=np.nan, after_mm=np.nan):

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import hash_program
+from sklearn_raacmm.export._steps import typical_rows
 from sklearn_raacmm.utils import check_flags, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
@@ -46,7 +47,9 @@ class CompiledModel:
         Numbers of a row of X, and of a prediction.
     """
 
-    def __init__(self, program: Any, dtype: Any = "double", flags: Any = _FLAGS) -> None:
+    def __init__(
+        self, program: Any, dtype: Any = "double", flags: Any = _FLAGS, flat: bool = False
+    ) -> None:
         self.fingerprint = hash_program(program)
         self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs
         self._verb = "correct" if program.about["corrects"] else "predict"
@@ -59,7 +62,7 @@ class CompiledModel:
         }
         self._many = getattr(library, f"{NAME}_{self._verb}_n")
         self._many.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t]
-        self._local = threading.local()
+        self._local, self._flat = threading.local(), flat
 
     def predict(self, X: ArrayLike) -> np.ndarray:
         """What ``predict`` of the model gives, without its checks.
@@ -72,7 +75,7 @@ class CompiledModel:
         Returns
         -------
         ndarray of shape (n_samples, n_outputs) or (n_outputs,)
-            NaN in rows where ``predict`` raises.
+            NaN in rows where ``predict`` raises. Where y was 1-D: (n_samples,), or a scalar.
 
         Raises
         ------
@@ -86,8 +89,9 @@ class CompiledModel:
                 self._refuse(X)
             out = np.empty((len(X), self.n_outputs_), dtype=self._real)
             self._many(X.ctypes.data, out.ctypes.data, len(X))
-            return out
-        return self._row(X, self._verb)[1].copy()
+        else:
+            out = self._row(X, self._verb)[1].copy()
+        return out[..., 0] if self._flat else out
 
     def correct(self, angles: ArrayLike) -> np.ndarray:
         """Correction in mm of one pose or many, to be subtracted; as :meth:`predict`."""
@@ -188,7 +192,8 @@ def load_c(
     """
     check_flags(std=std)
     check_fade(fade)
-    return CompiledModel(build_program(model, std, fade=fade))
+    flat = np.ndim(model.predict(typical_rows(model, 1))) == 1
+    return CompiledModel(build_program(model, std, fade=fade), flat=flat)
 
 
 def check_fade(fade):

@@ -164,6 +164,11 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     assert (code, "register the probe" in printed) == (0, True)
     moved = Correction.load(out)
     assert moved.arm.probe.tolist() == [0, 0, 250]
+    tried = np.random.default_rng(3).uniform(-np.pi, np.pi, (2000, 6))
+    mean, std = moved.model.linear_model_.predict(moved.inputs(tried), True)
+    sizes = [np.sqrt(np.square(part).sum(axis=1).mean()) for part in (mean, std)]
+    pattern = r"now of (\S+) mm .* standard deviation is (\S+) mm, before"
+    assert_allclose([float(x) for x in re.search(pattern, printed).groups()], sizes, rtol=0.1)
     assert (out / "corrected_before_move.csv").exists()
     assert not (out / "corrected.csv").exists()
     code, printed = run(capsys, "check", folder / "new.csv", "--model", out, "--json")
@@ -227,6 +232,27 @@ def test_a_robot_may_repeat_its_poses(folder, tmp_path, capsys):
     assert run(capsys, "update", again, *POINTS, "--model", out)[0] == 0
     code, printed = run(capsys, "update", again, *POINTS, "--model", out)
     assert (code, "have updated this correction on 20" in printed) == (2, True)
+
+
+def test_two_that_update_at_once_lose_nothing(folder, tmp_path, capsys, monkeypatch):
+    """Whoever read what another has replaced meanwhile writes nothing."""
+    out = tmp_path / "out"
+    Correction.load(folder / "cones").save(out)
+    update = Correction.update
+
+    def meanwhile(self, *args, **options):
+        found = update(self, *args, **options)
+        monkeypatch.setattr(Correction, "update", update)
+        assert main(["move", "--model", str(out), "--probe", "0,0,250"]) == 0
+        return found
+
+    monkeypatch.setattr(Correction, "update", meanwhile)
+    code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
+    assert (code, "was changed by another process meanwhile: run this again" in printed) == (
+        2,
+        True,
+    )
+    assert [step["what"] for step in Correction.load(out).facts["history"]] == ["move"]
 
 
 @pytest.fixture

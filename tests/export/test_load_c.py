@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
 
+from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.export import fingerprint, load_c
 
 from ._chains import COMPILERS, form_b
@@ -44,6 +45,17 @@ def test_gives_what_predict_gives(model, data):
     wide = np.repeat(data.data, 2, axis=1).astype(np.float32)[:, ::2]
     expected = model.predict(wide.astype(float))
     np.testing.assert_allclose(compiled.predict(wide), expected, rtol=0, atol=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("estimator", [LinearRegression(), RBFNetRegressor(10)])
+def test_one_output_has_the_shape_of_predict(estimator, data):
+    for y in (data.target[:, 0], data.target[:, :1]):
+        model = estimator.fit(data.data, y)
+        compiled, expected = load_c(model), model.predict(data.data)
+        np.testing.assert_allclose(compiled.predict(data.data), expected, rtol=0, atol=1e-9)
+        assert compiled.predict(data.data).shape == expected.shape
+        assert np.shape(compiled.predict(data.data[0])) == expected[0].shape
 
 
 @needs_compiler
