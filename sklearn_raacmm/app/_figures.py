@@ -33,7 +33,7 @@ _TITLES = {
     "joints": "Deviation against the angle of each joint",
     "volume": "Points of the probe and poses of the arm",
     "lengths": "Errors of known lengths, before and after",
-    "arm": "The arm with each joint at 30 degrees",
+    "arm": "The arm at zero from two sides",
     "plan": "Where the cones stand, and poses that reach them",
 }
 
@@ -164,12 +164,30 @@ def _lengths(figure, scores):
 
 
 def draw_arm(arm):
-    """An arm with each joint at 30 degrees, the joints numbered, as a whole SVG file."""
-    pose = np.full((1, arm.n_joints), np.pi / 6)
+    """Links, axes of the joints and probe of an arm, all angles at zero, as a whole SVG file."""
+    zero = np.zeros((1, arm.n_joints))
+    frames, probe = arm.frames(zero)[0], arm.forward(zero)
+    corners = np.concatenate([frames[:, :, 3], probe])
     # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
     first = 0 if arm.convention == "standard" else 1
-    joints = arm.frames(pose)[0, first : first + arm.n_joints, :, 3]
-    return make_svg(lambda figure: _volume(figure, arm, pose, joints), "arm")
+    length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
+
+    def draw(figure):
+        figure.set_size_inches(8, 4)
+        views = ((0, "x and z, mm"), (1, "y and z, mm"))
+        for ax, (across, title) in zip(figure.subplots(1, 2), views, strict=True):
+            ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
+            for i in range(arm.n_joints):
+                axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
+                ends = origin + length * np.outer([-1, 1], axis)
+                ax.plot(ends[:, across], ends[:, 2], color=_AFTER, linewidth=1)
+                # Seen along itself an axis is a point.
+                ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
+                ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
+            ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
+            ax.set(title=title, aspect="equal")
+
+    return make_svg(draw, "arm")
 
 
 def draw_plan(arm, plan):
