@@ -12,21 +12,13 @@ from sklearn_raacmm.calibration._findings import (
 )
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
-from sklearn_raacmm.calibration._problem import (
-    ANGLE_RAD,
-    LENGTH_MM,
-    REGISTERED_PLACE_MM,
-    UNKNOWN_PLACE_MM,
-)
+from sklearn_raacmm.calibration._problem import REGISTERED_PLACE_MM
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
-    "ANGLE_RAD",
-    "LENGTH_MM",
     "MUCH_SCATTER_MM",
     "REGISTERED_PLACE_MM",
     "SHARE_OF_REACH",
-    "UNKNOWN_PLACE_MM",
     "CalibrationResult",
     "are_wrong",
     "calibrate",

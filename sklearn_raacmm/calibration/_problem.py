@@ -10,9 +10,6 @@ import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
 
-# What machining leaves of a length, mm, and the matching angle, rad, where few rows say little
-# (``benchmarks/bench_speed.py calibrate``).
-LENGTH_MM, ANGLE_RAD = 0.3, 0.003
 # What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
 # Of long lengths, of short ones, and of angles (``benchmarks/bench_lengths.py scale``).
 LONG_MM, SHORT_MM, ANGLES_RAD = (
