@@ -209,6 +209,8 @@ class Correction:
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
         linear, n = linear_in_use(self.model), self.arm.n_joints
+        points: Any
+        stds: Any
         if linear is None:
             points, stds = zip(*map(self._within_positions, ends), strict=True)
         else:

@@ -78,10 +78,10 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     data = _Rows(linear, poses.at(used))
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
-    found = likeliest([(data.gain(one), one) for one in data.tried(as_given)], PRICE)
-    if not found:
+    likely = likeliest([(data.gain(one), one) for one in data.tried(as_given)], PRICE)
+    if not likely:
         return
-    best, *near = found
+    best, *near = likely
     before, after = (_rms(left) for left in (data.given[best.rows], best.left))
     others = {one.code: one.said(used) for one in near[::-1] if one.code != best.code}
     yield best.finding(

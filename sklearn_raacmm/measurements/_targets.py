@@ -65,8 +65,8 @@ def check_targets(
             checks.append(_are_of_another_frame(y, points, _STRIKING_SHARE * reach))
         if codes is not None:
             # In another order their means are not 0, but they are as long.
-            sizes = [np.sort(np.linalg.norm(v, axis=1)) for v in (y, centred(points, codes))]
-            if offsets or np.allclose(*sizes, rtol=1e-6, atol=1e-9):
+            ours, given = (np.sort(np.linalg.norm(v, axis=1)) for v in (centred(points, codes), y))
+            if offsets or np.allclose(given, ours, rtol=1e-6, atol=1e-9):
                 checks.append(of_own_points(y, codes, arm, angles, numbers, probes)[1])
         checks.append(_are_what_calibration_takes(y, arm, angles, points, codes, offsets, weights))
     for check in checks:
