@@ -257,11 +257,11 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         Raises
         ------
         ValueError
-            If X or y hold NaN or infinity; if a weight is negative or all are 0; if a feature
-            whose width is to be found has numbers 3e6 spreads apart; if `length_scale` does not fit
-            X, or is so narrow or wide that double precision does not resolve the kernel;
-            if `alpha` is 0 and `n_centers` is to be found; if `groups` has missing labels, or X
-            more than 100 000 rows with them.
+            If X or y hold NaN, infinity, or numbers whose squares underflow; if a weight is
+            negative or all are 0; if a feature whose width is to be found has numbers 3e6 spreads
+            apart; if `length_scale` does not fit X, or is so narrow or wide that double precision
+            does not resolve the kernel; if `alpha` is 0 and `n_centers` is to be found; if `groups`
+            has missing labels, or X more than 100 000 rows with them.
 
         Warns
         -----

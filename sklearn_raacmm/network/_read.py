@@ -50,6 +50,8 @@ def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
         X, y = X.compute(), np.asarray(y)
         sample_weight = None if sample_weight is None else np.asarray(sample_weight)
     X, y = check_data(estimator, X, y)
+    _refuse_tiny("X", X)
+    _refuse_tiny("y", y)
     weights = check_weights(sample_weight, X)
     estimator._flat = y.ndim == 1
     Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
@@ -59,6 +61,19 @@ def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
     if labelled is None and codes is not None:
         labelled = are_deviations(Y, codes, weights)
     return merge(X, Y, weights, codes=codes if labelled else None), None
+
+
+def _refuse_tiny(name, array):
+    """Refuse columns of numbers so small that their squares underflow."""
+    if not array.size:
+        return
+    size = np.maximum(array.max(axis=0), -array.min(axis=0))
+    tiny = (size > 0) & (size < 1 / LARGEST**2)
+    if np.any(tiny):
+        raise ValueError(
+            f"{name} holds a column of numbers no larger than {np.min(size[tiny]):g}: numbers "
+            f"below {1 / LARGEST**2:g} are refused, as their squares underflow. Use a smaller unit."
+        )
 
 
 def check_kernel(kernel, length_scale, n_outputs):

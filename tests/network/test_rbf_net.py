@@ -242,6 +242,16 @@ def test_one_observation_says_nothing_of_its_error(repeats):
         assert std[0] == np.inf
 
 
+@pytest.mark.parametrize(("name", "units"), [("X", (1e-200, 1)), ("y", (1, 1e-200))])
+def test_numbers_whose_squares_underflow_are_refused(name, units):
+    X, y, _ = smooth(30)
+    with pytest.raises(ValueError, match=f"{name} holds a column of numbers no larger than"):
+        RBFNetRegressor().fit(X * units[0], y * units[1])
+    # Small ones are not.
+    model = RBFNetRegressor().fit(X * units[0] ** 0.4, y * units[1] ** 0.4)
+    assert model.score(X * units[0] ** 0.4, y * units[1] ** 0.4) > 0.9
+
+
 def test_log_likelihood_is_that_of_scikit_learns_process():
     X, y, _ = smooth(80)
     y = 1000 * y
