@@ -61,8 +61,8 @@ _TURNS, _JOINTS = 10_000, 20
 # Rows that an order can be seen of. Residuals farther off than so many medians count as though they
 # lay there.
 _LEAST_ROWS, FAR = 12, 3.0
-# Rows at the end from which on they are late. With fewer, 11 of 72 simulated updates with one slip
-# near the end were refused.
+# Rows at the end from which on they are late. With fewer, 3 of 24 simulated updates with one slip
+# in the last row but one were refused; see ``tests/correction/test_update.py``.
 _LEAST_LATE = 5
 # What deviations are made of is met by this share of the differences between two rows, to this part
 # of their median; rows that are looked at have to be so many.

@@ -13,7 +13,6 @@ from sklearn_raacmm.residuals._cylindrical import (
     cartesian_to_cylindrical,
     cylindrical_to_cartesian,
     position_residuals,
-    to_cartesian,
 )
 from sklearn_raacmm.residuals._earlier import (
     bp_network_chain,
@@ -44,5 +43,4 @@ __all__ = [
     "position_residuals",
     "positions_of",
     "shoulder_wrist_distance",
-    "to_cartesian",
 ]
