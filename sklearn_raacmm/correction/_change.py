@@ -1,18 +1,26 @@
-"""A linear error model that has changed: conditioned on new poses, in its own columns."""
+"""New poses of a fitted model, and the linear model that they change, in its own columns."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from copy import copy
 from dataclasses import replace
 from datetime import date as calendar
 
 import numpy as np
+from sklearn.utils.validation import check_is_fitted
 
+from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
-from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import LEAST_POSITIONS, constrained, judge
+from sklearn_raacmm.error_model import (
+    LEAST_POSITIONS,
+    ArmResidualRegressor,
+    check_poses,
+    constrained,
+    judge,
+)
 from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
-from sklearn_raacmm.utils import centred, ignored_findings
+from sklearn_raacmm.utils import centred, check_weights, encode_groups, floats, ignored_findings
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
@@ -34,6 +42,83 @@ _N_FOLDS = 5
 _TRIED = 200
 
 
+class NewPoses:
+    """New poses of a fitted model, checked; each fault gets one clear sentence.
+
+    `angles` (n, n_joints + n_extra) in rad, then the extra columns; `residuals` (n, 3) in mm,
+    without the correction; `weights` (n,); `codes` (n,), the position of each where positions have
+    unknown offsets, or None; `positions` (n,), where without groups each pose has its own.
+    """
+
+    def __init__(self, model, X, y, groups, sample_weight):
+        angles = check_poses(model, X)
+        y = floats("y", y, 3)
+        if len(y) != len(angles):
+            raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
+        if groups is None and model.linear_model_.offsets:
+            raise ValueError(
+                "The model has an unknown offset at every position: give groups, the position of "
+                "each new pose."
+            )
+        self.codes = None if groups is None else encode_groups(groups, len(y))[1]
+        self.positions = np.arange(len(y)) if self.codes is None else self.codes
+        self.angles, self.residuals = angles, y
+        self.weights = check_weights(sample_weight, angles)
+
+    def at(self, rows):
+        """Some of the poses."""
+        some = copy(self)
+        for name, values in vars(self).items():
+            setattr(some, name, None if values is None else values[rows])
+        return some
+
+    @property
+    def n_coordinates(self):
+        """Coordinates of the poses that count, less three for each unknown offset."""
+        used = self.weights > 0
+        n_offsets = 0 if self.codes is None else len(np.unique(self.codes[used]))
+        return int(3 * (np.count_nonzero(used) - n_offsets))
+
+    @property
+    def too_few(self):
+        """Why nothing can be learnt from these poses, or an empty string."""
+        n_free = 9 if self.codes is None else 3  # of base and tool; cones show the tool's alone
+        if self.n_coordinates > n_free:
+            return ""
+        return (
+            f"{len(self.angles)} new poses give {self.n_coordinates} coordinates, fewer than would "
+            f"show more than the {n_free} freedoms of base and tool"
+        )
+
+
+def with_today(model, arm, done):
+    """A fitted model that holds a linear one, for the arm with today's probe, if it is given."""
+    if not isinstance(model, ArmResidualRegressor):
+        raise TypeError(
+            f"{type(model).__name__} holds no linear model and cannot be {done}: it has no "
+            "posterior of causes. It can be registered, by calibrate(..., correction=model)."
+        )
+    check_is_fitted(model)
+    return model if arm is None else model.with_arm(arm)
+
+
+def day(date):
+    """A date as text; of None, today."""
+    return calendar.today().isoformat() if date is None else str(date)
+
+
+def place_columns(arm, angles, with_base):
+    """What moves of the tool and shifts and turns of the base do to the probe, (n, 3, 3 or 9)."""
+    angles = angles[:, : arm.n_joints]  # without extra columns
+    tool = arm.frames(angles)[:, -1, :3, :3]
+    if not with_base:  # of a single-point test the base shows nothing
+        return tool
+    points = arm.forward(angles)
+    shift = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
+    turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2) / reach_mm(arm)
+    return np.concatenate([tool, shift, turn], axis=2)
+
+
 def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
@@ -50,8 +135,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     seen_weights = weights * after.row_weight / after.noise_sd**2
     p, fold = len(linear.coef), _into_kinematics(linear, codes is None)
     half = after.half[:p] + fold @ after.half[p:]
-    # As many columns as rows hold the same covariance.
-    half = np.asarray(np.linalg.qr(half.T, mode="r")).T if half.shape[1] > p else half
+    half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
     model = replace(
         linear,
@@ -62,14 +146,14 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
         noise_variance=after.noise_sd**2,
         noise_scale=noise_scale,
         std_scale=std_scale,
-        n_positions=float(len(np.unique(np.arange(len(weights)) if codes is None else codes))),
+        n_positions=float(len(np.unique(poses.positions))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
         free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
-        "date": calendar.today().isoformat() if date is None else str(date),
+        "date": day(date),
         "n_poses": len(angles),
         "tau": after.tau,
         "noise_sd_mm": after.noise_sd,
@@ -77,7 +161,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     return model, entry, after.row_weight
 
 
-def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
+def judged_fading(linear, poses, fading, log_noise=_LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: what fades beyond the doubt at the new poses
@@ -86,7 +170,7 @@ def judged_fading(linear, poses, fading, positions=None, log_noise=_LOG_NOISE):
 
     Returns the fading, and its `Judgement`; None where fewer than four positions are known.
     """
-    positions = poses.positions if positions is None else positions
+    positions = poses.positions
     labels = np.unique(positions[poses.weights > 0])
     if len(labels) < LEAST_POSITIONS:
         return fading, None
@@ -200,10 +284,8 @@ def families_of(linear):
 
 def parts_of(linear):
     """What each column may change together with: its family, or the harmonics of one joint."""
-    parts = families_of(linear).astype(object)
-    joints = np.repeat(np.asarray(linear.terms.harmonics).reshape(-1, 2)[:, 0], 2)
-    parts[: len(joints)] = [f"harmonics of joint {joint + 1}" for joint in joints]
-    return parts
+    waves = [f"harmonics of joint {j + 1}" for j, _ in harmonics_of(linear) for _ in range(2)]
+    return np.array(waves + linear.term_table()["family"].tolist())
 
 
 def _change_sizes(linear):

@@ -11,8 +11,12 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from sklearn_raacmm.arm import parameter_jacobian
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, prior_of, with_low_orders
-from sklearn_raacmm.correction._new_poses import place_columns
+from sklearn_raacmm.correction._change import (
+    LEAST_NOISE_MM,
+    place_columns,
+    prior_of,
+    with_low_orders,
+)
 from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.inference import Whitened
 from sklearn_raacmm.measurements import (

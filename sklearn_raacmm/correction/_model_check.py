@@ -5,7 +5,6 @@
 
 import csv
 from collections.abc import Iterable, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
 from numbers import Real
@@ -16,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
-from scipy.stats import chi, chi2
+from scipy.stats import chi
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
-from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of, place_columns
+from sklearn_raacmm.correction._change import NewPoses, day, place_columns, with_today
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.measurements import medians_of
@@ -225,59 +224,49 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    linear_model_of(model, "checked")
-    model = model if arm is None else model.with_arm(arm)
-    linear = _widened(model.linear_model_)
+    model = with_today(model, arm, "checked")
     today = NewPoses(model, X, y, groups, sample_weight)
     lengths = listed("lengths", lengths)
     if lengths and groups is None:
         raise ValueError("lengths are between positions: give groups, the position of each pose.")
     labels = encode_groups(groups)[0].tolist() if lengths else []
     lengths = [check_length(entry, labels) for entry in lengths]
-    poses = _Poses(linear, model, today, lengths)
-    nuisance = poses.nuisance(refitted)
-    root = poses.root_of_covariance()
+    poses = _Poses(model, X, today, lengths)
+    root, nuisance = poses.root_of_covariance(), poses.nuisance(refitted)
     whiten = Whitened(root, nuisance)
-    taken = len(root) - whiten.freedom
     if whiten.freedom < 3:
         raise ValueError(
-            f"{len(poses.left)} poses have {len(root)} coordinates for {taken} freedoms of "
-            "positions, base and probe: nothing is left to check the correction with."
+            f"{len(poses.tamed)} poses have {len(root)} coordinates for "
+            f"{len(root) - whiten.freedom} freedoms of positions, base and probe: nothing is left "
+            "to check the correction with."
         )
-    causes = poses.causes()
-    freedom = linear.n_positions + _POSITIONS_OF_ARMS
-    tests = score_tests(causes, whiten, poses.residual(), freedom)
-    n = 3 * len(poses.left)
+    causes, residual = poses.causes(), np.r_[poses.tamed.ravel(), poses.length_errors]
+    freedom = poses.linear.n_positions + _POSITIONS_OF_ARMS
+    tests = score_tests(causes, whiten, residual, freedom)
+    n = poses.tamed.size
     limits = false_alarm_rate / (len(tests) + 1)
-    mean, chart = _chart(poses, root[:n, :n], nuisance[:n], freedom, limits)
+    mean, chart = _chart(poses.tamed, root[:n, :n], nuisance[:n], freedom, limits)
     p_value = min(float(min(tests["p_value"].min(), mean["p_value"])) * (len(tests) + 1), 1.0)
     holds = p_value >= false_alarm_rate
     suspect = "nothing" if holds else best_cause(tests)
-    tests = np.append(tests, np.array(tuple(mean.values()), dtype=tests.dtype))
-    usual_mm = poses.usual_mm()
-    size_mm = 0.0
+    usual_mm, size_mm = poses.usual_mm(), 0.0
     if suspect in causes:
-        size_mm = poses.size_mm(explained(causes[suspect], whiten, poses.residual())[:n])
+        size_mm = poses.size_mm(explained(causes[suspect], whiten, residual)[:n])
     elif suspect == "noise":  # as much as all exceed what is expected of them
         more = np.square(poses.size_mm(poses.tamed)) - usual_mm**2
         size_mm = float(np.sqrt(max(more, 0.0)))
     matters = size_mm > _WORTH * usual_mm
-    record = {
-        "date": calendar.today().isoformat() if date is None else str(date),
-        "n_poses": len(poses.left),
-        **chart,
-        "p_value": p_value,
-        "suspect": suspect,
-    }
     advice = _ADVICE.get(suspect, _ADVICE["arm"])
     if not (holds or matters):
         advice = (
             f"It is real and small, {size_mm:.2g} mm beside the {usual_mm:.2g} mm that the "
             f"correction leaves: nothing needs to be done. {advice}"
         )
-    named = tuple(np.flatnonzero(poses.slipped).tolist())
+    record = {"date": day(date), "n_poses": len(poses.tamed)}
+    record |= {**chart, "p_value": p_value, "suspect": suspect}
+    tests = np.append(tests, np.array(tuple(mean.values()), dtype=tests.dtype))
     return CorrectionCheck(
-        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, named, record
+        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, poses.slipped, record
     )
 
 
@@ -317,56 +306,44 @@ def _slipped(linear, poses, left):
     return slipped, middle + share[:, None] * (left - middle)
 
 
-def _lengths_between(points, codes, weights, lengths):
-    """Known lengths whose two ends have poses: what coordinates do to them, errors, stated sd.
-
-    (l, 3 n) in mm per mm; (l,) in mm, of the corrected points; (l,) in mm.
-    """
-    present = set() if codes is None else set(codes.tolist())
-    known = [entry for entry in lengths if {*entry[:2]} <= present]
-    # Weights of the poses in the mean of one end less the mean of the other.
-    ends = [[weights * (codes == end) for end in entry[:2]] for entry in known]
-    shares = [last / last.sum() - first / first.sum() for first, last in ends]
-    shares = np.array(shares).reshape(-1, len(points))
-    line = shares @ points
-    size = np.linalg.norm(line, axis=1)
-    rows = shares[:, :, None] * (line / size[:, None])[:, None, :]
-    stated, sd = np.array([entry[2:] for entry in known], dtype=float).reshape(-1, 2).T
-    return rows.reshape(len(known), 3 * len(points)), size - stated, sd
-
-
 class _Poses:
     """Poses of today that count: rows of coordinates, and one for each known length.
 
-    `left` (n, 3) are the residuals less the correction in mm, `tamed` the same without the tails;
-    `lengths` (l, 3 n) is what the coordinates do to the lengths, mm per mm.
+    `tamed` (n, 3) are the residuals less the correction, without tails, mm; `slipped` are the rows
+    that do not count. `lengths` (l, 3 n) is what the coordinates do to the lengths whose two ends
+    have poses, mm per mm; `length_errors` and `length_sd` are (l,) in mm.
     """
 
-    def __init__(self, linear, model, today, lengths):
-        correction = copy(model).set_params(angle_unit="rad").predict(today.angles)
-        left = today.residuals - correction
-        self.slipped, tamed = _slipped(linear, today, left)
-        kept = (today.weights > 0) & ~self.slipped
-        self.linear, self.angles, self.weights = linear, today.angles[kept], today.weights[kept]
-        self.left, self.tamed = left[kept], tamed[kept]
-        self.codes = None if today.codes is None else today.codes[kept]
-        points = linear.arm.forward(self.angles[:, : linear.arm.n_joints]) - correction[kept]
-        self.lengths, self.length_errors, self.length_sd = _lengths_between(
-            points, self.codes, self.weights, lengths
-        )
+    def __init__(self, model, X, today, lengths):
+        self.linear = linear = _widened(model.linear_model_)
+        correction = model.predict(X)
+        slipped, tamed = _slipped(linear, today, today.residuals - correction)
+        self.slipped = tuple(np.flatnonzero(slipped).tolist())
+        kept = (today.weights > 0) & ~slipped
+        self.tamed, poses = tamed[kept], today.at(kept)
+        self.poses, self.weights, self.codes = poses, poses.weights, poses.codes
+        self.angles = poses.angles[:, : linear.arm.n_joints]  # without extra columns
+        points = linear.arm.forward(self.angles) - correction[kept]
+        known = [entry for entry in lengths if np.isin(entry[:2], self.codes).all()]
+        # Weights of the poses in the mean of one end less the mean of the other.
+        ends = [[self.weights * (self.codes == end) for end in entry[:2]] for entry in known]
+        shares = [last / last.sum() - first / first.sum() for first, last in ends]
+        shares = np.array(shares).reshape(-1, len(points))
+        line = shares @ points
+        size = np.linalg.norm(line, axis=1)
+        rows = shares[:, :, None] * (line / size[:, None])[:, None, :]
+        self.lengths = rows.reshape(len(known), points.size)
+        stated, self.length_sd = np.array([e[2:] for e in known], dtype=float).reshape(-1, 2).T
+        self.length_errors = size - stated
 
     def rows(self, columns):
         """Columns (n, 3, k) or (3 n, k) as rows of coordinates and lengths, (m, k)."""
-        flat = columns.reshape(3 * len(self.left), -1)
+        flat = columns.reshape(self.tamed.size, -1)
         return np.concatenate([flat, self.lengths @ flat])
-
-    def residual(self):
-        """What is left of coordinates and lengths, (m,), mm."""
-        return np.r_[self.tamed.ravel(), self.length_errors]
 
     def root_of_covariance(self):
         """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
-        half = self.rows(self.linear.columns(self.angles)) @ self.linear.half
+        half = self.rows(self.linear.columns(self.poses.angles)) @ self.linear.half
         of_coordinates = np.diag(np.repeat(self.linear.noise_sd / np.sqrt(self.weights), 3))
         noise = self.rows(of_coordinates)
         of_lengths = np.r_[np.zeros(len(of_coordinates)), np.square(self.length_sd)]
@@ -375,7 +352,7 @@ class _Poses:
 
     def usual_mm(self):
         """Root mean square of what a correction that holds leaves of what the poses can show."""
-        spread = self.linear.predict(self.angles, return_std=True)[1]
+        spread = self.linear.predict(self.poses.angles, return_std=True)[1]
         noise = 3 * self.linear.noise_variance / self.weights
         return float(np.sqrt(np.mean(np.square(spread).sum(axis=1) + noise)))
 
@@ -399,12 +376,11 @@ class _Poses:
 
     def causes(self):
         """What each cause would do to the poses: (m, k) columns by name."""
-        arm = self.linear.arm
-        angles = self.angles[:, : arm.n_joints]  # without extra columns
+        arm, angles = self.linear.arm, self.angles
         jacobian = arm.jacobian(angles)
         place = self.rows(place_columns(arm, angles, with_base=True))
-        time = np.repeat(np.linspace(-1, 1, len(angles)), 3)
-        time = np.r_[time, np.zeros(len(place) - len(time))][:, None]
+        time = np.zeros((len(place), 1))
+        time[: self.tamed.size, 0] = np.repeat(np.linspace(-1, 1, len(angles)), 3)
         causes = {"probe": place[:, :3], "drift": time * place[:, 3:6]}
         if self.codes is None:  # of a single-point test the base shows nothing
             # Together they are six numbers, too many for what three explain: of 40 bases of the
@@ -413,8 +389,7 @@ class _Poses:
             causes |= {"base": place[:, 3:6], "base turned": place[:, 6:8]}
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale
-            codes = np.unique(self.codes, return_inverse=True)[1]
-            points = group_means(points, codes, self.weights)[codes]
+            points = group_means(points, self.codes, self.weights)[self.codes]
         causes["scale"] = self.rows(points[:, :, None])
         for j in range(arm.n_joints):
             causes[f"offset of joint {j + 1}"] = self.rows(jacobian[:, :, [j]])
@@ -425,37 +400,28 @@ class _Poses:
         return causes
 
 
-def _chart(poses, root, nuisance, freedom, rate):
+def _chart(tamed, root, nuisance, freedom, rate):
     """The test of the mean distance, and mean and range with the limits of that same test.
 
     The square of a mean or a range of distances is about a multiple of a chi-squared variable,
     whose freedoms follow from draws; that of the factor of the noise has `freedom` itself.
     """
-    basis = np.linalg.qr(nuisance)[0] if nuisance.size else nuisance
-
-    def of(values):  # (3 n, k)
-        values = values - basis @ (basis.T @ values)
-        distance = np.linalg.norm(values.reshape(len(root) // 3, 3, -1), axis=1)
-        return distance.mean(axis=0), distance.max(axis=0) - distance.min(axis=0)
-
-    draws = root @ np.random.default_rng(0).normal(size=(len(root), _DRAWS))
+    basis = np.linalg.qr(nuisance)[0]
     record, tests = {}, []
-    for name, values, drawn in zip(
-        ("mean", "range"), of(poses.tamed.reshape(-1, 1)), of(draws), strict=True
-    ):
-        square = np.square(drawn)
-        k = 2 * np.square(square.mean()) / square.var()
-        law = chi2(k) if np.isinf(freedom) else fisher(k, freedom)
-        unit = square.mean() / (k if np.isinf(freedom) else 1.0)
+
+    def distances(values):  # (3 n, k)
+        values = values - basis @ (basis.T @ values)
+        return np.linalg.norm(values.reshape(*tamed.shape, -1), axis=1)
+
+    found = distances(tamed.reshape(-1, 1))
+    drawn = distances(root @ np.random.default_rng(0).normal(size=(len(root), _DRAWS)))
+    for name, of in (("mean", np.mean), ("range", np.ptp)):
+        square, value = np.square(of(drawn, axis=0)), float(of(found, axis=0)[0])
+        k, unit = 2 * np.square(square.mean()) / square.var(), square.mean()
+        law = fisher(k, freedom)
         low, high = np.sqrt(unit * law.ppf([rate, 1 - rate])).tolist()
-        record |= {
-            f"{name}_mm": float(values[0]),
-            f"{name}_low_mm": low,
-            f"{name}_high_mm": high,
-        }
-        found = float(np.square(values[0]) / unit)
-        statistic = found if np.isinf(freedom) else k * found
-        tests.append(
-            {"cause": name, "statistic": statistic, "freedom": round(k), "p_value": law.sf(found)}
-        )
+        record |= {f"{name}_mm": value, f"{name}_low_mm": low, f"{name}_high_mm": high}
+        ratio = value**2 / unit
+        test = {"cause": name, "statistic": k * ratio, "freedom": round(k)}
+        tests.append(test | {"p_value": law.sf(ratio)})
     return tests[0], record

@@ -21,22 +21,22 @@ from sklearn.base import clone
 
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._change import (
+    NewPoses,
     changed_model,
     families_of,
     harmonics_of,
     judged_fading,
     parts_of,
+    place_columns,
     prior_of,
     with_harmonics,
     with_low_orders,
 )
-from sklearn_raacmm.correction._new_poses import NewPoses, place_columns
 from sklearn_raacmm.error_model import order_price, smooth_shares
 from sklearn_raacmm.inference import log_density
 from sklearn_raacmm.utils import (
     Finding,
     centred,
-    encode_groups,
     one_blas_thread,
     report_findings,
 )
@@ -80,15 +80,15 @@ def transferred_model(models, arm, X, y, groups=None):
     # Its calibration holds what the extra columns do in the mean of its own rows.
     of_own = own.linear_model_.terms
     prior = replace(prior, terms=prior.terms._replace(extra=of_own.extra, up=of_own.up))
-    of_offsets = groups if own.linear_model_.offsets else None
-    poses = NewPoses(own, X, y, of_offsets, None)
+    poses = NewPoses(own, X, y, groups, None)
+    if not own.linear_model_.offsets:
+        poses.codes = None
     linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE)
     poses.weights = poses.weights * pose_weight * own.pose_weight_
     gain = _evidence_of_change(prior, entry, poses) - _evidence_of_fit(own.linear_model_, poses)
     new = deepcopy(own)
     fading = replace(own.fading_, factor=_FADING, most=1.0)
-    positions = poses.positions if groups is None else encode_groups(groups, len(y))[1]
-    fading, judgement = judged_fading(prior, poses, fading, positions, _LOG_NOISE)
+    fading, judgement = judged_fading(prior, poses, fading, _LOG_NOISE)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
         linear = replace(linear, offsets=poses.codes is not None)

@@ -12,9 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, changed_model, judged_fading
+from sklearn_raacmm.correction._change import (
+    LEAST_NOISE_MM,
+    NewPoses,
+    changed_model,
+    judged_fading,
+    with_today,
+)
 from sklearn_raacmm.correction._explanations import what_is_wrong
-from sklearn_raacmm.correction._new_poses import NewPoses, linear_model_of
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
     Finding,
@@ -127,8 +132,7 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    linear_model_of(model, "updated")
-    model = model if arm is None else model.with_arm(arm)
+    model = with_today(model, arm, "updated")
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
     new = X, y, groups, sample_weight
