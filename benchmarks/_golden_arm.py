@@ -30,7 +30,7 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
-from sklearn_raacmm.correction._transfer import transferred_model
+from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.datasets import make_single_point
 
 N_ROWS = 1500  # poses of the UR10 of which a model is made

@@ -60,7 +60,7 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.arm import solve
-from sklearn_raacmm.correction._transfer import LEAST_GAIN_NATS, transferred_model
+from sklearn_raacmm.correction._change import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 

@@ -4,17 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from copy import copy
 from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.error_model import UNUSED_SD, check_extra
+from sklearn_raacmm.error_model import check_extra
 from sklearn_raacmm.measurements import MOST_EXPLAINED, directions_of, order_explained_by
-from sklearn_raacmm.utils import Finding, floats, report_findings
-
-# The family of columns by which each kind of cause is judged.
-_FAMILIES = {"time": "temperature", "payload": "force"}
+from sklearn_raacmm.utils import floats
 
 
 def checked_causes(extra, in_order, angles, codes):
@@ -52,27 +48,6 @@ def _given(extra, n_rows):
             raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
         found[name] = np.broadcast_to(values.ravel(), n_rows)
     return found
-
-
-def with_kept_causes(data, calibration):
-    """The data with those causes only that are worth their price in a fit to all rows."""
-    if not data.causes:
-        return data
-    rows, _ = data.without_lonely(np.arange(len(data.angles)))
-    kept = copy(data)
-    kept.like = ()
-    prior_sd, causes = kept.fit(None, calibration, rows)[0].prior_sd_, np.array(data.causes)
-    kinds = [name.split()[0] for name in data.causes]
-    keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * UNUSED_SD for kind in kinds])
-    if not keep.all():
-        said = f"The evidence does not ask for {', '.join(causes[~keep])}: left out of the model."
-        report_findings([Finding("cause-not-kept", said, weight="note")])
-    kept.like, kept.causes, kept.values = (
-        data.like,
-        tuple(causes[keep].tolist()),
-        data.values[:, keep],
-    )
-    return kept
 
 
 def usual_values(names, values):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, p
 from sklearn_raacmm.correction._update import update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, unseen_variance
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Finding, Floats, check_option
+from sklearn_raacmm.utils import Finding, Floats, check_option, encode_groups
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
@@ -32,14 +32,8 @@ _WELL_KNOWN_MM = 1.0
 _LEAST_SHARE = 0.2
 # Outliers that are shown.
 _SHOWN = 10
-
-
-class FittedModel(Protocol):
-    """Any fitted regressor; that of `learn_correction` is an `ArmResidualRegressor`."""
-
-    def predict(self, X: ArrayLike, /) -> Floats:
-        """Residuals (n_samples, 3), mm."""
-        ...
+# What a tracker's frame is saved as.
+_BASE = "rotation", "translation_mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +66,7 @@ class Correction:
     """
 
     arm: Arm
-    model: FittedModel
+    model: Any
     base: tuple[Any, ...] | None
     facts: dict[str, Any]
     scores: CorrectionScores | None = None
@@ -209,9 +203,7 @@ class Correction:
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
         linear, n = linear_in_use(self.model), self.arm.n_joints
-        points: Any
-        stds: Any
-        if linear is None:
+        if linear is None:  # the errors of both ends are taken as independent
             points, stds = zip(*map(self._within_positions, ends), strict=True)
         else:
             points = [self.arm.forward(X[:, :n]) - self.model.predict(X) for X in ends]
@@ -219,12 +211,10 @@ class Correction:
         apart = points[1] - points[0]
         lengths = np.linalg.norm(apart, axis=1)
         along = apart / np.maximum(lengths, 1e-300)[:, None]
-        if linear is None:  # the errors of both ends are taken as independent
-            variance = np.sum(along**2 * (stds[0] ** 2 + stds[1] ** 2), axis=1)
-        else:  # which knows how they belong together, and how much positions did not show of them
-            variance = linear.distance_std(*ends) ** 2
-            for std in stds:
-                variance += np.sum(np.square(along * std), axis=1)
+        # A linear model knows how both ends belong together, and what positions did not show.
+        variance = 0.0 if linear is None else linear.distance_std(*ends) ** 2
+        for std in stds:
+            variance = variance + np.sum(np.square(along * std), axis=1)
         return lengths, np.sqrt(variance + (self.scale_sd * lengths) ** 2)
 
     def check(
@@ -264,21 +254,17 @@ class Correction:
             As :func:`check_correction`.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        refitted: tuple[str, ...] = ()
+        new_base = points is not None and (new_base or self.base is None)
+        known = self.register(angles, positions, points, free=()) if new_base else self
         if points is not None:
-            known = self
-            if self.base is None or new_base:
-                known = self.register(angles, positions, points, free=())
-                refitted = ("base",)
             y = known.residuals(angles, points)
         elif positions is not None:
             y = position_residuals(self.arm.forward(angles), positions)
         else:
             raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
-        model: Any = self.model  # of another kind is refused
         return check_correction(
-            model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
-            refitted=refitted, false_alarm_rate=false_alarm_rate, date=date,
+            self.model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
+            refitted=["base"] * new_base, false_alarm_rate=false_alarm_rate, date=date,
         )  # fmt: skip
 
     def register(
@@ -370,12 +356,9 @@ class Correction:
             As :meth:`register` and :func:`update_correction`.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        new = self.register(angles, positions, points, lengths)
-        model: Any = new.model
-        calibration: Any = new.calibration
-        y = calibration.residuals(angles, points, positions)
-        X = self.inputs(angles, extra)
-        updated = update_correction(model, X, y, groups=positions, date=date, accept=accept)
+        new: Any = self.register(angles, positions, points, lengths)
+        y, X = new.calibration.residuals(angles, points, positions), self.inputs(angles, extra)
+        updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
         return replace(new, model=updated)
 
     def move(self, probe: ArrayLike) -> Self:
@@ -391,13 +374,12 @@ class Correction:
         ValueError
             If the model knows no causes, so that only a registration helps.
         """
-        model: Any = self.model
-        if not hasattr(model, "with_arm"):
+        if not hasattr(self.model, "with_arm"):
             raise ValueError(
                 "this correction has no model of causes: register the new probe instead."
             )
         arm = self.arm.replace(probe=probe)
-        return replace(self, arm=arm, model=model.with_arm(arm))
+        return replace(self, arm=arm, model=self.model.with_arm(arm))
 
     def with_tool(self, tool: str) -> Self:
         """The same with another of the probes that it was learnt with.
@@ -444,10 +426,9 @@ class Correction:
         ImportError
             If skops is not there.
         """
-        base = None
-        if self.base is not None:
-            rotation, translation = self.base
-            base = {"rotation": rotation.tolist(), "translation_mm": translation.tolist()}
+        base = self.base
+        if base is not None:
+            base = dict(zip(_BASE, (part.tolist() for part in base), strict=True))
         contents = {"arm.json": self.arm.to_json(), "model.skops": dump_model(self.model)}
         return write_folder(folder, self.facts | {"base": base}, contents | dict(others or {}))
 
@@ -476,7 +457,7 @@ class Correction:
         model = load_model(folder, model, facts.get("written_by", "another version"))
         base = facts.get("base")
         if base is not None:
-            base = np.array(base["rotation"]), np.array(base["translation_mm"])
+            base = tuple(np.array(base[name]) for name in _BASE)
         return cls(Arm.from_json(arm), model, base, facts)
 
     def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> np.ndarray:
@@ -523,18 +504,15 @@ class Correction:
                 correction=self._of_angles(model), free=free,
             )  # fmt: skip
 
-        model: Any = self.model
-        linear = getattr(model, "linear_model_", None)
-        places, codes = np.arange(len(angles)), None
-        if positions is not None and points is None:
-            places = codes = np.unique(positions, return_inverse=True)[1]
-        n = len(angles) if positions is None else len(np.unique(positions))
-        if linear is None or n < LEAST_POSITIONS:
-            return through(model), model
+        linear = getattr(self.model, "linear_model_", None)
+        codes = None if positions is None else encode_groups(positions, len(angles))[1]
+        places = np.arange(len(angles)) if codes is None else codes
+        if linear is None or len(np.unique(places)) < LEAST_POSITIONS:
+            return through(self.model), self.model
         found = []
         correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
-        for fading in fadings_for(model.fading_, doubt):
-            one = copy(model)
+        for fading in fadings_for(self.model.fading_, doubt):
+            one = copy(self.model)
             one.fading_ = fading
             result = through(one)
             y, weights = result.residuals(angles, points, positions), result.sample_weight

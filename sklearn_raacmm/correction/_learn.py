@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, typical_scatter
-from sklearn_raacmm.correction._causes import usual_values, with_kept_causes
+from sklearn_raacmm.correction._causes import usual_values
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data
 from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
@@ -174,7 +174,7 @@ def learn_correction(
             blocks,
         )  # fmt: skip
         calibration = _calibrated(data, angles, angle_unit)
-        data = with_kept_causes(data.seen_by(calibration), calibration)
+        data = data.seen_by(calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
@@ -188,7 +188,7 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
-    scores = with_verdict(scores, findings, fitted)
+    scores = with_verdict(scores, data, findings, fitted)
     base = None if points is None else (calibration.base_rotation, calibration.base_translation)
     facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
     data_of = data.angles, data.positions

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from copy import copy
-from inspect import ismethod
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,35 +15,44 @@ from sklearn.cluster import KMeans
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm, points_of
+from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
 from sklearn_raacmm.correction._causes import checked_causes
-from sklearn_raacmm.correction._transfer import transferred_model
-from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.correction._change import transferred_model
+from sklearn_raacmm.error_model import UNUSED_SD, ArmResidualRegressor
 from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
+from sklearn_raacmm.utils import (
+    Finding,
+    encode_groups,
+    floats,
+    ignored_findings,
+    listed,
+    report_findings,
+)
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
 _FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
+# The family of columns by which each kind of cause is judged.
+_FAMILIES = {"time": "temperature", "payload": "force"}
 
 
 class Data:
     """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths.
 
     `rows` are the first rows of each pose among those `given`; `causes` name the columns of
-    `values` (n, n_causes); `like` are models of earlier arms of the make.
+    `values` (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of
+    positions that are one, or of one block.
     """
 
     def __init__(
-        self, arm, angles, positions, points, lengths, angle_unit,
-        extra=None, in_order=False, like=(), tools=None, blocks=None,
+        self, arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools,
+        blocks,
     ):  # fmt: skip
         check_arm(arm)
-        angles = check_angles(angles, arm.n_joints, angle_unit)
-        # Within one turn, lest a warning of far angles be said again by everything that follows.
-        angles = within_turn(angles)
+        # Within one turn, lest a warning of far angles be repeated by everything that follows.
+        angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
         lengths = listed("lengths", lengths)
         if positions is None and points is None:
             raise ValueError("give positions, the label of each row, or points of a tracker.")
@@ -55,13 +63,13 @@ class Data:
             if positions is None:
                 positions = _regions(points)
         labels, codes = encode_groups(positions, len(angles))
-        tied = {i for entry in lengths for i in check_length(entry, labels.tolist())[:2]}
-        for code in np.flatnonzero(np.bincount(codes) == 1) if points is None else ():
-            if code not in tied:
-                raise ValueError(
-                    f"position {labels[code].item()!r} has a single row, row "
-                    f"{np.flatnonzero(codes == code)[0]}: is its label mistyped?"
-                )
+        tied = [i for entry in lengths for i in check_length(entry, labels.tolist())[:2]]
+        alone = np.setdiff1d(np.flatnonzero(np.bincount(codes) == 1), tied)
+        if points is None and len(alone):
+            raise ValueError(
+                f"position {labels[alone[0]].item()!r} has a single row, row "
+                f"{np.flatnonzero(codes == alone[0])[0]}: is its label mistyped?"
+            )
         self.causes, values = checked_causes(extra, in_order, angles, codes)
         kinds, positions = codes, labels[codes]
         self.arm, self.lengths, self.like = arm, lengths, listed("like", like)
@@ -75,26 +83,39 @@ class Data:
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
         self.positions, self.values = positions[self.rows], values[self.rows]
         self.tools = None if tools is None else tools[self.rows]
-        self.one_place = []  # positions that are one, as tuples
-        self.together = []  # positions of one block, as tuples
+        self.joined = []
         if blocks is not None:
-            of_block = encode_groups(blocks, len(angles), "blocks")[1]
-            every = np.array(self.given[1])
-            self.together = [
-                tuple(np.unique(every[of_block == i]).tolist()) for i in range(of_block.max() + 1)
-            ]
+            names, of_block = encode_groups(blocks, len(angles), "blocks")
+            of_blocks = [np.unique(positions[of_block == i]) for i in range(len(names))]
+            self.joined = [tuple(one.tolist()) for one in of_blocks]
 
     def seen_by(self, calibration):
-        """The same without lengths that a calibration of all rows found to be wrong.
+        """The same with what a calibration of all rows has found.
 
-        And with the positions that it found to be one place.
+        Positions that are one place are joined. Lengths that are wrong are left out, and causes
+        that are not worth their price in a fit to all rows.
         """
-        right = copy(self)
-        right.one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
+        seen = copy(self)
+        one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
+        seen.joined = [*one_place, *self.joined]
         if self.lengths and self.points is None:
             wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
-            right.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
-        return right
+            seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
+        if self.causes:
+            rows, causes = (
+                self.without_lonely(np.arange(len(self.angles)))[0],
+                np.array(self.causes),
+            )
+            y, lengths = self.residuals(calibration, rows), seen.lengths_of_model(rows)
+            prior_sd = self._fitted(None, calibration, rows, y, lengths).prior_sd_
+            kinds = [name.split()[0] for name in self.causes]
+            keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * UNUSED_SD for kind in kinds])
+            if not keep.all():
+                left_out = f"{', '.join(causes[~keep])}: left out of the model."
+                text = f"The evidence does not ask for {left_out}"
+                report_findings([Finding("cause-not-kept", text, weight="note")])
+            seen.causes, seen.values = tuple(causes[keep].tolist()), self.values[:, keep]
+        return seen
 
     @property
     def inputs(self):
@@ -113,9 +134,7 @@ class Data:
         """Block of each row: positions at one place, of one block, or joined by lengths are one."""
         labels, codes = np.unique(self.positions, return_inverse=True)
         number = {label: i for i, label in enumerate(labels.tolist())}
-        pairs = [
-            (place[0], other) for place in [*self.one_place, *self.together] for other in place
-        ]
+        pairs = [(block[0], other) for block in self.joined for other in block]
         # Of a plate whose distances are all known: position by position.
         for joined in ([*pairs, *(entry[:2] for entry in self.lengths)], pairs):
             ends = np.array([[number[a], number[b]] for a, b in joined], dtype=int).reshape(-1, 2).T
@@ -130,6 +149,10 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
+    def lengths_of_model(self, rows):
+        """Those that a model is fitted with: where the positions are, a tracker knows."""
+        return [] if self.points is not None else self.lengths_among(rows)
+
     def _at(self, rows) -> Any:
         """Angles, positions, points and tools of some rows."""
         parts = self.angles, self.positions, self.points, self.tools
@@ -138,20 +161,15 @@ class Data:
     def calibrate(self, rows=None):
         """Calibrate on some rows; on None on all, as they were given."""
         angles, positions, points, tools = self.given if rows is None else self._at(rows)
-        if points is not None:
-            return calibrate(self.arm, angles, points=points, tools=tools)
-        lengths = self.lengths if rows is None else self.lengths_among(rows)
-        return calibrate(self.arm, angles, positions, lengths=lengths, tools=tools)
+        lengths = self.lengths_of_model(slice(None) if rows is None else rows)
+        groups = positions if points is None else None
+        return calibrate(self.arm, angles, groups, points=points, lengths=lengths, tools=tools)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
         angles, positions, points, tools = self._at(rows)
         groups = positions if points is None else None
         return calibration.residuals(angles, points, groups, tools=tools)
-
-    def shown(self, calibration, rows):
-        """Points of the calibrated arm with the probe of each of these rows, (n, 3) mm."""
-        return points_of(calibration.arm, self.angles[rows], self._probes(calibration, rows))
 
     def at_probes(self, model, calibration, rows):
         """The model as it predicts these rows, each with its own probe."""
@@ -168,7 +186,7 @@ class Data:
 
         return SimpleNamespace(predict=predict)
 
-    def _probes(self, calibration, rows):
+    def probes(self, calibration, rows):
         """Probe of each of these rows, (n, 3) in mm; None where all have the arm's."""
         if self.tools is None:
             return None
@@ -180,10 +198,8 @@ class Data:
         if not len(far):
             return far
         rows, lonely = self.without_lonely(np.arange(len(self.angles)))
-        model, y = self._model_for(None, calibration.arm), self.residuals(calibration, rows)
-        probes = self._probes(calibration, rows)
-        with ignored_findings():  # what there is to say is said of the rows that are learnt from
-            model.fit(self.inputs[rows], y, groups=self.positions[rows], probes=probes)
+        with ignored_findings():  # what there is to report is reported of the rows that are learnt
+            model = self._fitted(None, calibration, rows, self.residuals(calibration, rows), [])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -193,41 +209,46 @@ class Data:
         if self.like and model is None:
             fitted = transferred_model(self.like, calibration.arm, X, y, positions)
         if fitted is None:
-            fitted = self._model_for(model, calibration.arm)
-            # Of a pipeline, what its last step takes.
-            last, prefix = fitted, ""
-            while isinstance(last, Pipeline):
-                prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
-            # A tracker knows where the positions are: lengths tell the model nothing.
-            lengths = [] if self.points is not None else self.lengths_among(rows)
-            extra = {"groups": positions, "lengths": lengths}
-            if self.tools is not None:
-                if prefix or not has_fit_parameter(last, "probes"):
-                    raise ValueError(
-                        "tools need an ArmResidualRegressor as the model, not in another one."
-                    )
-                extra["probes"] = self._probes(calibration, rows)
-            given = [name for name in extra if len(extra[name]) and has_fit_parameter(last, name)]
-            fitted.fit(X, y, **{f"{prefix}{name}": extra[name] for name in given})
+            fitted = self._fitted(model, calibration, rows, y, self.lengths_of_model(rows))
         left = y - self.at_probes(fitted, calibration, rows).predict(X)
         if self.points is None:
             left = position_residuals(left, positions)
         return fitted, float(np.sqrt(np.mean(np.square(left))))
 
-    def _model_for(self, model, arm) -> Any:
+    def _fitted(self, model, calibration, rows, y, lengths) -> Any:
+        """Copy of a model, or the default one, fitted to the residuals y of these rows."""
+        fitted = self._model_for(model, calibration.arm)
+        # Of a pipeline, what its last step takes.
+        last, prefix = fitted, ""
+        while isinstance(last, Pipeline):
+            prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
+        given = {"groups": self.positions[rows], "lengths": lengths}
+        if self.tools is not None:
+            if prefix or not has_fit_parameter(last, "probes"):
+                raise ValueError(
+                    "tools need an ArmResidualRegressor as the model, not in another one."
+                )
+            given["probes"] = self.probes(calibration, rows)
+        given = {n: v for n, v in given.items() if len(v) and has_fit_parameter(last, n)}
+        fitted.fit(self.inputs[rows], y, **{f"{prefix}{n}": v for n, v in given.items()})
+        return fitted
+
+    def _model_for(self, model, arm):
         """Copy of a model, or the default one, for this arm and for angles in rad."""
         if model is None:
             return ArmResidualRegressor(arm, extra=self.causes)
-        model, known = clone(model), {"arm": arm, "angle_unit": "rad"}
+        model, known = clone(model), {"arm": arm, "angle_unit": "rad", "azimuth": arm.azimuth}
         if self.causes:
             known["extra"] = self.causes
+        changed = {}
         for name, value in model.get_params(deep=True).items():
             last = name.rsplit("__")[-1]
-            if last in known:
-                model.set_params(**{name: known[last]})
-            elif last == "azimuth" and ismethod(value) and isinstance(value.__self__, Arm):
-                model.set_params(**{name: arm.azimuth})
-        return model
+            # An azimuth that is no arm's own stays.
+            if last in known and (
+                last != "azimuth" or isinstance(getattr(value, "__self__", None), Arm)
+            ):
+                changed[name] = known[last]
+        return model.set_params(**changed)
 
 
 def _regions(points):

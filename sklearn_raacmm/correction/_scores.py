@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from sklearn.model_selection import GroupKFold
+from sklearn.model_selection import GroupKFold, check_cv
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.metrics import gauge_lengths, length_error, single_point_repeatability
+from sklearn_raacmm.arm import points_of
+from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 from sklearn_raacmm.utils import (
     Finding,
     centred,
     encode_groups,
     group_means,
     ignored_findings,
-    listed,
     natural_order,
     report_findings,
 )
@@ -30,6 +30,7 @@ _N_FOLDS = 5
 _FEWEST_POSITIONS = 5
 _Z95 = 1.959964  # the standard normal quantile of 97.5 %
 _WHEN = "before", "after"
+_UNKNOWN_LENGTHS = "lengths-unknown"  # the code of a finding
 # Coverage factor of uncertainties that are said in words.
 _K = 2.0
 
@@ -96,8 +97,8 @@ class CorrectionScores:
     rows_by_position: list[Any]
     left_before: np.ndarray
     left_after: np.ndarray
-    helps: bool
-    verdict: str
+    helps: bool = False
+    verdict: str = ""
     findings: tuple[Any, ...] = ()
     share: float = 1.0
     fold_shares: tuple[float, ...] = ()
@@ -108,15 +109,15 @@ class CorrectionScores:
         return not any(finding.weight == "repair" for finding in self.findings)
 
     def __repr__(self) -> str:
-        of_points = (f"{self.measure} before, mm", "after", "maximum before", "after")
+        of_points = f"{self.measure} before, mm", "after", "maximum before", "after"
         cells = [["position", "points", *of_points]]
         rows = list(zip(*self.table.values(), strict=True))
         for i in natural_order(self.table["position"]):
             cells.append([*map(str, rows[i][:2]), *(f"{value:.4f}" for value in rows[i][2:])])
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [self.verdict]
-        for row in cells:
-            lines.append("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]))
+        for first, *rest in cells:
+            lines.append("  ".join([first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]))
         for when in _WHEN:
             mean, low, high = self.summary[when]
             measure = f"mean {self.measure.removeprefix('mean ')}"
@@ -162,26 +163,28 @@ def _shares(share, of_folds):
     return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
-def with_verdict(scores, findings, model):
-    """Scores with what was found; with one of weight "repair" nothing is judged.
+def with_verdict(scores, data, findings, model):
+    """Scores with what was found, and whether the correction helps.
 
-    What is handed over has to be what was judged: where the model of all rows is not in use, or
-    most of those that were judged were not, the verdict says so.
+    With a finding of weight "repair" nothing is judged. What is handed over has to be what was
+    judged: where the model of all rows is not in use, or most of those that were judged were not,
+    the verdict says so.
     """
     scores = replace(scores, findings=tuple(findings), share=_share_of(model))
-    verdict = scores.verdict
+    helps, verdict = _verdict(scores, len(np.unique(_blocks(data, scores.rows_by_position))))
     if not scores.judged:
         first, *more = (f for f in scores.findings if f.weight == "repair")
         others = f" And {len(more)} more of the findings." * bool(more)
-        verdict = f"Not judged: first repair this. {first}{others}"
+        helps, verdict = False, f"Not judged: first repair this. {first}{others}"
     elif (np.median(scores.fold_shares) > 0) != (scores.share > 0):
-        verdict = (
-            f"{'Do not use it. ' * scores.helps}{verdict} But the model of all rows is another one "
-            f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
+        helps, verdict = (
+            False,
+            (
+                f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
+                f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
+            ),
         )
-    else:
-        return scores
-    return replace(scores, helps=False, verdict=verdict)
+    return replace(scores, helps=helps, verdict=verdict)
 
 
 def scores_of(data, calibration, model, cv, n_jobs, progress):
@@ -193,34 +196,28 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
     before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(3))
-    length_errors, fold_shares = [], []
+    lengths, fold_shares = [], []
     for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-        before[test], after[test], std[test], errors, share = result
-        length_errors += errors
+        before[test], after[test], std[test], found, share = result
+        lengths += found
         fold_shares.append(share)
         if progress is not None:
             progress(i + 1, len(folds))
-    table, measure, rows_by_position = _table(data, before, after)
-    block_of = data.blocks()[[rows[0] for rows in rows_by_position]]
-    summary = _summary(table["before"], table["after"], block_of)
+    table, rows_by_position = _table(data, before, after)
     coverage, factor = coverage_of(after, std)
-    unknown_lengths = []
     if "scale" in calibration.unidentified:  # the arm has it from its table alone
         per_metre = _K * 1000 * calibration.scale_sd
-        said = f"Lengths are not known to better than {per_metre:.2g} mm per metre (k = {_K:g})."
+        text = f"Lengths are not known to better than {per_metre:.2g} mm per metre (k = {_K:g})."
         advice = (
             "Measure a known distance: a bar in two cones, or a cone plate moved by a known step."
         )
-        unknown_lengths = [Finding("lengths-unknown", said, advice, "note", size_mm=per_metre)]
-    report_findings(unknown_lengths)
-    n_blocks = len(np.unique(block_of))
-    helps, verdict = _verdict(table, summary, measure, n_blocks, unknown_lengths)
-    errors = np.array([entry[1:] for entry in length_errors]).reshape(-1, 2)
+        report_findings([Finding(_UNKNOWN_LENGTHS, text, advice, "note", size_mm=per_metre)])
+    errors = np.array([entry[1:] for entry in lengths]).reshape(-1, 2)
     return CorrectionScores(
-        measure=measure,
+        measure="2S" if data.points is None else "mean deviation",
         table=table,
-        summary=summary,
-        lengths=[entry[0] for entry in length_errors],
+        summary=_summary(table["before"], table["after"], _blocks(data, rows_by_position)),
+        lengths=[entry[0] for entry in lengths],
         length_errors_before=errors[:, 0],
         length_errors_after=errors[:, 1],
         coverage=coverage,
@@ -230,10 +227,13 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         rows_by_position=rows_by_position,
         left_before=before,
         left_after=after,
-        helps=helps,
-        verdict=verdict,
         fold_shares=tuple(fold_shares),
     )
+
+
+def _blocks(data, rows_by_position):
+    """Block of each position of the table."""
+    return data.blocks()[[rows[0] for rows in rows_by_position]]
 
 
 def _share_of(model):
@@ -253,8 +253,7 @@ def _folds(data, kept, cv):
         )
     if cv is None or isinstance(cv, int | np.integer):
         cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
-    is_splitter, every = hasattr(cv, "split"), np.arange(len(codes))
-    splits = listed("cv", cv.split(data.angles, groups=blocks) if is_splitter else cv)
+    splits, every = list(check_cv(cv).split(data.angles, groups=blocks)), np.arange(len(codes))
     try:
         splits = [(every[train], every[test]) for train, test in splits]
     except (TypeError, ValueError, IndexError):
@@ -290,14 +289,14 @@ def _one_fold(data, model, train, test):
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = _share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-    points = data.shown(calibration, test)
+    points = points_of(calibration.arm, data.angles[test], data.probes(calibration, test))
     labels = data.positions[test]
     lengths = []
     # A length is judged by another: without any, the scale would be that of the nominal table.
     is_known = data.points is not None or data.lengths_among(train)
     for entry in data.lengths_among(test) if is_known else ():
-        sizes = (gauge_lengths(p, labels, [entry[:2]]) for p in (points, points - correction))
-        lengths.append((entry, *(length_error(size, entry[2])[0] for size in sizes)))
+        sizes = (gauge_lengths(p, labels, [entry[:2]])[0] for p in (points, points - correction))
+        lengths.append((entry, *(size - entry[2] for size in sizes)))
     is_tracker = data.points is not None
     left = data.residuals(calibration, test) if is_tracker else points
     codes = None if is_tracker else encode_groups(labels)[1]
@@ -306,7 +305,7 @@ def _one_fold(data, model, train, test):
 
 
 def _table(data, before, after):
-    """Measure of every position with at least two counted rows."""
+    """Measure of every position with at least two counted rows, and these rows of each."""
     rows = data.without_lonely(np.flatnonzero(np.isfinite(before).all(axis=1)))[0]
     labels, codes, counts = np.unique(data.positions[rows], return_inverse=True, return_counts=True)
     by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
@@ -319,7 +318,7 @@ def _table(data, before, after):
             table[when] = single_point_repeatability(left[rows], codes, aggregate=None)
         else:
             table[when] = group_means(size[rows], codes)
-    return table | maxima, "2S" if data.points is None else "mean deviation", by_position
+    return table | maxima, by_position
 
 
 def _summary(before, after, blocks):
@@ -373,12 +372,12 @@ def coverage_of(left, std):
     return float(np.mean(ratio <= _Z95)), float(np.quantile(ratio, 0.95) / _Z95)
 
 
-def _verdict(table, summary, measure, n_blocks, unknown_lengths):
+def _verdict(scores, n_blocks):
     """Whether it helps, and a sentence; without a known length it is no better in lengths."""
-    before, after = table["before"], table["after"]
+    before, after = scores.table["before"], scores.table["after"]
     n, better = len(before), int(np.sum(after < before))
-    ratio, low, high = summary["ratio"]
-    change = f"{measure} {before.mean():.3f} -> {after.mean():.3f} mm"
+    ratio, low, high = scores.summary["ratio"]
+    change = f"{scores.measure} {before.mean():.3f} -> {after.mean():.3f} mm"
     what = "positions" if n_blocks == n else "blocks of positions"
     if n_blocks < _FEWEST_POSITIONS:
         return False, (
@@ -387,6 +386,7 @@ def _verdict(table, summary, measure, n_blocks, unknown_lengths):
         )
     if high < 1:
         least = np.argmax(after / np.maximum(before, 1e-300))
+        unknown_lengths = [f for f in scores.findings if f.code == _UNKNOWN_LENGTHS]
         helps = "It repeats better" if unknown_lengths else "It helps"
         said = (
             f"{helps} at new positions: {change}, {better} of {n} positions better; the one that "

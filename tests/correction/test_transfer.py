@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, position_residuals
-from sklearn_raacmm.correction._transfer import _pooled, transferred_model
+from sklearn_raacmm.correction._change import _pooled, transferred_model
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
@@ -100,9 +100,9 @@ def test_prior_against_the_textbook():
 @pytest.fixture
 def credulous(monkeypatch):
     """Earlier arms are believed whatever the evidence, and used as a whole."""
-    monkeypatch.setattr("sklearn_raacmm.correction._transfer.LEAST_GAIN_NATS", -np.inf)
+    monkeypatch.setattr("sklearn_raacmm.correction._change.LEAST_GAIN_NATS", -np.inf)
     monkeypatch.setattr(
-        "sklearn_raacmm.correction._transfer.judged_fading",
+        "sklearn_raacmm.correction._change.judged_fading",
         lambda _, poses, fading, *others: (fading, None),
     )
 

@@ -27,7 +27,7 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
-from sklearn_raacmm.correction._transfer import transferred_model
+from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import FindingError, FindingWarning
 
