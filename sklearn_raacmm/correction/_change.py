@@ -276,7 +276,7 @@ def poses_in_range(angles, n_joints):
 
 def harmonics_of(linear):
     """Joint and order of each harmonic of a model, as a list of pairs."""
-    return [tuple(pair) for pair in np.asarray(linear.terms.harmonics).tolist()]
+    return [*map(tuple, linear.terms.harmonics.tolist())]
 
 
 def with_harmonics(linear, pairs):
@@ -285,10 +285,9 @@ def with_harmonics(linear, pairs):
     `pairs` are joint and order of each, those of the model and others.
     """
     place = np.array([pairs.index(pair) for pair in harmonics_of(linear)], dtype=int)
-    n_rest = len(linear.coef) - 2 * len(place)
     # Column of the new model of each column of the old one.
-    waves = (2 * place[:, None] + [0, 1]).ravel()
-    columns = np.r_[waves, 2 * len(pairs) + np.arange(n_rest)]
+    others = np.arange(2 * len(place), len(linear.coef)) + 2 * (len(pairs) - len(place))
+    columns = np.r_[(2 * place[:, None] + [0, 1]).ravel(), others]
 
     def spread(values, at, n):
         new = np.zeros((n, *values.shape[1:]))
@@ -296,7 +295,8 @@ def with_harmonics(linear, pairs):
         return new
 
     names = ("coef", "half", "gauge_free_half", "fading_half")
-    wider = {n: spread(getattr(linear, n), columns, 2 * len(pairs) + n_rest) for n in names}
+    n_new = len(columns) + 2 * (len(pairs) - len(place))
+    wider = {name: spread(getattr(linear, name), columns, n_new) for name in names}
     return replace(
         linear,
         terms=linear.terms._replace(harmonics=np.array(pairs, dtype=int).reshape(-1, 2)),
@@ -336,11 +336,11 @@ def _change_sizes(linear):
     before any data. A high one, the tooth of a gear, changes by as much as there is of it.
     """
     sizes = np.array([linear.prior_sd[name] for name in families_of(linear)])
-    pairs = np.asarray(linear.terms.harmonics, dtype=int).reshape(-1, 2)
-    waves = slice(0, 2 * len(pairs))
+    orders = linear.terms.harmonics[:, 1]
+    waves = slice(0, 2 * len(orders))
     amplitude = np.linalg.norm(linear.coef[waves].reshape(-1, 2), axis=1) / np.sqrt(2)
-    high = np.repeat(pairs[:, 1] > _LOW_ORDERS, 2)
-    sizes[waves] = np.where(high, np.minimum(np.repeat(amplitude, 2), sizes[waves]), sizes[waves])
+    most = np.repeat(np.where(orders > _LOW_ORDERS, amplitude, np.inf), 2)
+    sizes[waves] = np.minimum(sizes[waves], most)
     return sizes
 
 
@@ -487,7 +487,7 @@ def _evidence_of_make(prior, entry, poses):
 
 def _evidence_of_fit(linear, poses):
     """Log evidence of a fit to the new poses alone, less the prices of its lines."""
-    orders = np.asarray(linear.terms.harmonics, dtype=int).reshape(-1, 2)[:, 1]
+    orders = linear.terms.harmonics[:, 1]
     sd = np.array([linear.prior_sd[name] for name in families_of(linear)])
     price, is_line = order_price(orders), np.ones(len(orders), bool)
     if "smooth" in linear.prior_sd:  # which holds all low orders, lines or not

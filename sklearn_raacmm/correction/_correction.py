@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, reach_mm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction._causes import with_causes
 from sklearn_raacmm.correction._change import fadings_for
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
+from sklearn_raacmm.correction._one_fit import with_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, unseen_variance

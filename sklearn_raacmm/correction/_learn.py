@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, typical_scatter
-from sklearn_raacmm.correction._causes import usual_values
 from sklearn_raacmm.correction._correction import Correction
-from sklearn_raacmm.correction._one_fit import Data
+from sklearn_raacmm.correction._one_fit import Data, usual_values
 from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor

@@ -323,6 +323,7 @@ class _Poses:
         self.tamed, poses = tamed[kept], today.at(kept)
         self.poses, self.weights, self.codes = poses, poses.weights, poses.codes
         self.angles = poses.angles[:, : linear.arm.n_joints]  # without extra columns
+        self.place = place_columns(linear.arm, self.angles, with_base=True)
         points = linear.arm.forward(self.angles) - correction[kept]
         known = [entry for entry in lengths if np.isin(entry[:2], self.codes).all()]
         # Weights of the poses in the mean of one end less the mean of the other.
@@ -366,8 +367,8 @@ class _Poses:
         refitted = listed("refitted", refitted)
         if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
             raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
-        place = self.rows(place_columns(self.linear.arm, self.angles, with_base=True))
-        place = place[:, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
+        of = np.repeat(["probe" in refitted, "base" in refitted], [3, 6])
+        place = self.rows(self.place[:, :, of])
         if self.codes is None:
             return place
         # The offset of a position is that of its residuals, not of where it is.
@@ -377,10 +378,9 @@ class _Poses:
     def causes(self):
         """What each cause would do to the poses: (m, k) columns by name."""
         arm, angles = self.linear.arm, self.angles
-        jacobian = arm.jacobian(angles)
-        place = self.rows(place_columns(arm, angles, with_base=True))
-        time = np.zeros((len(place), 1))
-        time[: self.tamed.size, 0] = np.repeat(np.linspace(-1, 1, len(angles)), 3)
+        jacobian, place = arm.jacobian(angles), self.rows(self.place)
+        time = np.repeat(np.linspace(-1, 1, len(angles)), 3)
+        time = np.pad(time, (0, len(self.lengths)))[:, None]
         causes = {"probe": place[:, :3], "drift": time * place[:, 3:6]}
         if self.codes is None:  # of a single-point test the base shows nothing
             # Together they are six numbers, too many for what three explain: of 40 bases of the

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
 from copy import copy
 from types import SimpleNamespace
 from typing import Any
@@ -17,10 +18,15 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
-from sklearn_raacmm.correction._causes import checked_causes
 from sklearn_raacmm.correction._change import transferred_model
-from sklearn_raacmm.error_model import UNUSED_SD, ArmResidualRegressor
-from sklearn_raacmm.measurements import find_poses, within_turn
+from sklearn_raacmm.error_model import UNUSED_SD, ArmResidualRegressor, check_extra
+from sklearn_raacmm.measurements import (
+    MOST_EXPLAINED,
+    directions_of,
+    find_poses,
+    order_explained_by,
+    within_turn,
+)
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import (
     Finding,
@@ -258,3 +264,62 @@ def _regions(points):
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")
     codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
+
+
+def checked_causes(extra, in_order, angles, codes):
+    """Names and values (n, n_causes) of the causes offered to a model, for angles in rad.
+
+    Where the rows are in the order of measurement, directions are offered, too. Time that the
+    angles explain is refused: what it explains may be the place.
+    """
+    given = _given(extra, len(angles))
+    check_extra(tuple(given), angles.shape[1])
+    if in_order:
+        ways = {f"direction {joint}": way for joint, way in enumerate(directions_of(angles).T, 1)}
+        given |= {name: way for name, way in ways.items() if name not in given}
+    if "time" in given and (explained := order_explained_by(angles, codes)) > MOST_EXPLAINED:
+        raise ValueError(
+            f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
+            f"{explained:.2f}, at most {MOST_EXPLAINED}), so that time and place are not apart. "
+            "Measure the positions in mixed order, or leave time out."
+        )
+    return tuple(given), np.reshape([*given.values()], (len(given), len(angles))).T
+
+
+def _given(extra, n_rows):
+    """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
+    if extra is not None and not isinstance(extra, Mapping):
+        raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")
+    found = {}
+    for name, value in (extra or {}).items():
+        said = f"extra[{name!r}]"
+        values = floats(said, value, finite=True)
+        if values.shape not in ((), (n_rows,), (n_rows, 1)):
+            raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
+        found[name] = np.broadcast_to(values.ravel(), n_rows)
+    return found
+
+
+def usual_values(names, values):
+    """What counts where a cause is not known: the mean, of time the last value, no direction."""
+    usual = {}
+    for name, column in zip(names, values.T, strict=True):
+        kind = name.split()[0]
+        usual[name] = float({"time": column[-1], "direction": 0.0}.get(kind, column.mean()))
+    return usual
+
+
+def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
+    """Angles (n, n_joints) in rad with the columns of the causes that a model has.
+
+    `usual` names these, with what counts where `extra` does not have them.
+    """
+    given = _given(extra, len(angles))
+    unknown = [name for name in given if name not in usual]
+    if unknown:
+        raise ValueError(
+            f"extra names {unknown[0]!r}, of which the model knows nothing; it was fitted with "
+            f"{', '.join(usual) or 'none'}."
+        )
+    columns = [np.broadcast_to(value, len(angles)) for value in (usual | given).values()]
+    return np.column_stack([angles, *columns])

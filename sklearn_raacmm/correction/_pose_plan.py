@@ -103,24 +103,23 @@ def plan_poses(
                 "region must be the lowest and the highest x, y and z in mm, shape (2, 3), got "
                 f"{region.tolist()!s:.60}."
             )
-    places, poses = [], []
+    reached = []
     for _ in range(_PLACES * n_positions):
         place = _place(rng, reach, region)
-        found = _poses_at(arm, place, n_poses, lean_deg, rng)
-        if found is not None:
-            places.append(place)
-            poses.append(found)
-    if len(places) < n_positions:
+        poses = _poses_at(arm, place, n_poses, lean_deg, rng)
+        if poses is not None:
+            reached.append((place, poses))
+    if len(reached) < n_positions:
         raise ValueError(
-            f"only {len(places)} of {_PLACES * n_positions} places that were tried are reached in "
+            f"only {len(reached)} of {_PLACES * n_positions} places that were tried are reached in "
             f"{n_poses} poses, and {n_positions} are needed: give another region, a larger "
             "lean_deg, or wider limits."
         )
-    cones = np.array(places)
+    cones = np.array([place for place, _ in reached])
     chosen = np.array(_spread(cones, n_positions))
     chosen = chosen[_short_way(cones[chosen], 0)]
     angles: list[np.ndarray] = []
-    for own in (poses[cone] for cone in chosen):
+    for own in (reached[cone][1] for cone in chosen):
         first = int(np.argmin(_travel(own, angles[-1][-1]))) if angles else 0
         angles.append(own[_short_way(own, first)])
     minutes = n_positions * (_PER_CONE_S + n_poses * _PER_POSE_S) / 60

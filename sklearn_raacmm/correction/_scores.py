@@ -327,41 +327,26 @@ def _summary(before, after, blocks):
     By simulation better than a bootstrap (``benchmarks/bench_lengths.py intervals``).
     """
     blocks = np.unique(blocks, return_inverse=True)[1]
-    n = blocks.max() + 1
+    counts, n = np.bincount(blocks), blocks.max() + 1
+    before, after = (np.bincount(blocks, values) for values in (before, after))
     t = stats.t.ppf(0.975, n - 1)
-    quantile = t * np.sqrt(n / (n - 1))
-    counts = np.bincount(blocks)
-    sums = {"before": np.bincount(blocks, before), "after": np.bincount(blocks, after)}
-    found = {}
-    for name, over, under in (
-        ("before", sums["before"], counts),
-        ("after", sums["after"], counts),
-        ("ratio", sums["after"], sums["before"]),
-    ):
+    quantile, found = t * np.sqrt(n / (n - 1)), {}
+    of = {"before": (before, counts), "after": (after, counts), "ratio": (after, before)}
+    for name, (over, under) in of.items():
         value = over.sum() / max(under.sum(), 1e-300)
         error = np.linalg.norm(over - value * under) / max(over.sum(), 1e-300)
         # Beyond this many powers of e nothing is known.
         low, high = value * np.exp(np.clip(quantile * error, 0, 300) * np.array([-1, 1]))
         found[name] = (float(value), float(low), float(high))
-    ratio = _fieller(sums["after"], sums["before"], t)
-    if ratio is not None:
-        found["ratio"] = (found["ratio"][0], *ratio)
+    # Those ratios r at which the mean of after - r before is within t standard errors of zero
+    # (E. C. Fieller, J. Royal Statistical Society B 16(2), 1954, 175-185), if they are bounded.
+    (v_aa, v_ab), (_, v_bb) = np.cov(after, before) / n * t**2
+    mean_b, mean_a = before.mean(), after.mean()
+    a, b, c = mean_b**2 - v_bb, mean_a * mean_b - v_ab, mean_a**2 - v_aa
+    if a > 0:
+        root = np.sqrt(max(b**2 - a * c, 0.0))
+        found["ratio"] = found["ratio"][0], float(max((b - root) / a, 0.0)), float((b + root) / a)
     return found
-
-
-def _fieller(over, under, t):
-    """Interval of the ratio of two means of paired values, None where it is not bounded.
-
-    Those ratios r at which the mean of over - r under is within t standard errors of zero
-    (E. C. Fieller, J. Royal Statistical Society B 16(2), 1954, 175-185).
-    """
-    (v_oo, v_ou), (_, v_uu) = np.cov(over, under) / len(over) * t**2
-    o, u = over.mean(), under.mean()
-    a, b, c = u**2 - v_uu, o * u - v_ou, o**2 - v_oo
-    if not a > 0:
-        return None
-    root = np.sqrt(max(b**2 - a * c, 0.0))
-    return float(max((b - root) / a, 0.0)), float((b + root) / a)
 
 
 def coverage_of(left, std):
