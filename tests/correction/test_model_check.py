@@ -8,12 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    RBFNetRegressor,
-    check_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, check_correction
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("aacmm6")
@@ -47,12 +42,9 @@ def model():
 
 @pytest.mark.parametrize("refitted", [(), ("base", "probe")])
 def test_false_alarms_are_as_rare_as_stated(model, refitted):
-    alarms = sum(
-        not check_correction(
-            model, *rows(30, 100 + s), refitted=refitted, false_alarm_rate=0.1
-        ).holds
-        for s in range(60)
-    )
+    options = {"refitted": refitted, "false_alarm_rate": 0.1}
+    checks = [check_correction(model, *rows(30, 100 + seed), **options) for seed in range(60)]
+    alarms = sum(not check.holds for check in checks)
     # At most 6 on the average; 12 would be seen once in a hundred times.
     assert alarms <= 12
 
@@ -190,7 +182,7 @@ def test_records_are_kept_in_a_file(model, tmp_path):
         check.append_to(3)
 
 
-def gauge_rows(seed, change, length_error=0.0):
+def gauge_rows(seed, change):
     """Poses at the two ends of four gauges, residuals about each end's mean, and the lengths."""
     rng = np.random.default_rng(seed)
     ends = rng.uniform(-1.5, 1.5, (8, 6))
@@ -199,10 +191,7 @@ def gauge_rows(seed, change, length_error=0.0):
     shown = errors(angles) + change(angles) + rng.normal(0, NOISE_MM, (40, 3))
     true = ARM.forward(angles) - shown
     means = np.stack([true[groups == g].mean(axis=0) for g in range(8)])
-    lengths = [
-        (2 * i, 2 * i + 1, np.linalg.norm(means[2 * i + 1] - means[2 * i]) + length_error, 0.005)
-        for i in range(4)
-    ]
+    lengths = [(i, i + 1, np.linalg.norm(means[i + 1] - means[i]), 0.005) for i in range(0, 8, 2)]
     # Each end is one true point: what is shown is about it.
     return angles, shown, groups, lengths
 
@@ -249,12 +238,10 @@ def test_what_base_and_probe_share_has_no_size():
 
 def test_gauge_lengths_of_today_show_a_change_of_scale(model):
     """5 K warmer: a test at single points without lengths does not see it."""
-    none = lambda q: np.zeros((len(q), 3))  # noqa: E731
-    warm = lambda q: -ARM.forward(q) * 11.7e-6 * 10  # noqa: E731
     for seed in range(4):
-        angles, y, groups, lengths = gauge_rows(seed, none)
+        angles, y, groups, lengths = gauge_rows(seed, lambda q: np.zeros((len(q), 3)))
         assert check_correction(model, angles, y, groups=groups, lengths=lengths).holds
-        angles, y, groups, lengths = gauge_rows(seed, warm)
+        angles, y, groups, lengths = gauge_rows(seed, lambda q: -ARM.forward(q) * 11.7e-6 * 10)
         assert check_correction(model, angles, y, groups=groups).holds
         check = check_correction(model, angles, y, groups=groups, lengths=lengths)
         assert not check.holds
@@ -263,21 +250,21 @@ def test_gauge_lengths_of_today_show_a_change_of_scale(model):
 
 def test_bad_input(model):
     angles, y = rows(40, 0)
-    with pytest.raises(ValueError, match="refitted must name"):
-        check_correction(model, angles, y, refitted=["table"])
-    with pytest.raises(ValueError, match="refitted must name"):
-        check_correction(model, angles, y, refitted=angles)
+    for options, said in (
+        ({"refitted": ["table"]}, "refitted must name"),
+        ({"refitted": angles}, "refitted must name"),
+        ({"false_alarm_rate": 0}, "'false_alarm_rate' parameter"),
+        ({"lengths": [(0, 1, 100.0, 0.01)]}, "lengths are between positions: give groups"),
+        (
+            {"lengths": [(0, 99, 100.0, 0.01)], "groups": np.arange(40) // 2},
+            "lengths name the group 99",
+        ),
+    ):
+        with pytest.raises(ValueError, match=said):
+            check_correction(model, angles, y, **options)
     assert check_correction(model, angles, y, refitted="base").record["n_poses"] == len(angles)
-    with pytest.raises(ValueError, match="'false_alarm_rate' parameter"):
-        check_correction(model, angles, y, false_alarm_rate=0)
     with pytest.raises(ValueError, match="3 poses have 9 coordinates for 9 freedoms"):
         check_correction(model, angles[:3], y[:3], refitted=["base", "probe"])
-    with pytest.raises(ValueError, match="lengths are between positions: give groups"):
-        check_correction(model, angles, y, lengths=[(0, 1, 100.0, 0.01)])
-    with pytest.raises(ValueError, match="lengths name the group 99"):
-        check_correction(
-            model, angles, y, groups=np.arange(40) // 2, lengths=[(0, 99, 100.0, 0.01)]
-        )
     with pytest.raises(TypeError, match="cannot be checked"):
         check_correction(RBFNetRegressor(max_centers=5).fit(angles, y), angles, y)
 

@@ -317,13 +317,8 @@ def test_a_missing_row_is_named_by_its_number(model):
 def test_new_poses_that_nothing_is_wrong_with_are_taken(model):
     """A knock, a moved base and slips are changes, and no mistakes, in any order of the rows."""
     # A slip near the end is no reason to call the last rows late.
-    for seed, slipped in [
-        *((seed, seed) for seed in range(6)),
-        (0, 38),
-        (1, 36),
-        (3, 39),
-        (20, 38),
-    ]:
+    late = [(0, 38), (1, 36), (3, 39), (20, 38)]
+    for seed, slipped in [*((seed, seed) for seed in range(6)), *late]:
         angles, y = rows(40, 60 + seed, knock=15 * (seed % 2))
         y = y + place_columns(angles) @ np.random.default_rng(seed).normal(0, 0.3, 9)
         y[slipped] += 2.0
