@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from sklearn.model_selection import GroupKFold, check_cv
+from sklearn.model_selection import GroupKFold
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.arm import points_of
@@ -19,6 +19,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     group_means,
     ignored_findings,
+    listed,
     natural_order,
     report_findings,
 )
@@ -172,19 +173,17 @@ def with_verdict(scores, data, findings, model):
     """
     scores = replace(scores, findings=tuple(findings), share=_share_of(model))
     helps, verdict = _verdict(scores, len(np.unique(_blocks(data, scores.rows_by_position))))
+    is_another = (np.median(scores.fold_shares) > 0) != (scores.share > 0)
     if not scores.judged:
         first, *more = (f for f in scores.findings if f.weight == "repair")
         others = f" And {len(more)} more of the findings." * bool(more)
-        helps, verdict = False, f"Not judged: first repair this. {first}{others}"
-    elif (np.median(scores.fold_shares) > 0) != (scores.share > 0):
-        helps, verdict = (
-            False,
-            (
-                f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
-                f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
-            ),
+        verdict = f"Not judged: first repair this. {first}{others}"
+    elif is_another:
+        verdict = (
+            f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
+            f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
         )
-    return replace(scores, helps=helps, verdict=verdict)
+    return replace(scores, helps=helps and scores.judged and not is_another, verdict=verdict)
 
 
 def scores_of(data, calibration, model, cv, n_jobs, progress):
@@ -243,9 +242,8 @@ def _share_of(model):
 
 def _folds(data, kept, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
-    labels, codes = np.unique(data.positions, return_inverse=True)
-    blocks = data.blocks()
-    n_blocks = len(np.unique(blocks))
+    positions, blocks = data.positions, data.blocks()
+    every, n_blocks = np.arange(len(positions)), len(np.unique(blocks))
     if n_blocks < 3:
         raise ValueError(
             f"at least 3 positions are needed to leave some out, got {n_blocks}; ten are a fair "
@@ -253,7 +251,8 @@ def _folds(data, kept, cv):
         )
     if cv is None or isinstance(cv, int | np.integer):
         cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
-    splits, every = list(check_cv(cv).split(data.angles, groups=blocks)), np.arange(len(codes))
+    is_splitter = hasattr(cv, "split")
+    splits = listed("cv", cv.split(data.angles, groups=blocks) if is_splitter else cv)
     try:
         splits = [(every[train], every[test]) for train, test in splits]
     except (TypeError, ValueError, IndexError):
@@ -261,7 +260,7 @@ def _folds(data, kept, cv):
             "cv must be a whole number, a splitter, or pairs of the rows to fit on and to leave "
             f"out, got {cv!r:.60}."
         ) from None
-    times = np.zeros(len(codes), dtype=int)
+    times = np.zeros(len(every), dtype=int)
     for train, test in splits:
         lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
         if len(lost):
@@ -269,10 +268,10 @@ def _folds(data, kept, cv):
                 f"all positions of tool {lost[0].item()!r} are left out together: measure each "
                 "tool at more positions, give cv, or mend a mistyped label."
             )
-        both = np.intersect1d(codes[train], codes[test])
+        both = np.intersect1d(positions[train], positions[test])
         if len(both):
             raise ValueError(
-                f"cv puts position {labels[both[0]].item()!r} on both sides: rows of one position "
+                f"cv puts position {both[0].item()!r} on both sides: rows of one position "
                 "resemble each other, so split by position."
             )
         times[test] += 1
