@@ -204,7 +204,7 @@ class Correction:
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
         linear, n = linear_in_use(self.model), self.arm.n_joints
         if linear is None:  # the errors of both ends are taken as independent
-            points, stds = zip(*map(self._within_positions, ends), strict=True)
+            points, stds = map(list, zip(*map(self._within_positions, ends), strict=True))
         else:
             points = [self.arm.forward(X[:, :n]) - self.model.predict(X) for X in ends]
             stds = [self._of_arm(self.noise * linear.noise_ratio(X)) for X in ends]
@@ -426,7 +426,7 @@ class Correction:
         ImportError
             If skops is not there.
         """
-        base = self.base
+        base: Any = self.base
         if base is not None:
             base = dict(zip(_BASE, (part.tolist() for part in base), strict=True))
         contents = {"arm.json": self.arm.to_json(), "model.skops": dump_model(self.model)}

@@ -108,10 +108,7 @@ class Data:
             wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         if self.causes:
-            rows, causes = (
-                self.without_lonely(np.arange(len(self.angles)))[0],
-                np.array(self.causes),
-            )
+            rows, causes = self.without_lonely()[0], np.array(self.causes)
             y, lengths = self.residuals(calibration, rows), seen.lengths_of_model(rows)
             prior_sd = self._fitted(None, calibration, rows, y, lengths).prior_sd_
             kinds = [name.split()[0] for name in self.causes]
@@ -128,8 +125,9 @@ class Data:
         """Angles, then the causes, of each row."""
         return np.hstack([self.angles, self.values])
 
-    def without_lonely(self, rows):
-        """Rows of positions with at least two, and the others: those have no residuals."""
+    def without_lonely(self, rows=None):
+        """Of these rows, or all, those of positions with two or more; others have no residuals."""
+        rows = np.arange(len(self.angles)) if rows is None else rows
         if self.points is not None:
             return rows, rows[:0]
         _, codes, counts = np.unique(self.positions[rows], return_inverse=True, return_counts=True)
@@ -203,7 +201,7 @@ class Data:
         far = np.flatnonzero(calibration.sample_weight[self.rows] == 0)
         if not len(far):
             return far
-        rows, lonely = self.without_lonely(np.arange(len(self.angles)))
+        rows, lonely = self.without_lonely()
         with ignored_findings():  # what there is to report is reported of the rows that are learnt
             model = self._fitted(None, calibration, rows, self.residuals(calibration, rows), [])
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
