@@ -5,6 +5,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from numbers import Real
 from typing import Any
 
@@ -190,29 +191,27 @@ def calibrate(
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
-    fit, given, before = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))
+    fit = Fit(arm, angles, problem, loss, free, priors)
+    given = fit.run(np.zeros_like(fit.is_free)).distances().mean()
+    before = fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm"))).distances().mean()
+    # The deviations of an uncalibrated arm are no noise: forget their size and weights.
+    fit.reset_weights()
+    fit.run()
     bare = None
     if asked is not None:
         _settle(fit, correction, asked)
-        problem = replace(problem, correction=None)
-        bare = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))[0]
+        bare = fit.of(correction=None)
     result = _result(fit, given, before, groups)
     report_findings(findings_of_fit(fit, result, bare, lengths, poses))
-    result = _with_all_rows(result, poses)
+    rows = [np.flatnonzero(poses.pose == i).tolist() for i in result.outliers]
+    result = replace(
+        result,
+        residuals_mm=result.residuals_mm[poses.pose],
+        sample_weight=result.sample_weight[poses.pose],
+        outliers=tuple(chain(*rows)),
+    )
     report_findings(outliers(result))
     return result
-
-
-def _fit_in_steps(fit):
-    """The fit; scatter of the arm as given, and with nothing but probe and base fitted."""
-    fit.run(np.zeros_like(fit.is_free))
-    given = fit.distances().mean()
-    fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm")))
-    before = fit.distances().mean()
-    # The deviations of an uncalibrated arm are no noise: forget their size and weights.
-    fit.reset_weights()
-    fit.run(fit.is_free)
-    return fit, given, before
 
 
 def _settle(fit, correction, asked):
@@ -223,8 +222,8 @@ def _settle(fit, correction, asked):
         moved = predicted(correction, asked, problem, probes)
         if np.abs(moved - problem.correction).max() < _SETTLED_MM:
             return
-        fit.correct_by(moved)
-        fit.run(fit.is_free)
+        problem.correction, fit.evaluated = moved, None
+        fit.run()
 
 
 def _result(fit, given, before, groups):
@@ -302,24 +301,8 @@ def _standard_deviations(fit, mask):
         return sd, 0.0, False
     covariance = fit.covariance(mask)
     sd[mask] = np.sqrt(np.diag(covariance))
-    n = len(fit.nominal)
-    is_free = mask[:n]
-    if not is_free.any():
-        return sd, 0.0, False
+    is_free = mask[: len(fit.nominal)]
     scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
     scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
     prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
     return sd, scale_sd, prior > 0 and scale_sd > _IDENTIFIED * prior
-
-
-def _with_all_rows(result, poses):
-    """The result with one entry for each row that was given."""
-    if not poses.merges:
-        return result
-    rows = [np.flatnonzero(poses.pose == i) for i in result.outliers]
-    return replace(
-        result,
-        residuals_mm=result.residuals_mm[poses.pose],
-        sample_weight=result.sample_weight[poses.pose],
-        outliers=tuple(np.concatenate(rows).tolist()) if rows else (),
-    )

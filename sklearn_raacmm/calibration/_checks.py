@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM, reach_mm
-from sklearn_raacmm.calibration._problem import Problem
+from sklearn_raacmm.calibration._problem import Problem, rows_of
 from sklearn_raacmm.measurements import UNITS, coarse_angles, find_poses
 from sklearn_raacmm.utils import Finding, encode_groups, floats, report_findings
 
@@ -86,7 +86,7 @@ def predicted(correction, angles, problem, probes):
     """Residuals (n, 3) that a model predicts at rows, with the probe of each tool (n_tools, 3)."""
     residuals = np.empty((len(angles), 3))
     for tool, probe in enumerate(probes):
-        rows, model = problem.rows_of_tool(tool), correction
+        rows, model = rows_of(problem.tools, tool), correction
         # Only a model of the arm's own causes can be moved to another probe.
         if hasattr(correction, "with_arm"):
             model = model.with_arm(model.arm_.replace(probe=probe))

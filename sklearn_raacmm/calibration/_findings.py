@@ -108,7 +108,7 @@ def _labels(fit, result, poses, scatter):
         right = other_labels(points, problem.index, far, limit)
     yield from wrong_labels(problem.index, right, labels, numbers, many)
     yield from no_readings(fit.angles, far, numbers)
-    yield from same_places(problem.sums(points, fit.weights), labels, fit.sigma)
+    yield from same_places(fit.centres(), labels, fit.sigma)
 
 
 def _lengths(fit, result):
