@@ -136,9 +136,9 @@ def calibrate(
     -----
     FindingWarning
         Of what is found in the data, such as too few rows for the free parameters, labels that do
-        not fit where the probe was, a known length that disagrees, poses that are too much alike, a
-        set-up that has moved, a correction that does harm, a table that is far off, or a fit that
-        makes no sense; see ``result.findings``.
+        not fit where the probe was, a known length that disagrees, a set-up that has moved, a
+        correction that does harm, a table that is far off, or a fit that makes no sense; see
+        ``result.findings``, which also notes poses that are too much alike.
 
     Notes
     -----
@@ -233,9 +233,9 @@ def _result(fit, given, before, groups):
     names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
     for s, rotation in enumerate(fit.rotations):
-        columns = fit.base_columns(s)
-        values[columns[:3]] = Rotation.from_matrix(rotation).as_rotvec()
-        bases.append((rotation, values[columns[3:]]))
+        turn, shift = np.split(fit.base_columns(s), 2)
+        values[turn] = Rotation.from_matrix(rotation).as_rotvec()
+        bases.append((rotation, values[shift]))
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.robust_distances()
     informative = robust[problem.informative]
@@ -247,11 +247,7 @@ def _result(fit, given, before, groups):
         names=tuple(names),
         nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
         values=values,
-        prior_sd={
-            name: float(fit.prior_sd[fit.kind == i][0])
-            for i, name in enumerate(KINDS)
-            if np.any(fit.kind == i)
-        },
+        prior_sd={KINDS[i]: float(fit.prior_sd[fit.kind == i][0]) for i in np.unique(fit.kind)},
         n_coordinates=max(problem.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),

@@ -116,14 +116,10 @@ class Fit:
         self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
         self.kind = np.r_[kind, np.full(n_probes, 2)]
         self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
-        # Parameters whose common prior standard deviation is found by the evidence, and how.
-        self.families, sds = [], []
-        for i, sd in enumerate((*self.priors, self.priors[0])):
-            found: Any = _FOUND[i]
-            if sd == "auto":
-                self.families.append((np.flatnonzero(self.kind == i), found))
-                sd = found[0]
-            sds.append(sd)
+        # Kinds whose common prior standard deviation is found by the evidence, and what counts.
+        priors = (*self.priors, self.priors[0])
+        self.found = {i: _FOUND[i] for i, sd in enumerate(priors) if sd == "auto"}
+        sds = [self.found[i][0] if i in self.found else sd for i, sd in enumerate(priors)]
         self.prior_sd = np.array(sds, dtype=float)[self.kind]
 
     def base_columns(self, station):
@@ -133,7 +129,7 @@ class Fit:
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
         self.length_weights = self._new_length_weights()
-        self.sigma: Any = None
+        self._weigh()
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -151,9 +147,7 @@ class Fit:
         """Alternate least squares, and the weights and variances they imply, until they settle."""
         mask = self.free_mask(self.is_free if is_free is None else is_free)
         for rounds in range(MAX_ROUNDS):
-            if self.sigma is None:
-                self._weigh()
-            before: Any = self.sigma
+            before = self.sigma
             if mask.any():
                 self._solve(mask)
             settled = self._judge(mask, find_priors=rounds < _EVIDENCE_ROUNDS)
@@ -172,23 +166,22 @@ class Fit:
             self._weigh()
             return True
         is_free = mask[: len(self.nominal)]
-        share = np.ones(len(is_free))  # of the prior's variance that the data leave
         rows, jac = self._residuals_and_jacobian(self.x, mask)
         covariance = inverse_normal(jac)
-        variance = np.diag(covariance)[: is_free.sum()]
-        share[is_free] = np.minimum(variance / self.prior_sd[is_free] ** 2, 1.0)
+        share = np.ones(len(is_free))  # of the prior's variance that the data leave
+        share[is_free] = np.diag(covariance)[: is_free.sum()] / self.prior_sd[is_free] ** 2
+        share = np.minimum(share, 1.0)
         self._weigh(self._spread(covariance, rows, jac))
         settled = True
-        for members, (guess, counts, least, most) in self.families if find_priors else ():
-            members = members[is_free[members]]
-            if not len(members):
-                continue
-            square = np.sum((self.x[members] - self.nominal[members]) ** 2)
-            seen = np.sum(1 - share[members])
-            sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
-            sd = np.clip(sd, least, most)
-            settled &= bool(abs(np.log(sd / self.prior_sd[members[0]])) < 0.05)
-            self.prior_sd[members] = sd
+        departure = self.x[: len(is_free)] - self.nominal
+        for i, (guess, counts, least, most) in self.found.items() if find_priors else ():
+            members = is_free & (self.kind == i)
+            if members.any():
+                seen, square = np.sum(1 - share[members]), np.sum(departure[members] ** 2)
+                sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
+                sd = np.clip(sd, least, most)
+                settled &= bool(abs(np.log(sd / self.prior_sd[members][0])) < 0.05)
+                self.prior_sd[members] = sd
         return settled
 
     def _spread(self, covariance, rows, jac):
@@ -215,7 +208,13 @@ class Fit:
         """Standard deviations of the data, and the weights of the rows."""
         distances = self.robust_distances()
         seen = distances if spread is None else spread * self.sigma / np.sqrt(self.weights)
-        self.sigma = self._new_sigma(seen)
+        seen = seen[self.problem.informative]
+        if self.loss == "squared":
+            sigma = np.sqrt(np.mean(seen**2) / 3)
+        else:
+            # Outliers would shift the median to larger ones of the others.
+            sigma = robust_scale(seen[seen <= doubt_limit(seen, 0.0)], 3)
+        self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](distances / self.sigma)
 
     def _solve(self, mask):
@@ -302,11 +301,10 @@ class Fit:
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
-        for (i, j, length, sd), length_weight in zip(
+        for (i, j, length, sd), factor in zip(
             self.problem.lengths, self.length_weights, strict=True
         ):
-            sd = sd / np.sqrt(length_weight)
-            gap = centres[i] - centres[j]
+            sd, gap = sd / np.sqrt(factor), centres[i] - centres[j]
             distance = max(np.linalg.norm(gap), 1e-12)
             rows.append([(distance - length) / sd])
             jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
@@ -314,10 +312,9 @@ class Fit:
 
     def _residuals_and_jacobian(self, x, mask):
         rows, jacs = self._data_rows(x, mask)
-        n, is_free = len(self.nominal), mask[: len(self.nominal)]
-        prior = np.zeros((is_free.sum(), mask.sum()))
-        prior[:, : is_free.sum()] = np.diag(1 / self.prior_sd[is_free])
-        departure = ((x[:n] - self.nominal) / self.prior_sd)[is_free]
+        is_free = mask[: len(self.nominal)]
+        prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
+        departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
         return np.concatenate([*rows, departure]), np.concatenate([*jacs, prior])
 
     def data_jacobian(self, mask):
@@ -362,17 +359,6 @@ class Fit:
         # A wrong length (one hole of a plate beside the right one) must not bend the arm.
         sd = np.array([entry[3] for entry in self.problem.lengths])
         return WEIGHTS[self.loss](np.abs(self.length_errors()) / sd)
-
-    def _new_sigma(self, distances):
-        """Standard deviation of one coordinate of vectors of these lengths."""
-        distances = distances[self.problem.informative]
-        if self.loss == "squared":
-            sigma = np.sqrt(np.mean(distances**2) / 3)
-        else:
-            # Outliers would shift the median to larger ones of the others.
-            kept = distances[distances <= doubt_limit(distances, 0.0)]
-            sigma = robust_scale(kept, 3)
-        return max(sigma, _MIN_SIGMA_MM)
 
     def covariance(self, mask):
         """Posterior covariance of the free parameters; infinite where nothing is known.

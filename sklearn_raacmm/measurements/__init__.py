@@ -3,12 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
     FAR,
     PRICE,
     UNITS,
-    Explanation,
     explanations,
     likeliest,
     medians_of,
@@ -22,7 +21,7 @@ from sklearn_raacmm.measurements._labels import (
     same_places,
     wrong_labels,
 )
-from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
+from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_EXPLAINED,
     coarse_angles,
@@ -38,8 +37,6 @@ __all__ = [
     "MOST_EXPLAINED",
     "PRICE",
     "UNITS",
-    "Dwells",
-    "Explanation",
     "base_motions",
     "check_targets",
     "coarse_angles",
@@ -48,7 +45,6 @@ __all__ = [
     "explanations",
     "find_dwells",
     "find_poses",
-    "find_steps",
     "likeliest",
     "medians_of",
     "moved_positions",

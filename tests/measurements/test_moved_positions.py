@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import _moved_positions, find_steps, moved_positions
-from sklearn_raacmm.measurements._moved_positions import MOVED
+from sklearn_raacmm.measurements import _moved_positions, moved_positions
+from sklearn_raacmm.measurements._moved_positions import MOVED, find_steps
 from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
