@@ -137,7 +137,7 @@ def search_table(
         few_points = np.asarray(points, dtype=float)[rows]
     ranked = []
     for entry in _candidates(arm, angle_unit, np.abs(raw).max()):
-        ranked.append((_quick_scatter(*entry[2:], raw[rows], codes, few_points), *entry))
+        ranked.append((_quick_scatter(entry[2:], raw[rows], codes, few_points), *entry))
     ranked.sort(key=lambda entry: entry[:2])
     # Of those that coincide about as well as the best, the simple ones first.
     best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
@@ -204,8 +204,9 @@ def _candidates(arm, unit, largest):
             yield n_changes, " and ".join(words), changed, moved[1], angle_unit[1]
 
 
-def _quick_scatter(arm, columns, unit, angles, codes, points):
+def _quick_scatter(candidate, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
+    arm, columns, unit = candidate
     angles = np.deg2rad(angles[:, columns]) if unit == "deg" else angles[:, columns]
     if points is None:
         frames = arm.frames(angles)[:, -1]

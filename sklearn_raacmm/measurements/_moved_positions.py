@@ -81,7 +81,8 @@ def find_steps(
     spread, found = (edges, half * max(wider, 1.0)), []
     for every_pose, one in zip(whole, kept, strict=True):
         cuts, steps = _cuts(one, spread), []
-        for before, after in pairwise(np.split(one, sorted(cuts))):
+        parts: Any = np.split(one, sorted(cuts))
+        for before, after in pairwise(parts):
             step = after.left[:_MOST].mean(axis=0) - before.left[-_MOST:].mean(axis=0)
             rows = int(before.last[-1]), int(after.first[0])
             steps.append(Step(int(one.codes[0]), *rows, float(np.linalg.norm(step))))

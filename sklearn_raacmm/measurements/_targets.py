@@ -52,8 +52,8 @@ def check_targets(
     the arm's.
     """
     numbers = np.flatnonzero(weights > 0)
-    parts = y, weights, angles, codes, probes
-    y, weights, angles, codes, probes = (None if v is None else v[numbers] for v in parts)
+    y, weights, parts = y[numbers], weights[numbers], (angles, codes, probes)
+    angles, codes, probes = (None if v is None else v[numbers] for v in parts)
     about_means = centred(y, codes, weights) if offsets else y  # offsets may be of any size
     if arm is None:
         checks: list[Any] = [_are_too_large(about_means), _are_of_another_frame(y, _STRIKING_MM)]
