@@ -18,7 +18,6 @@ from sklearn_raacmm.measurements import (
     moved_positions,
     moved_set_up,
     no_readings,
-    other_labels,
     places_of,
     renamed,
     same_places,
@@ -102,11 +101,8 @@ def _labels(fit, result, poses, scatter):
     labels, points = encode_groups(result.groups)[0], fit.points()
     far = np.isin(np.arange(len(numbers)), result.outliers)
     right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
-    many = right is not None
-    if right is None:
-        limit = result.outlier_limit_mm / _LIMIT_SDS
-        right = other_labels(points, problem.index, far, limit)
-    yield from wrong_labels(problem.index, right, labels, numbers, many)
+    limit = result.outlier_limit_mm / _LIMIT_SDS
+    yield from wrong_labels(points, problem.index, right, labels, numbers, far, limit)
     yield from no_readings(fit.angles, far, numbers)
     yield from same_places(fit.centres(), labels, fit.sigma)
 

@@ -18,7 +18,6 @@ from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.inference import Whitened
 from sklearn_raacmm.measurements import (
     FAR,
-    PRICE,
     explanations,
     likeliest,
     medians_of,
@@ -71,7 +70,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     data = _Rows(linear, poses.at(used))
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
-    likely = likeliest([(data.gain(one), one) for one in data.tried(as_given)], PRICE)
+    likely = likeliest((data.gain(one), one) for one in data.tried(as_given))
     if not likely:
         return
     best, *near = likely

@@ -15,7 +15,6 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._labels import (
     no_readings,
-    other_labels,
     places_of,
     renamed,
     same_places,
@@ -52,7 +51,6 @@ __all__ = [
     "no_readings",
     "of_own_points",
     "order_explained_by",
-    "other_labels",
     "places_of",
     "renamed",
     "same_places",

@@ -101,10 +101,10 @@ class Explanation(NamedTuple):
         return Finding(self.code, text, WORDS[self.code][1], weight, rows=rows, size_mm=size_mm)
 
 
-def likeliest(explained: Iterable[tuple[float, Any]], given: float = 0.0) -> list[Any]:
+def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> list[Any]:
     """The best of (nats, explanation) and all that are as likely, the best first.
 
-    None where the data as given are likelier than the best.
+    None where the data as given are likelier than the best, or its gain is less than its price.
     """
     ranked = sorted(explained, key=lambda one: -one[0])
     best = ranked[0][0]

@@ -47,9 +47,7 @@ def renamed(places: np.ndarray, codes: np.ndarray) -> np.ndarray:
     return name[places]
 
 
-def other_labels(
-    points: np.ndarray, codes: np.ndarray, far: np.ndarray, sigma: float
-) -> np.ndarray:
+def _other_labels(points, codes, far, sigma):
     """Codes (n,) in which rows that are `far` (n,) from their place have that of another one.
 
     A slip may be anywhere, a row of another place is at one of the P places: log P is its price.
@@ -77,13 +75,16 @@ def _one_place_mm(centres, sigma, price, n_tried):
 
 
 def wrong_labels(
-    codes: np.ndarray, right: np.ndarray, labels: Any, numbers: np.ndarray, many: bool
+    points: Any, codes: Any, right: Any, labels: Any, numbers: Any, far: Any, sigma: float
 ) -> Iterator[Finding]:
     """The finding that some rows are at other places than their labels say.
 
     `codes` and `right` (n,) index the `labels`, as given and by geometry; -1 is no place that has a
-    label. `numbers` (n,) are what the rows are called.
+    label. Where `right` is None, rows that are `far` (n,) may be at another place, of `points` (n,
+    3) that scatter by `sigma`, mm. `numbers` (n,) are what the rows are called.
     """
+    many = right is not None
+    right = right if many else _other_labels(points, codes, far, sigma)
     rows = np.flatnonzero(codes != right)
     if not len(rows):
         return
