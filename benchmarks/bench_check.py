@@ -50,7 +50,7 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
-from sklearn_raacmm.measurements import find_steps
+from sklearn_raacmm.measurements._moved_positions import find_steps
 from sklearn_raacmm.utils import FindingError, centred, collected_findings
 
 ARCSEC = np.pi / 180 / 3600

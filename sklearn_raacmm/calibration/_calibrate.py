@@ -5,6 +5,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from numbers import Real
 from typing import Any
 
@@ -135,9 +136,9 @@ def calibrate(
     -----
     FindingWarning
         Of what is found in the data, such as too few rows for the free parameters, labels that do
-        not fit where the probe was, a known length that disagrees, poses that are too much alike, a
-        set-up that has moved, a correction that does harm, a table that is far off, or a fit that
-        makes no sense; see ``result.findings``.
+        not fit where the probe was, a known length that disagrees, a set-up that has moved, a
+        correction that does harm, a table that is far off, or a fit that makes no sense; see
+        ``result.findings``, which also notes poses that are too much alike.
 
     Notes
     -----
@@ -190,29 +191,27 @@ def calibrate(
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
-    fit, given, before = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))
+    fit = Fit(arm, angles, problem, loss, free, priors)
+    given = fit.run(np.zeros_like(fit.is_free)).distances().mean()
+    before = fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm"))).distances().mean()
+    # The deviations of an uncalibrated arm are no noise: forget their size and weights.
+    fit.reset_weights()
+    fit.run()
     bare = None
     if asked is not None:
         _settle(fit, correction, asked)
-        problem = replace(problem, correction=None)
-        bare = _fit_in_steps(Fit(arm, angles, problem, loss, free, priors))[0]
+        bare = fit.of(correction=None)
     result = _result(fit, given, before, groups)
     report_findings(findings_of_fit(fit, result, bare, lengths, poses))
-    result = _with_all_rows(result, poses)
+    rows = [np.flatnonzero(poses.pose == i).tolist() for i in result.outliers]
+    result = replace(
+        result,
+        residuals_mm=result.residuals_mm[poses.pose],
+        sample_weight=result.sample_weight[poses.pose],
+        outliers=tuple(chain(*rows)),
+    )
     report_findings(outliers(result))
     return result
-
-
-def _fit_in_steps(fit):
-    """The fit; scatter of the arm as given, and with nothing but probe and base fitted."""
-    fit.run(np.zeros_like(fit.is_free))
-    given = fit.distances().mean()
-    fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm")))
-    before = fit.distances().mean()
-    # The deviations of an uncalibrated arm are no noise: forget their size and weights.
-    fit.reset_weights()
-    fit.run(fit.is_free)
-    return fit, given, before
 
 
 def _settle(fit, correction, asked):
@@ -223,8 +222,8 @@ def _settle(fit, correction, asked):
         moved = predicted(correction, asked, problem, probes)
         if np.abs(moved - problem.correction).max() < _SETTLED_MM:
             return
-        fit.correct_by(moved)
-        fit.run(fit.is_free)
+        problem.correction, fit.evaluated = moved, None
+        fit.run()
 
 
 def _result(fit, given, before, groups):
@@ -234,9 +233,9 @@ def _result(fit, given, before, groups):
     names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
     for s, rotation in enumerate(fit.rotations):
-        columns = fit.base_columns(s)
-        values[columns[:3]] = Rotation.from_matrix(rotation).as_rotvec()
-        bases.append((rotation, values[columns[3:]]))
+        turn, shift = np.split(fit.base_columns(s), 2)
+        values[turn] = Rotation.from_matrix(rotation).as_rotvec()
+        bases.append((rotation, values[shift]))
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.robust_distances()
     informative = robust[problem.informative]
@@ -248,11 +247,7 @@ def _result(fit, given, before, groups):
         names=tuple(names),
         nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
         values=values,
-        prior_sd={
-            name: float(fit.prior_sd[fit.kind == i][0])
-            for i, name in enumerate(KINDS)
-            if np.any(fit.kind == i)
-        },
+        prior_sd={KINDS[i]: float(fit.prior_sd[fit.kind == i][0]) for i in np.unique(fit.kind)},
         n_coordinates=max(problem.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
@@ -302,24 +297,8 @@ def _standard_deviations(fit, mask):
         return sd, 0.0, False
     covariance = fit.covariance(mask)
     sd[mask] = np.sqrt(np.diag(covariance))
-    n = len(fit.nominal)
-    is_free = mask[:n]
-    if not is_free.any():
-        return sd, 0.0, False
+    is_free = mask[: len(fit.nominal)]
     scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
     scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
     prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
     return sd, scale_sd, prior > 0 and scale_sd > _IDENTIFIED * prior
-
-
-def _with_all_rows(result, poses):
-    """The result with one entry for each row that was given."""
-    if not poses.merges:
-        return result
-    rows = [np.flatnonzero(poses.pose == i) for i in result.outliers]
-    return replace(
-        result,
-        residuals_mm=result.residuals_mm[poses.pose],
-        sample_weight=result.sample_weight[poses.pose],
-        outliers=tuple(np.concatenate(rows).tolist()) if rows else (),
-    )

@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM, reach_mm
-from sklearn_raacmm.calibration._problem import Problem
+from sklearn_raacmm.calibration._problem import Problem, rows_of
 from sklearn_raacmm.measurements import UNITS, coarse_angles, find_poses
-from sklearn_raacmm.utils import (
-    Finding,
-    encode_groups,
-    floats,
-    report_findings,
-)
+from sklearn_raacmm.utils import Finding, encode_groups, floats, report_findings
 
 # A picometre: smaller than any length is known, large enough to divide by.
 _LEAST_SD_MM = 1e-9
@@ -24,6 +19,7 @@ _LEAST_SD_MM = 1e-9
 _SPREAD = 1.5
 # Measuring arms reach from half a metre on, robots are not much smaller.
 _LEAST_REACH_MM, _REACH_IN_METRES = 200.0, 10.0
+_IN_MM = "Give millimetres; in a file name the unit in the header, such as {} [m]."
 # Labels that a message lists.
 _LABELS_SHOWN = 12
 
@@ -77,30 +73,24 @@ def check_correction(correction, angles, angle_unit):
     angles, unit = np.asarray(angles, dtype=float), getattr(correction, "angle_unit", "rad")
     if unit != angle_unit:
         angles = np.rad2deg(angles) if unit == "deg" else np.deg2rad(angles)
-    _finite_residuals(correction, angles)
+    residuals = np.asarray(correction.predict(angles), dtype=float)
+    if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
+        raise ValueError(
+            f"correction.predict must give finite residuals of shape ({len(angles)}, 3) in mm, "
+            f"got shape {residuals.shape}."
+        )
     return angles
 
 
 def predicted(correction, angles, problem, probes):
     """Residuals (n, 3) that a model predicts at rows, with the probe of each tool (n_tools, 3)."""
     residuals = np.empty((len(angles), 3))
-    # Only a model of the arm's own causes can be moved to another probe.
-    can_be_moved = hasattr(correction, "with_arm")
     for tool, probe in enumerate(probes):
-        rows, model = problem.rows_of_tool(tool), correction
-        if can_be_moved:
+        rows, model = rows_of(problem.tools, tool), correction
+        # Only a model of the arm's own causes can be moved to another probe.
+        if hasattr(correction, "with_arm"):
             model = model.with_arm(model.arm_.replace(probe=probe))
-        residuals[rows] = _finite_residuals(model, angles[rows])
-    return residuals
-
-
-def _finite_residuals(model, angles):
-    residuals = np.asarray(model.predict(angles), dtype=float)
-    if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
-        raise ValueError(
-            f"correction.predict must give finite residuals of shape ({len(angles)}, 3) in mm, "
-            f"got shape {residuals.shape}."
-        )
+        residuals[rows] = model.predict(angles[rows])
     return residuals
 
 
@@ -116,10 +106,10 @@ def check_length(entry: Any, labels: Any) -> Any:
         ) from None
     for label in (first, second):
         if label not in labels:
-            some = ", ".join(str(one) for one in list(labels)[:_LABELS_SHOWN])
-            more = ", ..." if len(labels) > _LABELS_SHOWN else ""
+            some = ", ".join(map(str, labels[:_LABELS_SHOWN]))
+            some += ", ..." * (len(labels) > _LABELS_SHOWN)
             raise ValueError(
-                f"lengths name the group {label!r}, which has no samples; groups are {some}{more}."
+                f"lengths name the group {label!r}, which has no samples; groups are {some}."
             )
     in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
     if not in_bounds or first == second:
@@ -133,9 +123,10 @@ def check_length(entry: Any, labels: Any) -> Any:
 
 def one_row_a_pose(angles, problem):
     """Poses that rows are of, their angles, and the problem with one row each."""
-    labels = [v for v in (problem.index, problem.tools, problem.stations) if v is not None]
-    codes = np.unique(np.column_stack(labels), axis=0, return_inverse=True)[1] if labels else None
-    poses = find_poses(angles, None if codes is None else codes.ravel(), problem.points)
+    labels = (problem.index, problem.tools, problem.stations)
+    labels = [np.zeros(len(angles)), *(v for v in labels if v is not None)]
+    codes = np.unique(np.column_stack(labels), axis=0, return_inverse=True)[1].ravel()
+    poses = find_poses(angles, codes, problem.points)
     if not poses.merges:
         return poses, angles, problem
     report_findings(poses.findings())
@@ -157,25 +148,16 @@ def wrong_units(arm, angles, problem):
         ratio = sizes[0] / max(sizes[1], 1e-300)
         unit = min(UNITS, key=lambda u: abs(np.log(ratio / u)))
         if abs(np.log(ratio / unit)) < np.log(_SPREAD):
-            yield Finding(
-                "unit-of-points",
+            text = (
                 f"The measured points spread over {sizes[1]:.4g}, the arm's over {sizes[0]:.4g} "
-                f"mm: they are most likely in {UNITS[unit]}.",
-                "Give millimetres; in a file name the unit in the header, such as x [m].",
-                "refuse",
+                f"mm: they are most likely in {UNITS[unit]}."
             )
+            yield Finding("unit-of-points", text, _IN_MM.format("x"), "refuse")
         elif np.abs(shown - points).max() < 1e-9 * reach:
-            yield Finding(
-                "points-of-the-arm",
-                "The measured points are those that the arm itself shows.",
-                "Give the points that a tracker has measured, or the labels of positions.",
-                "repair",
-            )
+            text = "The measured points are those that the arm itself shows."
+            advice = "Give the points that a tracker has measured, or the labels of positions."
+            yield Finding("points-of-the-arm", text, advice, "repair")
     if reach < _LEAST_REACH_MM:
         unit = "metres" if reach < _REACH_IN_METRES else "inches or centimetres"
-        yield Finding(
-            "unit-of-table",
-            f"The nominal arm reaches {reach:.3g} mm: its lengths are most likely in {unit}.",
-            "Give millimetres; in a file name the unit in the header, such as d [m].",
-            "repair",
-        )
+        text = f"The nominal arm reaches {reach:.3g} mm: its lengths are most likely in {unit}."
+        yield Finding("unit-of-table", text, _IN_MM.format("d"), "repair")

@@ -18,7 +18,6 @@ from sklearn_raacmm.measurements import (
     moved_positions,
     moved_set_up,
     no_readings,
-    other_labels,
     places_of,
     renamed,
     same_places,
@@ -64,33 +63,26 @@ _MOST_OUTLIERS = 0.1
 def findings_of_fit(fit, result, bare, lengths, poses):
     """All findings, but that of outliers; `bare` is the fit without the correction, or None."""
     if not fit.converged:
-        yield Finding(
-            "not-settled",
-            f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is "
-            f"{result.scatter_after_mm:.4g} mm.",
-            size_mm=result.scatter_after_mm,
-        )
+        scatter = result.scatter_after_mm
+        text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
+        yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = typical_scatter(result)
-    labels = None if result.groups is None else encode_groups(result.groups)[0]
-    for part in (_labels(fit, result, poses, scatter, labels), _lengths(fit, result, labels)):
+    before = fit.nominal_arm, result.scatter_before_mm
+    for part in (_labels(fit, result, poses, scatter), _lengths(fit, result)):
         found = list(part)
         yield from found
         if any(finding.weight == "repair" for finding in found):
             return  # of a fit with such labels or lengths all else means nothing
-    no_arm = list(_no_such_arm(fit.nominal_arm, result.scatter_before_mm, scatter))
-    yield from no_arm
-    if not no_arm:
-        n = len(fit.names)
-        values, sd = fit.x[:n], result.standard_deviations[:n]
-        far = _far(fit, sd)
-        yield from wrong_table(fit.names, fit.nominal, values, sd, far, lengths, scatter)
+    n = len(fit.names)
+    values, sd = fit.x[:n], result.standard_deviations[:n]
+    of_table = wrong_table(fit.names, fit.nominal, values, sd, _far(fit, sd), lengths, scatter)
+    yield from list(_no_such_arm(*before, scatter)) or of_table
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
-        every, noise = np.ones(len(left)), fit.sigma**2
-        yield from moved_positions(left, fit.angles, every, groups, noise, poses.first)
+        yield from moved_positions(left, fit.angles, groups, fit.sigma**2, poses.first)
     yield from _set_up_moved(fit, poses)
     yield from _poses_alike(fit)
 
@@ -101,30 +93,27 @@ def typical_scatter(result: CalibrationResult) -> float:
     return float(np.delete(distance, list(result.outliers)).mean())
 
 
-def _labels(fit, result, poses, scatter, labels):
+def _labels(fit, result, poses, scatter):
     """Labels that do not fit where the probe was, and one place under two."""
     problem, numbers = fit.problem, poses.first
     if problem.points is not None:
         return
-    points = fit.points()
+    labels, points = encode_groups(result.groups)[0], fit.points()
     far = np.isin(np.arange(len(numbers)), result.outliers)
     right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
-    many = right is not None
-    if right is None:
-        limit = result.outlier_limit_mm / _LIMIT_SDS
-        right = other_labels(points, problem.index, far, limit)
-    yield from wrong_labels(problem.index, right, labels, numbers, many)
+    limit = result.outlier_limit_mm / _LIMIT_SDS
+    yield from wrong_labels(points, problem.index, right, labels, numbers, far, limit)
     yield from no_readings(fit.angles, far, numbers)
-    yield from same_places(problem.sums(points, fit.weights), labels, fit.sigma)
+    yield from same_places(fit.centres(), labels, fit.sigma)
 
 
-def _lengths(fit, result, labels):
+def _lengths(fit, result):
     """Known lengths that disagree, unless cones and table make no sense without them either."""
     if fit.problem.lengths:
         cones = fit.of(lengths=[])
-        before, alone = result.scatter_before_mm, cones.distances().mean()
-        if not [*_no_such_arm(fit.nominal_arm, before, alone)]:
-            yield from wrong_lengths(fit, cones, labels)
+        alone = cones.distances().mean()
+        if not [*_no_such_arm(fit.nominal_arm, result.scatter_before_mm, alone)]:
+            yield from wrong_lengths(fit, cones, encode_groups(result.groups)[0])
 
 
 def _right_labels(fit):
@@ -153,34 +142,29 @@ def _few_rows(problem, rank, n_free):
         return
     rows = int(np.ceil((n + rank - spare) / n * problem.n_informative))
     what = "measured points" if problem.points is not None else "groups of points"
-    known = (
-        "The noise, and with it every standard deviation, is unknown."
-        if spare <= 0
-        else "The noise and the standard deviations are hardly known, and the arm may be far off "
-        "at other poses."
-    )
-    yield Finding(
-        "few-rows",
+    known = "The noise, and with it every standard deviation, is unknown."
+    if spare > 0:
+        known = "Noise and standard deviations are hardly known; other poses may be far off."
+    text = (
         f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {n_free} free "
         f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
-        f"with. {known}",
-        f"Measure about {rows} rows or more, or let fewer fields change (free=).",
+        f"with. {known}"
     )
+    advice = f"Measure about {rows} rows or more, or let fewer fields change (free=)."
+    yield Finding("few-rows", text, advice)
 
 
 def _no_such_arm(arm, before, after):
     """A fit that has settled makes no sense."""
     reach = reach_mm(arm)
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
-        yield Finding(
-            "no-such-arm",
-            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
-            f"{reach:.4g} mm).",
+        text = f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm"
+        advice = (
             "Look at the labels, known lengths, the order and sense of the joints, the convention "
-            "of the table, and the unit of the angles.",
-            "repair",
-            size_mm=after,
+            "of the table, and the unit of the angles."
         )
+        text = f"{text} reaches {reach:.4g} mm)."
+        yield Finding("no-such-arm", text, advice, "repair", size_mm=after)
 
 
 def _far(fit, sd):
@@ -228,46 +212,37 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
             f"{_MEANING[field]} {joints[-1]} ({names[i]}) is {factor * values[i]:.1f}{unit}, "
             f"the table says {factor * nominal[i]:.6g}{unit}"
         )
+    advice = "If it is built so, take the calibrated arm as the new table (arm.json)"
+    advice += "; if not, look at the known lengths and their unit." if lengths else "."
     if scatter_mm > MUCH_SCATTER_MM:
         advice = (
             f"But with it the points scatter by {scatter_mm:.1f} mm: search_table finds joints "
             "that are reversed or exchanged."
         )
-    else:
-        advice = "If it is built so, take the calibrated arm as the new table (arm.json)"
-        advice += "; if not, look at the known lengths and their unit." if lengths else "."
-    yield Finding(
-        "table-off",
-        f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}.",
-        advice,
-        joints=tuple(sorted(set(joints))),
-        size_mm=float(
-            max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
-        ),
-    )
+    text = f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}."
+    size = max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
+    yield Finding("table-off", text, advice, joints=tuple(sorted({*joints})), size_mm=size)
 
 
 def _harm(corrected, bare):
     """The points scatter more with a correction than without it, distances (n,) in mm."""
     more = corrected - bare
+    size = corrected.mean()
     if more.mean() > _HARM * more.std() / np.sqrt(len(more)) + 1e-9 * bare.mean():
-        yield Finding(
-            "harmful-correction",
-            f"With the correction the points scatter by {corrected.mean():.4g} mm, without it by "
-            f"{bare.mean():.4g} mm: do not use it here.",
-            "Is it of this arm, and is the table that of the arm that it was learnt with?",
-            size_mm=corrected.mean(),
-        )
+        text = f"With the correction the points scatter by {size:.4g} mm, without it by"
+        advice = "Is it of this arm, and is the table that of the arm that it was learnt with?"
+        text = f"{text} {bare.mean():.4g} mm: do not use it here."
+        yield Finding("harmful-correction", text, advice, size_mm=size)
 
 
 def _set_up_moved(fit, poses):
     """The tracker, the base or the tool moved during the measurement."""
-    problem, n = fit.problem, 4 * fit.nominal_arm.n_joints + 3
+    problem = fit.problem
     if problem.points is None or problem.n_stations > 1 or problem.n_tools > 1:
         return
-    points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, fit.x[:n], problem)
-    turns = fit.arm().frames(fit.angles)[:, -1, :3, :3]
-    columns = columns[:, :, fit.is_free]
+    x = fit.x[: len(fit.is_free)]
+    points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, x, problem)
+    turns, columns = fit.arm().frames(fit.angles)[:, -1, :3, :3], columns[:, :, fit.is_free]
     ridge = np.square(fit.sigma / fit.prior_sd[fit.is_free])
     parts = fit.residuals(), columns, ridge, points, turns, fit.weights, poses.first
     yield from moved_set_up(*parts)
@@ -277,8 +252,9 @@ def _poses_alike(fit):
     """Away from the poses of the test little more is known of the arm than its table says."""
     mask = fit.free_mask(fit.is_free)
     arm, n = fit.arm(), 4 * fit.nominal_arm.n_joints + 3
+    is_free = mask[:n]
     # Of too few rows another finding tells.
-    if not mask[: n - 3].any() or fit.problem.n_coordinates < 2 * mask.sum():
+    if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
         return
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_TRIED, arm.n_joints))
     points, jac = parameter_jacobian(arm, angles)
@@ -288,20 +264,21 @@ def _poses_alike(fit):
     # What a registration takes away again: base and probe.
     base = np.linalg.qr(np.concatenate(free, axis=2).reshape(3 * _TRIED, -1))[0]
     jac = jac.reshape(3 * _TRIED, -1)
-    jac = (jac - base @ (base.T @ jac))[:, mask[:n]]
-    covariance = fit.covariance(mask)[: mask[:n].sum(), : mask[:n].sum()]
+    jac = (jac - base @ (base.T @ jac))[:, is_free]
+    covariance = fit.covariance(mask)[: is_free.sum(), : is_free.sum()]
     if not np.all(np.isfinite(covariance)):
         return
-    known = np.sqrt(np.einsum("np,pq,nq->n", jac, covariance, jac).mean() * 3)
-    table = np.sqrt(np.square(jac * fit.prior_sd[:n][mask[:n]]).sum(axis=1).mean() * 3)
+    known, table = (
+        np.sqrt(np.einsum("np,pq,nq->n", jac, spread, jac).mean() * 3)
+        for spread in (covariance, np.diag(fit.prior_sd[:n][is_free] ** 2))
+    )
     if known > max(_OPEN * table, _FAR * fit.sigma):
-        yield Finding(
-            "poses-alike",
+        text = (
             f"At other poses the calibrated arm is known to {known:.2g} mm only, where the table "
-            f"alone leaves {table:.2g} mm: the poses of this test are too much alike.",
-            "Swing every joint through its range, at places all over the volume.",
-            size_mm=known,
+            f"alone leaves {table:.2g} mm: the poses of this test are too much alike."
         )
+        advice = "Swing every joint through its range, at places all over the volume."
+        yield Finding("poses-alike", text, advice, "note", size_mm=known)
 
 
 def outliers(result):
@@ -310,12 +287,10 @@ def outliers(result):
     if rows:
         far = np.linalg.norm(result.residuals_mm[list(rows)], axis=1).max()
         many = len(rows) > _MOST_OUTLIERS * n
-        yield Finding(
-            "outliers",
+        text = (
             f"{len(rows)} of {n} rows lie farther than {result.outlier_limit_mm:.3g} mm from where "
-            f"they belong, up to {far:.3g} mm.",
-            "They are not learnt from. " + "Look at their labels and at the cone." * many,
-            "doubt" if many else "note",
-            rows=row_numbers(rows),
-            size_mm=far,
+            f"they belong, up to {far:.3g} mm."
         )
+        advice = "They are not learnt from. " + "Look at their labels and at the cone." * many
+        weight: Any = "doubt" if many else "note"
+        yield Finding("outliers", text, advice, weight, rows=row_numbers(rows), size_mm=far)

@@ -20,14 +20,14 @@ from sklearn_raacmm.calibration._problem import (
     UNKNOWN_PLACE_MM,
     are_long,
     in_brackets,
-    left_jacobian,
     pack,
     points_and_jacobian,
+    rows_of,
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.inference import evidence_variance
-from sklearn_raacmm.utils import align, robust_scale
+from sklearn_raacmm.utils import align, group_means, robust_scale
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
@@ -57,7 +57,7 @@ _STEP_RAD, _STEP_MM = 1e-2, 10.0
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
 # tail may be longer than it is taken to be. 4 of 200 simulated sets are named.
-_FALSE_NAMES, _FALSE_TAILS = 0.05, 0.01
+_FALSE_NAMES, _SDS_OF_TAILS = 0.05, norm.isf(0.01)
 # The part of the distances whose size tells how long the tail of the others is.
 _TAIL = 0.9
 
@@ -82,16 +82,19 @@ class Fit:
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
-        self.rotations = np.empty((0, 3, 3))
         self.converged = False
-        self._evaluated: Any = None
+        self.evaluated: Any = None
         points, jac = self._points_and_jacobian(self.x)
-        if problem.points is not None:
-            self._place(points)
+        places = []  # first guess of every base
+        for s in range(problem.n_stations):
+            rows = rows_of(problem.stations, s)
+            places.append(align(points[rows], problem.points[rows]))
+        self.rotations = np.array([rotation for rotation, _ in places])
+        self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say.
         n = arm.n_joints
-        felt = np.sum((jac - problem.mean(jac, np.ones(len(angles)))) ** 2, axis=(0, 1))
+        felt = np.sum((jac - problem.mean(jac)) ** 2, axis=(0, 1))
         length = np.zeros_like(nominal)
         rows = np.r_[:n, 2 * n : 3 * n]
         length[rows] = np.where(are_long(nominal[rows]), felt[rows] * nominal[rows], 0.0)
@@ -113,23 +116,11 @@ class Fit:
         self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
         self.kind = np.r_[kind, np.full(n_probes, 2)]
         self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
-        # Parameters whose common prior standard deviation is found by the evidence, and how.
-        self.families, sds = [], []
-        for i, sd in enumerate((*self.priors, self.priors[0])):
-            found: Any = _FOUND[i]
-            if sd == "auto":
-                self.families.append((np.flatnonzero(self.kind == i), found))
-                sd = found[0]
-            sds.append(sd)
+        # Kinds whose common prior standard deviation is found by the evidence, and what counts.
+        priors = (*self.priors, self.priors[0])
+        self.found = {i: _FOUND[i] for i, sd in enumerate(priors) if sd == "auto"}
+        sds = [self.found[i][0] if i in self.found else sd for i, sd in enumerate(priors)]
         self.prior_sd = np.array(sds, dtype=float)[self.kind]
-
-    def _place(self, points):
-        """First guess of every base."""
-        problem = self.problem
-        parts = [problem.rows_of_station(s) for s in range(problem.n_stations)]
-        places = [align(points[rows], problem.points[rows]) for rows in parts]
-        self.rotations = np.stack([rotation for rotation, _ in places])
-        self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
 
     def base_columns(self, station):
         """Columns of a station's base: rotation, then shift."""
@@ -138,18 +129,12 @@ class Fit:
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
         self.length_weights = self._new_length_weights()
-        self.sigma: Any = None
-
-    def correct_by(self, correction):
-        """Take another correction (n, 3) of the points, mm."""
-        self.problem.correction, self._evaluated = correction, None
+        self._weigh()
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
         problem, how = replace(self.problem, **changes), (loss or self.loss, free or self.free)
-        fit = Fit(self.nominal_arm, self.angles, problem, *how, self.priors)
-        fit.run(fit.is_free)
-        return fit
+        return Fit(self.nominal_arm, self.angles, problem, *how, self.priors).run()
 
     def arm(self, tool=0):
         return unpack(self.nominal_arm, self.x, tool)
@@ -158,13 +143,11 @@ class Fit:
         """Free parameters of x: bases always are."""
         return np.r_[is_free, np.ones(len(self.x) - len(is_free), bool)]
 
-    def run(self, is_free):
+    def run(self, is_free=None):
         """Alternate least squares, and the weights and variances they imply, until they settle."""
-        mask = self.free_mask(is_free)
+        mask = self.free_mask(self.is_free if is_free is None else is_free)
         for rounds in range(MAX_ROUNDS):
-            if self.sigma is None:
-                self._weigh()
-            before: Any = self.sigma
+            before = self.sigma
             if mask.any():
                 self._solve(mask)
             settled = self._judge(mask, find_priors=rounds < _EVIDENCE_ROUNDS)
@@ -175,6 +158,7 @@ class Fit:
             )
             if self.converged:
                 break
+        return self
 
     def _judge(self, mask, find_priors):
         """New weights and variances; returns whether the prior variances have settled."""
@@ -182,23 +166,22 @@ class Fit:
             self._weigh()
             return True
         is_free = mask[: len(self.nominal)]
-        share = np.ones(len(is_free))  # of the prior's variance that the data leave
         rows, jac = self._residuals_and_jacobian(self.x, mask)
         covariance = inverse_normal(jac)
-        variance = np.diag(covariance)[: is_free.sum()]
-        share[is_free] = np.minimum(variance / self.prior_sd[is_free] ** 2, 1.0)
+        share = np.ones(len(is_free))  # of the prior's variance that the data leave
+        share[is_free] = np.diag(covariance)[: is_free.sum()] / self.prior_sd[is_free] ** 2
+        share = np.minimum(share, 1.0)
         self._weigh(self._spread(covariance, rows, jac))
         settled = True
-        for members, (guess, counts, least, most) in self.families if find_priors else ():
-            members = members[is_free[members]]
-            if not len(members):
-                continue
-            square = np.sum((self.x[members] - self.nominal[members]) ** 2)
-            seen = np.sum(1 - share[members])
-            sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
-            sd = np.clip(sd, least, most)
-            settled &= bool(abs(np.log(sd / self.prior_sd[members[0]])) < 0.05)
-            self.prior_sd[members] = sd
+        departure = self.x[: len(is_free)] - self.nominal
+        for i, (guess, counts, least, most) in self.found.items() if find_priors else ():
+            members = is_free & (self.kind == i)
+            if members.any():
+                seen, square = np.sum(1 - share[members]), np.sum(departure[members] ** 2)
+                sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
+                sd = np.clip(sd, least, most)
+                settled &= bool(abs(np.log(sd / self.prior_sd[members][0])) < 0.05)
+                self.prior_sd[members] = sd
         return settled
 
     def _spread(self, covariance, rows, jac):
@@ -225,7 +208,13 @@ class Fit:
         """Standard deviations of the data, and the weights of the rows."""
         distances = self.robust_distances()
         seen = distances if spread is None else spread * self.sigma / np.sqrt(self.weights)
-        self.sigma = self._new_sigma(seen)
+        seen = seen[self.problem.informative]
+        if self.loss == "squared":
+            sigma = np.sqrt(np.mean(seen**2) / 3)
+        else:
+            # Outliers would shift the median to larger ones of the others.
+            sigma = robust_scale(seen[seen <= doubt_limit(seen, 0.0)], 3)
+        self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](distances / self.sigma)
 
     def _solve(self, mask):
@@ -239,20 +228,24 @@ class Fit:
             x = self.x.copy()
             x[mask] += unit * step
             if gain <= _SMALL_GAIN * (rows @ rows):
-                self.x = x
+                self._take(x)
                 break
             new_rows, new_jac = self._residuals_and_jacobian(x, mask)
             if new_rows @ new_rows <= rows @ rows:
-                self.x, rows, jac = x, new_rows, new_jac
+                rows, jac = new_rows, new_jac
+                self._take(x)
                 damping = damping / 10 if damping > _DAMPING else 0.0
             elif damping > _MOST_DAMPING:
                 break
             else:
                 damping = max(100 * damping, _DAMPING)
-        # Rotations are small ones about the last: take them over.
-        for s in range(bases):
-            self.rotations[s] = self._rotation(self.x, s)
-            self.x[self.base_columns(s)[:3]] = 0
+
+    def _take(self, x):
+        """Go on from these parameters; turns of the bases are small ones about the last."""
+        self.x = x
+        for s in range(self.problem.n_stations):
+            self.rotations[s] = self._rotation(x, s)
+            x[self.base_columns(s)[:3]] = 0
 
     def _rotation(self, x, station):
         """Rotation matrix of a base: the rotation vector of x after the last matrix."""
@@ -262,18 +255,23 @@ class Fit:
     def _points_and_jacobian(self, x):
         """Corrected points (n, 3) and their derivatives by table and probes; the last are kept."""
         arm_x = x[: len(self.nominal)]
-        if self._evaluated is None or not np.array_equal(self._evaluated[0], arm_x):
+        if self.evaluated is None or not np.array_equal(self.evaluated[0], arm_x):
             found = points_and_jacobian(self.nominal_arm, self.angles, arm_x, self.problem)
-            self._evaluated = arm_x.copy(), *found
-        return self._evaluated[1:]
+            self.evaluated = arm_x.copy(), *found
+        return self.evaluated[1:]
 
     def data_residuals(self, x, mask) -> Any:
-        """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points."""
+        """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points.
+
+        Derivatives by the turn of a base are those by a small turn after it.
+        """
         problem, n = self.problem, len(self.nominal)
         points, jac = self._points_and_jacobian(x)
         jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
-            centres, centres_jac = (problem.sums(v, self.weights) for v in (points, jac))
+            centres, centres_jac = (
+                group_means(v, problem.index, self.weights) for v in (points, jac)
+            )
             residuals = points - centres[problem.index]
             jac -= centres_jac[problem.index]
             scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
@@ -287,14 +285,12 @@ class Fit:
         whole, n_free = np.zeros((len(points), 3, mask.sum())), jac.shape[2]
         residuals = np.empty_like(points)
         for s in range(problem.n_stations):
-            rows, columns = problem.rows_of_station(s), self.base_columns(s)
+            rows, columns = rows_of(problem.stations, s), self.base_columns(s)
             turn = self._rotation(x, s)
             turned = points[rows] @ turn.T
             residuals[rows] = turned + x[columns[3:]] - problem.points[rows]
             whole[rows, :, :n_free] = turn @ jac[rows]
-            for column, axis in zip(
-                place[columns[:3]], left_jacobian(x[columns[:3]]).T, strict=True
-            ):
+            for column, axis in zip(place[columns[:3]], np.eye(3), strict=True):
                 whole[rows, :, column] = np.cross(axis, turned)
             whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
         return residuals, whole, None, None
@@ -305,11 +301,10 @@ class Fit:
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
-        for (i, j, length, sd), length_weight in zip(
+        for (i, j, length, sd), factor in zip(
             self.problem.lengths, self.length_weights, strict=True
         ):
-            sd = sd / np.sqrt(length_weight)
-            gap = centres[i] - centres[j]
+            sd, gap = sd / np.sqrt(factor), centres[i] - centres[j]
             distance = max(np.linalg.norm(gap), 1e-12)
             rows.append([(distance - length) / sd])
             jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
@@ -317,10 +312,9 @@ class Fit:
 
     def _residuals_and_jacobian(self, x, mask):
         rows, jacs = self._data_rows(x, mask)
-        n, is_free = len(self.nominal), mask[: len(self.nominal)]
-        prior = np.zeros((is_free.sum(), mask.sum()))
-        prior[:, : is_free.sum()] = np.diag(1 / self.prior_sd[is_free])
-        departure = ((x[:n] - self.nominal) / self.prior_sd)[is_free]
+        is_free = mask[: len(self.nominal)]
+        prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
+        departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
         return np.concatenate([*rows, departure]), np.concatenate([*jacs, prior])
 
     def data_jacobian(self, mask):
@@ -335,10 +329,9 @@ class Fit:
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
         points, problem = self.points(), self.problem
         if problem.points is None:
-            weights = np.ones(len(points)) if weights is None else weights
             return points - problem.mean(points, weights)
         for s in range(problem.n_stations):
-            rows, shift = problem.rows_of_station(s), self.x[self.base_columns(s)[3:]]
+            rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
         return points
 
@@ -354,25 +347,18 @@ class Fit:
         """Lengths between the centres of groups less the known ones, mm."""
         if not self.problem.lengths:
             return np.empty(0)
-        centres = self.problem.sums(self.points(), self.weights)
+        centres = self.centres()
         i, j, length, _ = zip(*self.problem.lengths, strict=True)
         return np.linalg.norm(centres[list(i)] - centres[list(j)], axis=1) - length
+
+    def centres(self):
+        """The fixed points (n_points, 3) in mm."""
+        return group_means(self.points(), self.problem.index, self.weights)
 
     def _new_length_weights(self):
         # A wrong length (one hole of a plate beside the right one) must not bend the arm.
         sd = np.array([entry[3] for entry in self.problem.lengths])
         return WEIGHTS[self.loss](np.abs(self.length_errors()) / sd)
-
-    def _new_sigma(self, distances):
-        """Standard deviation of one coordinate of vectors of these lengths."""
-        distances = distances[self.problem.informative]
-        if self.loss == "squared":
-            sigma = np.sqrt(np.mean(distances**2) / 3)
-        else:
-            # Outliers would shift the median to larger ones of the others.
-            kept = distances[distances <= doubt_limit(distances, 0.0)]
-            sigma = robust_scale(kept, 3)
-        return max(sigma, _MIN_SIGMA_MM)
 
     def covariance(self, mask):
         """Posterior covariance of the free parameters; infinite where nothing is known.
@@ -385,7 +371,7 @@ class Fit:
         if self.problem.lengths:
             first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
             sd = np.array([entry[3] for entry in self.problem.lengths])
-            centres = self.problem.sums(self.points(), self.weights)
+            centres = self.centres()
             ends = np.zeros((len(sd), *centres.shape))
             for k, (i, j, *_) in enumerate(self.problem.lengths):
                 gap = centres[i] - centres[j]
@@ -420,6 +406,15 @@ def gauss_newton_step(jac, rows, damping):
     return step, float(-slope @ step)
 
 
+def doubt_limit(distances, sigma):
+    """Distance beyond which a row is better not learned from, though it may be sound.
+
+    As `outlier_limit`, with the slope of the tail as it was found: three in ten of small sets
+    without outliers have a row beyond it, which costs a fit next to nothing.
+    """
+    return outlier_limit(distances, sigma, _FALSE_NAMES, 0.0)
+
+
 def inverse_normal(jac):
     """Inverse of ``jac.T @ jac``, with infinite variances where it is singular."""
     size = np.linalg.norm(jac, axis=0)
@@ -435,28 +430,15 @@ def inverse_normal(jac):
     return covariance
 
 
-def outlier_limit(distances, sigma):
+def outlier_limit(distances, sigma, false_names=_FALSE_NAMES / 2, n_sd=_SDS_OF_TAILS):
     """Distance beyond which a row is an outlier.
 
     Of vectors of three normal numbers the longest of n is at the quantile 1 - 1 / n of the chi
     distribution. What an arm does beside its noise makes the tail longer: the logarithm of the
     distance is taken as linear in that of chi, through the median and the 90 % quantile. The two
-    quantiles are those of n rows, so that the slope is not known well: its upper limit is taken.
+    quantiles are those of n rows, so that the slope is not known well: its upper limit is taken,
+    so many standard deviations up.
     """
-    return _limit(distances, sigma, _FALSE_NAMES / 2, norm.isf(_FALSE_TAILS))
-
-
-def doubt_limit(distances, sigma):
-    """Distance beyond which a row is better not learned from, though it may be sound.
-
-    As `outlier_limit`, with the slope of the tail as it was found: three in ten of small sets
-    without outliers have a row beyond it, which costs a fit next to nothing.
-    """
-    return _limit(distances, sigma, _FALSE_NAMES, 0.0)
-
-
-def _limit(distances, sigma, false_names, n_sd):
-    """Distance that a share of sets exceeds, the slope of the tail being so many deviations up."""
     n = len(distances)
     if not n:
         return np.inf

@@ -41,35 +41,33 @@ def wrong_lengths(fit, bare, labels):
 
     `bare` is the fit without them; `labels` name the positions.
     """
-    lengths = fit.problem.lengths
+    lengths, mask = fit.problem.lengths, bare.free_mask(bare.is_free)
     scales = [one.scale @ one.x[: len(one.scale)] for one in (fit, bare)]
     change = scales[0] / scales[1] - 1 if scales[1] > 0 else 0.0
-    sd, found, covariance, places = _as_cones_say(bare, lengths)
-    code, causes = "", []
+    covariance = bare.covariance(mask)
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    scale = np.append(bare.scale, np.zeros(len(mask) - len(bare.scale)))[mask]
+    sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
     if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
-        code, causes = _causes(lengths, found, covariance, places, reach_mm(bare.arm()), labels)
-    if code:
+        _, _, places, columns = bare.data_residuals(bare.x, mask)
+        causes, off = _causes(lengths, places, columns, covariance, bare, labels)
+    if causes:
         which = "; another known length tells which is right" * (len(causes) > 1)
         size = f"{100 * abs(change):.3g} % {'larger' if change > 0 else 'smaller'}"
-        yield Finding(
-            code,
+        text = (
             f"With the known lengths the arm is {size} than cones and table say (+-{100 * sd:.2g} "
-            f"%): {' or '.join(causes)}.",
+            f"%): {' or '.join(cause for _, cause in causes)}."
+        )
+        advice = (
             f"Look at the certificate{which}. If the lengths are right, take the arm as it was "
-            "calibrated with them (arm.json) as the table.",
-            "repair",
-            size_mm=np.abs(found - [entry[2] for entry in lengths]).max(),
+            "calibrated with them (arm.json) as the table."
         )
+        yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
         return
-    errors = fit.length_errors()
-    wrong = [
-        f"{_ends(entry, labels)} is {entry[2] + error:.6g} mm, given as {entry[2]:g} +- "
-        f"{entry[3]:g} mm"
-        for entry, error, out in zip(
-            lengths, errors, are_wrong(lengths, errors, fit.sigma), strict=True
-        )
-        if out
-    ]
+    errors, wrong, sds = fit.length_errors(), [], [entry[3] for entry in lengths]
+    for k in np.flatnonzero(are_wrong(lengths, errors, fit.sigma)):
+        given, said = lengths[k][2], f"{_ends(lengths[k], labels)} is"
+        wrong.append(f"{said} {given + errors[k]:.6g} mm, given as {given:g} +- {sds[k]:g} mm")
     if wrong:
         text = (
             f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
@@ -78,62 +76,45 @@ def wrong_lengths(fit, bare, labels):
         yield Finding("wrong-length", text, size_mm=np.abs(errors).max())
 
 
-def _as_cones_say(bare, lengths):
-    """Standard deviation of the scale, lengths (k,) and their covariance by a fit without lengths.
+def _causes(lengths, places, columns, covariance, bare, labels):
+    """The likeliest causes of such lengths, (code, words) each, and by how much these are off, mm.
 
-    And the fixed points (n_points, 3) of the fit.
+    None where that they are right is likelier. `places` (n_points, 3) are the fixed points of the
+    fit without lengths, `columns` their derivatives, and `covariance` is that of its parameters.
     """
-    mask = bare.free_mask(bare.is_free)
-    covariance = bare.covariance(mask)
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    scale = np.zeros(len(mask))
-    scale[: len(bare.scale)] = bare.scale
-    sd = float(np.sqrt(scale[mask] @ covariance @ scale[mask]))
-    _, _, places, columns = bare.data_residuals(bare.x, mask)
     one, other = np.array([entry[:2] for entry in lengths]).T
+    given, sd = np.array([entry[2:] for entry in lengths], dtype=float).T
+    n, explained = len(given), []
     gap = places[one] - places[other]
     found = np.maximum(np.linalg.norm(gap, axis=1), 1e-12)
     slope = np.einsum("kc,kcp->kp", gap / found[:, None], columns[one] - columns[other])
     # What the table does not explain is much the same in all poses of one position.
-    noise = 2 * bare.sigma**2 * np.eye(len(found))
-    return sd, found, slope @ covariance @ slope.T + noise, places
+    covariance = slope @ covariance @ slope.T + 2 * bare.sigma**2 * np.eye(n)
+    left, every = given - found, np.arange(n)
 
-
-def _causes(lengths, found, covariance, places, reach, labels):
-    """Code of the likeliest cause of such lengths, and in words all that are as likely.
-
-    No code where that they are right is likelier.
-    """
-    given, sd = (np.array([entry[i] for entry in lengths], dtype=float) for i in (2, 3))
-    n, explained = len(given), []
-
-    def log_likelihood(left: Any, widths: Any = sd, among: Any = None, more: Any = 0.0) -> Any:
-        some = slice(None) if among is None else among
-        of = (covariance + np.diag(np.square(widths)) + more)[some][:, some]
-        left = left[some]
+    def log_likelihood(left: Any, widths: Any = sd, more: Any = 0.0, among: Any = every) -> Any:
+        of, left = (covariance + np.diag(np.square(widths)) + more)[among][:, among], left[among]
         return -0.5 * (left @ np.linalg.solve(of, left) + np.linalg.slogdet(2 * np.pi * of)[1])
 
     for factor, unit in UNITS.items():
         value = log_likelihood(factor * given - found, factor * sd) + n * np.log(factor)
-        explained.append((value - np.log(len(UNITS)), f"lengths may be in {unit}"))
-    left, every = given - found, np.arange(n)
+        what = "unit-of-lengths", f"lengths may be in {unit}"
+        explained.append((value - np.log(len(UNITS)), what))
     for k in every:
-        value = log_likelihood(left, among=every != k) - np.log(2 * reach) - np.log(n)
+        value = log_likelihood(left, among=every[every != k])
         said = f"{_ends(lengths[k], labels)} may be {found[k]:.6g} mm, not {given[k]:g}"
-        explained.append((value, said + _other_ends(lengths[k], places, labels, covariance[k, k])))
+        said += _other_ends(lengths[k], places, labels, covariance[k, k])
+        price = np.log(2 * reach_mm(bare.arm())) + np.log(n)
+        explained.append((value - price, ("wrong-length", said)))
+    of_all = [("all lengths of the table may be wrong", _TABLE * found)]
     if n > 1:
-        value = log_likelihood(left, more=_CONSTANT_MM**2)
-        missing = f"all may be {left.mean():.3g} mm too long"
-        if left.mean() < 0:
-            missing = f"all may be {-left.mean():.3g} mm too short"
-        explained.append((value, f"{missing}, as by the diameter of a ball"))
-    value = log_likelihood(left, more=_TABLE**2 * np.outer(found, found))
-    explained.append((value, "all lengths of the table may be wrong"))
-    causes = likeliest(explained, log_likelihood(left))
-    if not causes:
-        return "", []
-    in_unit = causes[0].startswith("lengths may be in")
-    return "unit-of-lengths" if in_unit else "wrong-length", causes
+        size = f"{abs(left.mean()):.3g} mm too {'short' if left.mean() < 0 else 'long'}"
+        missing = f"all may be {size}, as by the diameter of a ball"
+        of_all.insert(0, (missing, np.full(n, _CONSTANT_MM)))
+    for said, by in of_all:
+        value = log_likelihood(left, more=np.outer(by, by))
+        explained.append((value, ("wrong-length", said)))
+    return likeliest(explained, log_likelihood(left)), np.abs(left).max()
 
 
 def _other_ends(entry, places, labels, variance):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
+from sklearn_raacmm.utils import group_means
 
 # What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
 # Of long lengths, of short ones, and of angles (``benchmarks/bench_lengths.py scale``).
@@ -44,44 +45,28 @@ class Problem:
 
     def __post_init__(self) -> None:
         self.n_tools = 1 if self.tools is None else int(self.tools.max()) + 1
+        self.n_stations, n_places = 0, 0
         if self.points is not None:
-            self.informative: Any = slice(None)
-            self.n_informative = len(self.points)
             self.n_stations = 1 if self.stations is None else int(self.stations.max()) + 1
-            return
-        self.n_stations = 0
-        self.order = np.argsort(self.index, kind="stable")
-        count = np.bincount(self.index)
-        self.starts = np.r_[0, np.cumsum(count)[:-1]]
-        # One point is its own mean: its zero residual must not pass for precision.
-        self.informative = count[self.index] > 1
-        self.n_useful = int((count > 1).sum())
+            self.informative = np.ones(len(self.points), dtype=bool)
+        else:
+            count = np.bincount(self.index)
+            # One point is its own mean: its zero residual must not pass for precision.
+            self.informative, n_places = count[self.index] > 1, int((count > 1).sum())
         self.n_informative = int(self.informative.sum())
+        # Coordinates that were measured, less those that the unknown fixed points take.
+        self.n_coordinates = 3 * (self.n_informative - n_places)
 
-    @property
-    def n_coordinates(self) -> int:
-        """Coordinates that were measured, less those that the unknown fixed points take."""
-        if self.points is not None:
-            return 3 * self.n_informative
-        return 3 * (self.n_informative - self.n_useful)
-
-    def rows_of_tool(self, tool: int) -> Any:
-        return slice(None) if self.tools is None else np.flatnonzero(self.tools == tool)
-
-    def rows_of_station(self, station: int) -> Any:
-        return slice(None) if self.stations is None else np.flatnonzero(self.stations == station)
-
-    def sums(self, values: np.ndarray, weights: np.ndarray) -> Any:
-        """Weighted mean of each group, (n_groups, ...)."""
-        weights = weights[self.order].reshape(-1, *[1] * (values.ndim - 1))
-        total = np.add.reduceat(weights * values[self.order], self.starts)
-        return total / np.add.reduceat(weights, self.starts)
-
-    def mean(self, values: np.ndarray, weights: np.ndarray) -> Any:
+    def mean(self, values: np.ndarray, weights: np.ndarray | None = None) -> Any:
         """Weighted mean of each sample's group, (n, ...), or the mean of all samples."""
         if self.index is None:
             return values.mean(axis=0)
-        return self.sums(values, weights)[self.index]
+        return group_means(values, self.index, weights)[self.index]
+
+
+def rows_of(numbers, one):
+    """Rows of one tool or station, by the number of each row (n,), or None: all are."""
+    return slice(None) if numbers is None else np.flatnonzero(numbers == one)
 
 
 def pack(arm):
@@ -104,22 +89,11 @@ def points_and_jacobian(arm, angles, x, problem):
     n_table = 4 * len(arm.a)
     points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
-        rows, start = problem.rows_of_tool(tool), n_table + 3 * tool
+        rows, start = rows_of(problem.tools, tool), n_table + 3 * tool
         points[rows], own = parameter_jacobian(unpack(arm, x, tool), angles[rows])
         jac[rows, :, :n_table] = own[:, :, :n_table]
         jac[rows, :, start : start + 3] = own[:, :, n_table:]
     return (points if problem.correction is None else points - problem.correction), jac
-
-
-def left_jacobian(rotvec):
-    """Rotation that a small change of a rotation vector adds on the left, (3, 3)."""
-    angle = np.linalg.norm(rotvec)
-    x, y, z = rotvec
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    if angle < 1e-6:
-        return np.eye(3) + cross / 2
-    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    return np.eye(3) + first * cross + second * cross @ cross
 
 
 def in_brackets(labels, n):

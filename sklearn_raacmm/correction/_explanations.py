@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,6 @@ from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.inference import Whitened
 from sklearn_raacmm.measurements import (
     FAR,
-    PRICE,
-    Explanation,
     explanations,
     likeliest,
     medians_of,
@@ -37,16 +36,9 @@ _KNOWN_SHARE = 0.5
 # Changes of the arm, in units of what was expected of it before any data, with the standard
 # deviation of their logarithm about a tenth (as an update has them); the same of the noise.
 _TAUS, _TAU, _TAU_LOG_SD = np.r_[0.0, np.geomspace(0.01, 3.0, 12)], 0.1, 1.5
-_NOISE_LOG_SD, _KNOWN_LOG_SD = 1.0, 0.3
-# An arm that is another one changes by as much as an arm is expected to have; corrected residuals,
-# by less; those of other rows scatter about nothing by what the model expects of these.
+_NOISE_LOG_SD = 1.0
+# An arm that is another one changes by as much as an arm is expected to have.
 _ANOTHER = np.geomspace(0.5, 3.0, 6)
-_TAUS_OF = {
-    "another-arm": _ANOTHER,
-    "corrected-already": _TAUS[_ANOTHER[0] > _TAUS],
-    "rows-unrelated": _TAUS[:1],
-}
-_NOISE_IS_KNOWN = ("corrected-already", "rows-unrelated", "unit-of-residuals")
 # What a table other than the calibrated one is off by as a rule, mm and mrad; and what the
 # calibrated one may be at other positions than its own.
 _ANOTHER_TABLE, _CALIBRATED = 1.0, 0.1
@@ -71,7 +63,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
         rows = np.flatnonzero(poses.weights > 0)
         own = poses.residuals[rows], poses.codes[rows], linear.arm, poses.angles[rows, :n_joints]
         expected = model.fading_.share(doubt)[rows, None] * of_rows[rows]
-        as_given, found = of_own_points(*own, rows, expected=expected)
+        as_given, found = of_own_points(*own, rows, known=expected)
         if found:
             yield from found
             return
@@ -82,7 +74,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     data = _Rows(linear, poses.at(used))
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
-    likely = likeliest([(data.gain(one), one) for one in data.tried(as_given)], PRICE)
+    likely = likeliest((data.gain(one), one) for one in data.tried(as_given))
     if not likely:
         return
     best, *near = likely
@@ -111,15 +103,12 @@ class _Rows:
 
     def tried(self, as_given):
         """Yield what may be wrong with residuals; if they are as given, the arm is another one."""
-        every = np.arange(len(self.y))
-        yield Explanation("another-arm", "", self.y, every)
-        if as_given:
-            return
-        if self.linear.n_positions >= LEAST_POSITIONS:  # from fewer no table is known elsewhere
-            yield Explanation("other-table", "", self.given, every)
-        yield Explanation("rows-unrelated", "", self.y, every)
         of = self.poses.angles, self.linear.arm.n_joints, self.poses.codes
-        yield from explanations(self.y, self.expected, *of, self.predict, self.expected)
+        every = explanations(self.y, self.expected, *of, self.predict, self.expected)
+        few = self.linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
+        for one in islice(every, 1 if as_given else None):
+            if not (few and one.code == "other-table"):
+                yield one
 
     def gain(self, one):
         """Log likelihood of an explanation less that of the same rows as they are given, nats.
@@ -129,10 +118,10 @@ class _Rows:
         some = np.linspace(0, len(one.rows) - 1, min(_ROWS, len(one.rows))).astype(int)
         rows, other_table = one.rows[some], one.code == "other-table"
         spread = self._spread(rows, _ANOTHER_TABLE * other_table)
-        taus = _TAUS_OF.get(one.code, _TAUS)
-        noise_log_sd = _KNOWN_LOG_SD if one.code in _NOISE_IS_KNOWN else _NOISE_LOG_SD
+        taus = _ANOTHER if one.code == "another-arm" else _TAUS
+        # Those of other rows scatter about nothing by what the model expects of these.
         noise = spread.log_noise(self.expected[rows]) if one.code == "rows-unrelated" else 0.0
-        explained = spread.log_likelihood(one.left[some], taus, noise_log_sd, noise)
+        explained = spread.log_likelihood(one.left[some], taus, noise)
         explained += spread.freedom * np.log(one.factor)
         tables = (0.0, _CALIBRATED) if other_table else (0.0,)
         own = rows if one.of is None else one.of[some]  # the same residuals at their own angles
@@ -182,7 +171,7 @@ class _Spread:
         vectors = self.whiten(vectors.ravel())
         return 0.5 * np.log1p(vectors @ vectors / self.freedom)
 
-    def log_likelihood(self, left, taus=_TAUS, noise_log_sd=_NOISE_LOG_SD, noise=0.0):
+    def log_likelihood(self, left, taus=_TAUS, noise=0.0):
         """Highest log likelihood of residuals (n, 3) over changes of the arm and the noise.
 
         None counts as farther from the middle of its position than some medians.
@@ -196,7 +185,7 @@ class _Spread:
         wider = 1 + np.square(taus)[:, None] * self.size
         squares = rest + (along / wider).sum(axis=1)
         log_noise = 0.5 * np.log(np.maximum(squares / self.freedom, 1e-300))
-        off = (log_noise - noise) / noise_log_sd
+        off = (log_noise - noise) / _NOISE_LOG_SD
         value = -0.5 * squares * np.exp(-2 * log_noise) - self.freedom * log_noise
         value -= 0.5 * np.log(wider).sum(axis=1) + 0.5 * np.square(off)
         log_tau = np.log(np.maximum(taus, _TAUS[1]) / _TAU) / _TAU_LOG_SD

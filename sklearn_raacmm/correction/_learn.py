@@ -242,10 +242,7 @@ def _say_what_moved(data, calibration, model, noise, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        every = np.ones(len(left))
-        report_findings(
-            moved_positions(left, data.angles, every, data.positions, noise**2, data.rows)
-        )
+        report_findings(moved_positions(left, data.angles, data.positions, noise**2, data.rows))
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
     report_findings(drift_of(calibration.arm, data.angles[rows], left, codes))

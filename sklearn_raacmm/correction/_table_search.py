@@ -67,16 +67,17 @@ class TableChange:
             f"With {self.change} the points scatter by {self.scatter_mm:.2g} mm instead of "
             f"{self.scatter_given_mm:.3g} (raacmm learn {self.options})."
         )
-        places = [
-            f"{one.change}, {', '.join(f'{mm:.0f}' for mm in one.first_point)} ({one.options})"
-            for one in (self, *self.equals)
-        ]
+        places = []
+        for one in (self, *self.equals):
+            where = ", ".join(f"{mm:.0f}" for mm in one.first_point)
+            places.append(f"{one.change}, {where} ({one.options})")
         if self.equals:
             said += " Others do it as well; x, y and z of the first row in mm tell which is right: "
             said += f"{'; '.join(places)}."
         return said
 
 
+@ignored_findings()  # of the wrong tables, nearly all have something to be said
 def search_table(
     arm: Arm,
     angles: ArrayLike,
@@ -126,21 +127,17 @@ def search_table(
     check_arm(arm)
     given = _scatter(arm, angles, positions, points, angle_unit)
     raw = np.asarray(angles, dtype=float)
-    # Whole positions, as many as fit; of a tracker's points some from everywhere.
-    rows = np.linspace(0, len(raw) - 1, min(len(raw), _RANKED_ROWS)).astype(int)
     codes = few_points = None
-    if points is None:
+    if points is None:  # whole positions, as many as fit
         codes = encode_groups(positions, len(raw))[1]
         rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
         codes = codes[rows]
-    else:
+    else:  # some from everywhere
+        rows = np.linspace(0, len(raw) - 1, min(len(raw), _RANKED_ROWS)).astype(int)
         few_points = np.asarray(points, dtype=float)[rows]
     ranked = []
-    with ignored_findings():  # of the wrong tables, nearly all have something to be said
-        for entry in _candidates(arm, angle_unit, np.abs(raw).max()):
-            _, _, other, columns, unit = entry
-            radians = np.deg2rad(raw[rows]) if unit == "deg" else raw[rows]
-            ranked.append((_quick_scatter(other, radians[:, columns], codes, few_points), *entry))
+    for entry in _candidates(arm, angle_unit, np.abs(raw).max()):
+        ranked.append((_quick_scatter(entry[2:], raw[rows], codes, few_points), *entry))
     ranked.sort(key=lambda entry: entry[:2])
     # Of those that coincide about as well as the best, the simple ones first.
     best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
@@ -150,8 +147,7 @@ def search_table(
     found = []
     for _, _, change, other, columns, unit in best:
         scatter = _scatter(other, raw[:, columns], positions, points, unit)
-        with ignored_findings():
-            where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
+        where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
         options = _options(arm, other, columns, None if unit == angle_unit else unit)
         parts = change, scatter, given, other, tuple(columns), unit, options, tuple(where)
         found.append(TableChange(*parts))
@@ -165,42 +161,41 @@ def search_table(
 def _options(arm, other, columns, unit):
     """Options of `raacmm learn` that change an arm, the order of its angles and their unit."""
     reversed_ = np.flatnonzero(arm.joint_signs != other.joint_signs) + 1
-    words = ["--take " + "-".join(["reversed", *map(str, reversed_)])] if len(reversed_) else []
-    words += ["--take other-convention"] if arm.convention != other.convention else []
-    if columns != sorted(columns):
-        words.append(f"--angles with the columns {','.join(str(i + 1) for i in columns)}")
-    return " ".join([*words, *([f"--unit {unit}"] if unit else [])])
+    order = ",".join(str(i + 1) for i in columns)
+    words = [
+        ("--take " + "-".join(["reversed", *map(str, reversed_)])) * bool(len(reversed_)),
+        "--take other-convention" * (arm.convention != other.convention),
+        f"--angles with the columns {order}" * (columns != sorted(columns)),
+        f"--unit {unit}" * bool(unit),
+    ]
+    return " ".join(word for word in words if word)
 
 
 def _scatter(arm, angles, positions, points, unit):
     """Mean scatter after calibration, mm."""
     where = {"groups": positions} if points is None else {"points": points}
-    with ignored_findings():  # of the wrong tables, nearly all have something to be said
-        return typical_scatter(calibrate(arm, angles, angle_unit=unit, **where))
+    return typical_scatter(calibrate(arm, angles, angle_unit=unit, **where))
 
 
 def _candidates(arm, unit, largest):
     """Yield (number of changes, words, arm, order of columns, unit) of every candidate."""
-    n, straight = arm.n_joints, [*range(arm.n_joints)]
-    senses = [*product((1.0, -1.0), repeat=n)]
+    n, as_given, straight = arm.n_joints, np.ones(arm.n_joints), [*range(arm.n_joints)]
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    joints: list[Any] = [(0, "", straight, senses[0])]
-    joints.append((1, "the joints in reverse order", straight[::-1], senses[0]))
+    joints: list[Any] = [(1, "the joints in reverse order", straight[::-1], as_given)]
     for i, j in combinations(range(n), 2):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
-        joints.append((1, f"joints {i + 1} and {j + 1} exchanged", columns, senses[0]))
-    for signs in senses[1:]:
+        joints.append((1, f"joints {i + 1} and {j + 1} exchanged", columns, as_given))
+    for signs in product((1.0, -1.0), repeat=n):  # the first are those given
         which = [str(i + 1) for i in range(n) if signs[i] < 0]
-        words = f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"
+        words = f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed" * bool(which)
         joints.append((len(which), words, straight, signs))
     other = {"standard": "modified", "modified": "standard"}[arm.convention]
     conventions = [("", arm.convention), (f"the {other} convention", other)]
     units = [("", unit)]
     # Read as degrees, an arm in radians hardly moves, and its points scatter little for that.
     if (largest > 2 * np.pi) == (unit == "rad"):
-        units.append(
-            {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}[unit]
-        )
+        words = {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}
+        units.append(words[unit])
     for (n_changes, *moved), form, angle_unit in product(joints, conventions, units):
         words = [one for one in (moved[0], form[0], angle_unit[0]) if one]
         if words:
@@ -209,15 +204,16 @@ def _candidates(arm, unit, largest):
             yield n_changes, " and ".join(words), changed, moved[1], angle_unit[1]
 
 
-def _quick_scatter(arm, angles, codes, points):
+def _quick_scatter(candidate, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
+    arm, columns, unit = candidate
+    angles = np.deg2rad(angles[:, columns]) if unit == "deg" else angles[:, columns]
     if points is None:
         frames = arm.frames(angles)[:, -1]
         # Points are linear in the probe: origin + turn @ probe.
-        turn, origin = frames[:, :3, :3].reshape(-1, 9), frames[:, :3, 3]
-        A, left = centred(turn, codes).reshape(-1, 3), centred(origin, codes)
-        probe = np.linalg.lstsq(A, -left.ravel(), rcond=None)[0]
-        left = left + (A @ probe).reshape(-1, 3)
+        parts = centred(frames[:, :3], codes)
+        A, left = parts[:, :, :3].reshape(-1, 3), parts[:, :, 3]
+        left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
         ours = arm.forward(angles)
         rotation, shift = align(ours, points)

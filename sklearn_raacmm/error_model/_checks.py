@@ -55,7 +55,9 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
     if probes is not None:
-        probes = _check_probes(probes, len(X))
+        probes = floats("probes", probes, finite=True)
+        if probes.shape != (len(X), 3):
+            raise ValueError(f"probes must have shape ({len(X)}, 3), in mm, got {probes.shape}.")
     if groups is None and not lengths:
         groups = found_positions(points_of(arm, X[:, : arm.n_joints], probes), y, weights)
     groups = None if groups is False else groups
@@ -68,19 +70,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         and estimator.offsets == "auto"
         and are_deviations(y, positions, weights)
     )
-    given = y, weights, arm, X[:, : arm.n_joints], positions, deviations, probes
-    report_findings(check_targets(*given))
+    angles = X[:, : arm.n_joints]
+    report_findings(check_targets(y, weights, arm, angles, positions, deviations, probes))
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     X = X if probes is None else np.hstack([X, probes])
     return Rows(arm, X, y, weights, codes, tuple(lengths)), positions
-
-
-def _check_probes(probes, n_rows):
-    """Probe of each row, (n, 3) in mm."""
-    probes = floats("probes", probes, finite=True)
-    if probes.shape != (n_rows, 3):
-        raise ValueError(f"probes must have shape ({n_rows}, 3), in mm, got {probes.shape}.")
-    return probes
 
 
 def _check_repeats(weights):
@@ -90,14 +84,11 @@ def _check_repeats(weights):
             f"sample_weight holds {weights.max():.4g}, but a weight is worth that many repeats of "
             f"its row: more than {_MOST_REPEATS:g} are refused."
         )
-    n = np.count_nonzero(weights)
-    if not _LEAST_WORTH * n <= weights.sum() <= _LARGEST_WORTH * n:
-        said = (
-            f"By their sample_weight the {n} rows are worth {weights.sum():.3g} rows: too little "
-            "or too much will be learnt."
-        )
+    n, worth = np.count_nonzero(weights), weights.sum()
+    if not _LEAST_WORTH * n <= worth <= _LARGEST_WORTH * n:
+        said = f"By their sample_weight the {n} rows are worth {worth:.3g} rows: too little or too"
         advice = "A weight counts repeats: give weights of about 1."
-        report_findings([Finding("worth-of-rows", said, advice)])
+        report_findings([Finding("worth-of-rows", f"{said} much will be learnt.", advice)])
     return weights
 
 

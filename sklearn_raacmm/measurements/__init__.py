@@ -3,12 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.measurements._dwells import Dwells, find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
     FAR,
     PRICE,
     UNITS,
-    Explanation,
     explanations,
     likeliest,
     medians_of,
@@ -16,13 +15,12 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._labels import (
     no_readings,
-    other_labels,
     places_of,
     renamed,
     same_places,
     wrong_labels,
 )
-from sklearn_raacmm.measurements._moved_positions import find_steps, moved_positions
+from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_EXPLAINED,
     coarse_angles,
@@ -38,8 +36,6 @@ __all__ = [
     "MOST_EXPLAINED",
     "PRICE",
     "UNITS",
-    "Dwells",
-    "Explanation",
     "base_motions",
     "check_targets",
     "coarse_angles",
@@ -48,7 +44,6 @@ __all__ = [
     "explanations",
     "find_dwells",
     "find_poses",
-    "find_steps",
     "likeliest",
     "medians_of",
     "moved_positions",
@@ -56,7 +51,6 @@ __all__ = [
     "no_readings",
     "of_own_points",
     "order_explained_by",
-    "other_labels",
     "places_of",
     "renamed",
     "same_places",

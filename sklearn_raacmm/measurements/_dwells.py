@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,18 +49,11 @@ class Dwells(NamedTuple):
         """Findings on copies and dwells."""
         n, n_poses = len(self.pose), len(self.first)
         if self.n_copies:
-            yield Finding(
-                "copied-rows",
-                f"{self.n_copies} rows are copies of others, to the last digit: they count once.",
-                weight="note",
-            )
+            text = f"{self.n_copies} rows are copies of others, to the last digit: they count once."
+            yield Finding("copied-rows", text, weight="note")
         if n_poses + self.n_copies < n:
-            yield Finding(
-                "dwells",
-                f"{n} rows are {n_poses} poses: rows in which the arm stood still count as their "
-                "mean, with the weight of one.",
-                weight="note",
-            )
+            text = f"{n} rows are {n_poses} poses: of rows in which the arm stood still the mean"
+            yield Finding("dwells", f"{text} counts, with the weight of one.", weight="note")
 
 
 def find_dwells(
@@ -76,16 +70,14 @@ def find_dwells(
     # Both ends of a step are within the limit of one mean.
     breaks = np.flatnonzero(~(step <= 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1
     new = np.ones(n, dtype=bool)
-    for low, high in zip(np.r_[0, breaks], np.r_[breaks, n], strict=True):
+    for low, high in pairwise([0, *breaks, n]):
         if high - low < _LEAST:
             continue
         runs = _runs(within_turn(angles[low:high] - angles[low]))
-        for first, end in zip(runs, [*runs[1:], high - low], strict=True):
-            rows = slice(low + first, low + end)
-            of_run = angles[rows]
-            is_copy = copies_count and np.ptp(of_run, axis=0).max() < _COPY_RAD
+        for first, end in pairwise([*low + np.array(runs), high]):
+            is_copy = copies_count and np.ptp(angles[first:end], axis=0).max() < _COPY_RAD
             if end - first >= _LEAST and not is_copy:
-                new[rows.start + 1 : rows.stop] = False
+                new[first + 1 : end] = False
     return Dwells(np.cumsum(new) - 1, np.flatnonzero(new))
 
 
@@ -110,19 +102,17 @@ def find_poses(
     As `find_dwells`; rows are no copies if their measured points (n, 3) differ.
     """
     dwells = find_dwells(angles, codes)
-    columns = [dwells.mean_angles(angles)]
-    if codes is not None:
-        columns.append(codes[dwells.first][:, None])
+    codes = np.zeros(len(angles)) if codes is None else codes
+    columns = [dwells.mean_angles(angles), codes[dwells.first][:, None]]
     if points is not None:
         columns.append(dwells.mean(points))
     _, first, of = np.unique(np.hstack(columns), axis=0, return_index=True, return_inverse=True)
     if len(first) == len(dwells.first):
         return dwells
     order = np.argsort(first)  # in the order of the first rows again
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    n_copies = int(np.sum(np.bincount(dwells.pose)) - np.bincount(dwells.pose)[first].sum())
-    return Dwells(place[of.ravel()][dwells.pose], dwells.first[first[order]], n_copies)
+    pose = np.argsort(order)[of.ravel()][dwells.pose]
+    n_copies = len(angles) - int(np.bincount(dwells.pose)[first].sum())
+    return Dwells(pose, dwells.first[first[order]], n_copies)
 
 
 def within_turn(angles: np.ndarray) -> np.ndarray:

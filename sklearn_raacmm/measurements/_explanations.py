@@ -8,8 +8,8 @@ single-point test are those of the arm's own points to the last digit, and compa
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations, permutations, product
+from collections.abc import Iterable, Iterator
+from itertools import combinations_with_replacement, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,10 +101,10 @@ class Explanation(NamedTuple):
         return Finding(self.code, text, WORDS[self.code][1], weight, rows=rows, size_mm=size_mm)
 
 
-def likeliest(explained: Iterable[tuple[float, Any]], given: float = 0.0) -> list[Any]:
+def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> list[Any]:
     """The best of (nats, explanation) and all that are as likely, the best first.
 
-    None where the data as given are likelier than the best.
+    None where the data as given are likelier than the best, or its gain is less than its price.
     """
     ranked = sorted(explained, key=lambda one: -one[0])
     best = ranked[0][0]
@@ -112,28 +112,25 @@ def likeliest(explained: Iterable[tuple[float, Any]], given: float = 0.0) -> lis
 
 
 def explanations(
-    y: np.ndarray,
-    expected: np.ndarray,
-    angles: np.ndarray,
-    n_joints: int,
-    codes: np.ndarray | None,
-    predict: Callable[[np.ndarray], np.ndarray],
-    correction: np.ndarray | None,
+    y: Any, expected: Any, angles: Any, n_joints: int, codes: Any, predict: Any, correction: Any
 ) -> Iterator[Explanation]:
-    """Yield what may have been done to residuals (n, 3), in mm.
+    """Yield what may have been done to residuals (n, 3), in mm, that they are of another arm first.
 
     `expected` (n, 3) is what they should be at the angles, and `predict` says so for others; a
     `correction` (n, 3) may have been taken away. `codes` (n,) are the positions, where these have
     offsets.
     """
     every = np.arange(len(y))
+    yield Explanation("another-arm", "", y, every)
+    yield Explanation("other-table", "", y - expected, every)
+    yield Explanation("rows-unrelated", "", y, every)
     yield Explanation("sign-of-residuals", "", -y - expected, every)
     for factor, unit in UNITS.items():
         left = factor * y - expected
         yield Explanation("unit-of-residuals", unit, left, every, len(UNITS), factor)
-    for times, code in enumerate(("corrected-already", "sign-of-residuals"), 1):
-        if correction is not None:
-            yield Explanation(code, "", y + times * correction - expected, every)
+    if correction is not None:
+        yield Explanation("corrected-already", "", y + correction - expected, every)
+        yield Explanation("sign-of-residuals", "", y + 2 * correction - expected, every)
     best = max(_EXCHANGES, key=lambda one: np.vdot(y @ one.T, expected))
     names = [("-" if row.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in best]
     turns = [(best, " ".join(names), len(_EXCHANGES))]
@@ -141,21 +138,15 @@ def explanations(
         turns.append((mirror * align(mirror * y, expected)[0], words, _TURNS))
     for turn, words, n_tried in turns:
         yield Explanation("axes-of-residuals", words, y @ turn.T - expected, every, n_tried)
-    for words, changed in _changed_joints(angles, n_joints):
+    # Two joints exchanged, or one and the same reversed.
+    for i, j in combinations_with_replacement(range(n_joints), 2):
+        changed = angles.copy()
+        changed[:, [i, j]] = angles[:, [j, i]] * (-1 if i == j else 1)
+        words = f"joint {i + 1} is reversed"
+        if i < j:
+            words = f"joints {i + 1} and {j + 1} are exchanged"
         yield Explanation("joints", words, y - predict(changed), every, _JOINTS)
     yield from _late(y, expected, codes)
-
-
-def _changed_joints(angles, n):
-    """Yield what may have been done to the angles (n_samples, n or more), and how they were."""
-    for i, j in combinations(range(n), 2):
-        order = np.arange(angles.shape[1])
-        order[[i, j]] = j, i
-        yield f"joints {i + 1} and {j + 1} are exchanged", angles[:, order]
-    for i in range(n):
-        signs = np.ones(angles.shape[1])
-        signs[i] = -1
-        yield f"joint {i + 1} is reversed", angles * signs
 
 
 def _late(y, expected, codes):
@@ -192,19 +183,13 @@ def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
 
 
 def of_own_points(
-    y: np.ndarray,
-    codes: np.ndarray,
-    arm: Arm,
-    angles: np.ndarray,
-    numbers: np.ndarray,
-    probes: Any = None,
-    expected: Any = None,
+    y: Any, codes: Any, arm: Arm, angles: Any, numbers: Any, probes: Any = None, known: Any = None
 ) -> tuple[bool, list[Finding]]:
     """Whether deviations (n, 3) of a single-point test are of the arm's points, and what was done.
 
     They are those of the arm's own points from where each position is, to the last digit: what else
     explains their differences from row to row is what was done to them. `numbers` (n,) are what the
-    rows are called; `expected` (n, 3) in mm is what a correction says; None: there is none.
+    rows are called; `known` (n, 3) in mm is what a correction says; None: there is none.
     """
 
     def steps(values, rows=slice(None)):  # from row to row of one position
@@ -228,8 +213,7 @@ def of_own_points(
     as_given = Explanation("", "", given - own, every)
     if explains(as_given):
         return True, []
-    of = angles, arm.n_joints, codes, own_of, expected
-    tried = [*explanations(given, own, *of)]
+    tried = [*explanations(given, own, angles, arm.n_joints, codes, own_of, known)]
     # Any deviations are those of some table where there are few.
     jac = parameter_jacobian(arm, angles)[1]
     slope, shown = steps(jac.reshape(len(y), -1)), steps(own)
@@ -246,7 +230,7 @@ def of_own_points(
             return False, []
         text = "y are not the deviations of the arm's own points at these angles:"
         found = Explanation("rows-unrelated", "", y, every)
-    maybe_meant = expected is None and found.code in _MAYBE_MEANT
+    maybe_meant = known is None and found.code in _MAYBE_MEANT
     size = float(np.sqrt(np.square(y).sum(axis=1).mean()))
     weight = "doubt" if maybe_meant else "repair"
     return False, [found.finding(f"{text} {found.said(numbers)}.", numbers, size, weight)]

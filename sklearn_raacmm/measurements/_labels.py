@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist, pdist
 
 from sklearn_raacmm.measurements._explanations import PRICE
 from sklearn_raacmm.utils import Finding, group_means, row_numbers
@@ -48,51 +47,57 @@ def renamed(places: np.ndarray, codes: np.ndarray) -> np.ndarray:
     return name[places]
 
 
-def other_labels(
-    points: np.ndarray, codes: np.ndarray, far: np.ndarray, sigma: float
-) -> np.ndarray:
-    r"""Codes (n,) in which rows that are `far` (n,) from their place have that of another one.
+def _other_labels(points, codes, far, sigma):
+    """Codes (n,) in which rows that are `far` (n,) from their place have that of another one.
 
-    A slip may be anywhere among the places, which scatter by S; a row of another place is at one of
-    the P places. With d its distance and s the scatter of a coordinate, the second is likelier by
-    :math:`3 \log(S / s) - d^2 / 2 s^2 - \log P` nats.
+    A slip may be anywhere, a row of another place is at one of the P places: log P is its price.
     """
     found = codes.copy()
     near = ~far & (np.bincount(codes[~far], minlength=codes.max() + 1)[codes] > 1)
-    if not near.any() or not far.any():
-        return found
-    known = np.unique(codes[near])
-    centres = group_means(points[near], np.searchsorted(known, codes[near]))
-    size = max(_spread(centres), sigma)
-    square = np.square(points[far][:, None] - centres).sum(axis=2)
-    gain = 3 * np.log(size / sigma) - square.min(axis=1) / (2 * sigma**2) - np.log(len(known))
-    nearest = known[square.argmin(axis=1)]
-    found[far] = np.where(gain > _PRICE_OF_ROW, nearest, codes[far])
+    if near.any() and far.any():
+        known = np.unique(codes[near])
+        centres = group_means(points[near], np.searchsorted(known, codes[near]))
+        apart = cdist(points[far], centres)
+        is_there = apart.min(axis=1) < _one_place_mm(centres, sigma, _PRICE_OF_ROW, len(known))
+        found[far] = np.where(is_there, known[apart.argmin(axis=1)], codes[far])
     return found
 
 
+def _one_place_mm(centres, sigma, price, n_tried):
+    r"""Distance (mm) up to which two points are likelier at one place than anywhere.
+
+    Places (n, 3) scatter by S. With d the distance and s the scatter of a coordinate, one place is
+    likelier by :math:`3 \log(S / s) - d^2 / 2 s^2` nats, less the logarithm of how many are tried.
+    """
+    spread = np.sqrt(np.square(centres - centres.mean(axis=0)).mean())
+    nats = 3 * np.log(max(spread, sigma) / sigma) - price - np.log(n_tried)
+    return sigma * np.sqrt(2 * max(nats, 0.0))
+
+
 def wrong_labels(
-    codes: np.ndarray, right: np.ndarray, labels: Any, numbers: np.ndarray, many: bool
+    points: Any, codes: Any, right: Any, labels: Any, numbers: Any, far: Any, sigma: float
 ) -> Iterator[Finding]:
     """The finding that some rows are at other places than their labels say.
 
     `codes` and `right` (n,) index the `labels`, as given and by geometry; -1 is no place that has a
-    label. `numbers` (n,) are what the rows are called.
+    label. Where `right` is None, rows that are `far` (n,) may be at another place, of `points` (n,
+    3) that scatter by `sigma`, mm. `numbers` (n,) are what the rows are called.
     """
+    many = right is not None
+    right = right if many else _other_labels(points, codes, far, sigma)
     rows = np.flatnonzero(codes != right)
     if not len(rows):
         return
     parts: list[str] = []
-    left: Any = rows.tolist()
-    for i in rows.tolist():
-        pair = [j for j in left if codes[j] == right[i] and right[j] == codes[i]]
-        if i in left and pair:
-            left.remove(i)
-            left.remove(pair[0])
+    left: Any = rows
+    for i in rows:
+        pair = left[(codes[left] == right[i]) & (right[left] == codes[i])]
+        if i in left and len(pair):
+            left = np.setdiff1d(left, [i, pair[0]])
             first, second = row_numbers(numbers[[i, pair[0]]])
             parts.append(f"rows {first} and {second} look exchanged")
     for given, place in np.unique(np.column_stack([codes, right])[left], axis=0):
-        of = [i for i in left if codes[i] == given and right[i] == place]
+        of = left[(codes[left] == given) & (right[left] == place)]
         where = "no place of the others" if place < 0 else f"of {labels[place].item()!r}"
         named = f"{_in_words(numbers[of])} of {labels[given].item()!r}"
         parts.append(f"{named} look{'s' * (len(of) == 1)} to be {where}")
@@ -112,42 +117,29 @@ def no_readings(angles: np.ndarray, far: np.ndarray, numbers: np.ndarray) -> Ite
     """The finding that rows that are `far` (n,) from their place hold one value in every joint."""
     rows = np.flatnonzero(far & (np.ptp(angles, axis=1) < _ONE_VALUE))
     if len(rows):
-        yield Finding(
-            "no-reading",
-            f"The angles of {_in_words(numbers[rows])} have one value in every joint, far from "
-            "their places.",
-            "They are no readings of the encoders, and are not learnt from: leave them out.",
-            rows=row_numbers(numbers[rows]),
-        )
+        named = _in_words(numbers[rows])
+        text = f"The angles of {named} have one value in every joint, far from their places."
+        advice = "They are no readings of the encoders, and are not learnt from: leave them out."
+        yield Finding("no-reading", text, advice, rows=row_numbers(numbers[rows]))
 
 
 def same_places(centres: np.ndarray, labels: Any, sigma: float) -> Iterator[Finding]:
-    r"""Findings of one place under several labels, by the mean points of positions (n, 3), mm.
-
-    Two places are anywhere among all, which scatter by S; one place is found to within the scatter
-    s of a coordinate. With d their distance, one place is likelier by :math:`3 \log(S / s) - d^2 /
-    2 s^2` nats, less the logarithm of how many pairs there are.
-    """
+    """Findings of one place under several labels, by the mean points of positions (n, 3), mm."""
     n = len(centres)
     if n < 3 or not sigma > 0:
         return
-    square = np.square(centres[:, None] - centres).sum(axis=2)
-    gain = 3 * np.log(max(_spread(centres), sigma) / sigma) - square / (2 * sigma**2)
-    one = np.argwhere(np.triu(gain > PRICE + np.log(n * (n - 1) / 2), 1))
-    graph = coo_array((np.ones(len(one)), one.T), shape=(n, n))
-    place = connected_components(graph, directed=False)[1]
+    near = _one_place_mm(centres, sigma, PRICE, n * (n - 1) / 2)
+    place = fcluster(linkage(centres, "single"), near, "distance")
     for code in np.flatnonzero(np.bincount(place) > 1):
         of = np.flatnonzero(place == code)
         names = " and ".join(repr(label.item()) for label in labels[of[:_NAMED]])
-        size = float(np.sqrt(square[np.ix_(of, of)].max()))
-        yield Finding(
-            "one-place",
+        size = pdist(centres[of]).max()
+        text = (
             f"{names} are one place: their mean points are {size:.2g} mm apart. They count as one "
-            "where positions are left out.",
-            weight="note",
-            positions=tuple(labels[of]),
-            size_mm=size,
+            "where positions are left out."
         )
+        positions = tuple(labels[of])
+        yield Finding("one-place", text, weight="note", positions=positions, size_mm=size)
 
 
 def _in_words(rows):
@@ -155,8 +147,3 @@ def _in_words(rows):
     named = [str(number) for number in row_numbers(rows[:_NAMED])]
     more = f" and {len(rows) - _NAMED} more" * (len(rows) > _NAMED)
     return f"row{'s' * (len(rows) > 1)} {', '.join(named)}{more}"
-
-
-def _spread(points):
-    """Root mean square of a coordinate of points (n, 3) about their mean."""
-    return float(np.sqrt(np.square(points - points.mean(axis=0)).mean()))

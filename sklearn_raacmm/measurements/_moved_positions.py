@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sklearn_raacmm.measurements._dwells import find_dwells
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
 # Poses on either side of a step that are compared, and the fewest: what lasts for fewer than three
@@ -26,8 +27,6 @@ _TRIED, _QUANTILE, _USUAL = 200, 0.7, 3.66
 _ORDERS, _AS_ORDERLY = 1999, 4
 # Rows beside the step whose order is tried: the table of their distances stays small.
 _BESIDE = 100
-# Rows closer than this in joint space, in rad, are one pose that was recorded several times.
-_SAME_POSE = 0.01
 # Squared length of a normal error in three coordinates, in the median, in units of its variance.
 _MEDIAN_SQUARE = 2.366
 # Distances of poses are divided into so many classes, of at least so many pairs each.
@@ -81,43 +80,34 @@ def find_steps(
     wider = np.quantile(usual, _QUANTILE) / _USUAL if len(usual) else 1.0
     spread, found = (edges, half * max(wider, 1.0)), []
     for every_pose, one in zip(whole, kept, strict=True):
-        cuts = _cuts(one, spread)
-        parts = pairwise(np.split(one.left, sorted(cuts)))
-        steps = [
-            after[:_MOST].mean(axis=0) - before[-_MOST:].mean(axis=0) for before, after in parts
-        ]
-        sizes = np.linalg.norm(steps, axis=1).tolist() if cuts else []
-        if cuts and _in_order(every_pose, one.first[cuts[0]], max(sizes)):
-            rows = [(int(one.last[k - 1]), int(one.first[k])) for k in sorted(cuts)]
-            code = int(one.codes[0])
-            found += [Step(code, *pair, size) for pair, size in zip(rows, sizes, strict=True)]
+        cuts, steps = _cuts(one, spread), []
+        parts: Any = np.split(one, sorted(cuts))
+        for before, after in pairwise(parts):
+            step = after.left[:_MOST].mean(axis=0) - before.left[-_MOST:].mean(axis=0)
+            rows = int(before.last[-1]), int(after.first[0])
+            steps.append(Step(int(one.codes[0]), *rows, float(np.linalg.norm(step))))
+        largest = max((step.size_mm for step in steps), default=0.0)
+        if steps and _in_order(every_pose, one.first[cuts[0]], largest):
+            found += steps
     return found
 
 
 def moved_positions(
-    left: np.ndarray,
-    angles: np.ndarray,
-    weights: np.ndarray,
-    groups: ArrayLike,
-    noise_variance: float,
-    numbers: np.ndarray | None = None,
+    left: Any, angles: Any, groups: ArrayLike, noise_variance: float, numbers: Any
 ) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
-    As `find_steps`, of all rows; those without weight do not count. `numbers` (n,) are what the
-    rows are called; None: from 0.
+    As `find_steps`; `numbers` (n,) are what the rows are called.
     """
     labels, codes = encode_groups(groups)
-    rows = np.flatnonzero(weights > 0)
-    steps = find_steps(left[rows], angles[rows], codes[rows], noise_variance)
-    rows = rows if numbers is None else numbers[rows]
+    steps = find_steps(left, angles, codes, noise_variance)
     if not steps:
         return
     moved = sorted({step.code for step in steps})
     named = []
     for code in moved[:_NAMED]:
         of = [step for step in steps if step.code == code]
-        named.append(f"position {labels[code].item()!r} by {_in_words(of, rows)}")
+        named.append(f"position {labels[code].item()!r} by {_in_words(of, numbers)}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
     yield Finding(
         "moved-position",
@@ -126,7 +116,7 @@ def moved_positions(
         "again, or give the rows after each step a label of their own.",
         "repair",
         positions=tuple(labels[moved]),
-        rows=row_numbers(rows[step.after] for step in steps),
+        rows=row_numbers(numbers[step.after] for step in steps),
         size_mm=max(step.size_mm for step in steps),
     )
 
@@ -149,20 +139,14 @@ def _sorted_poses(left, angles, codes):
     `codes`, and the `first` and the `last` row of each pose.
     """
     rows = np.argsort(codes, kind="stable")
-    left, codes = left[rows], codes[rows]
-    place = np.hstack([np.cos(angles[rows]), np.sin(angles[rows])])
-    way = np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1)
-    new = np.diff(np.floor(np.cumsum(way) / _SAME_POSE), prepend=-1) != 0
-    new[1:] |= np.diff(codes) != 0
-    first = np.flatnonzero(new)
-    kinds = [("left", float, 3), ("place", float, place.shape[1])]
+    dwells = find_dwells(angles[rows], codes[rows])
+    first, last = rows[dwells.first], np.append(rows[dwells.first[1:] - 1], rows[-1:])
+    kinds = [("left", float, 3), ("place", float, 2 * angles.shape[1])]
     kinds += [(name, int) for name in ("codes", "first", "last")]
     poses: Any = np.recarray(len(first), kinds)
-    if len(first):
-        size = np.diff(first, append=len(rows))[:, None]
-        poses.left = np.add.reduceat(left, first, axis=0) / size
-        poses.place, poses.codes = place[first], codes[first]
-        poses.first, poses.last = rows[first], rows[np.r_[first[1:], len(rows)] - 1]
+    poses.first, poses.last, poses.codes = first, last, codes[first]
+    poses.left = dwells.mean(left[rows])
+    poses.place = np.hstack([np.cos(angles[first]), np.sin(angles[first])])
     return poses
 
 

@@ -81,25 +81,20 @@ def order_explained_by(angles: np.ndarray, codes: np.ndarray) -> float:
 
 
 def drift_of(
-    arm: Arm,
-    angles: np.ndarray,
-    left: np.ndarray,
-    codes: np.ndarray | None,
-    places: np.ndarray | None = None,
+    arm: Arm, angles: np.ndarray, left: np.ndarray, codes: np.ndarray | None
 ) -> Iterator[Finding]:
     """What drifted during a run, from the first to the last row, of what a model leaves (n, 3), mm.
 
     Zero angles, the scale and, with a reference for every pose, the base move in proportion to the
     time. What no model of the arm explains is alike at one place, and places differ: time counts by
     visits of a place, and the drift has to explain more than in nearly all other orders of the
-    visits. `codes` (n,) are the positions where these have offsets, `places` (n,) where the probe
-    was; None: so many rows after one another are one visit.
+    visits. `codes` (n,) are the positions where these have offsets; None: so many rows after one
+    another are one visit.
     """
     some = np.linspace(0, len(angles) - 1, min(len(angles), _MOST_ROWS)).astype(int)
-    places = codes if places is None else places
-    places = some * _VISITS // len(angles) if places is None else places[some]
+    places = some * _VISITS // len(angles) if codes is None else codes[some]
     angles, left = angles[some], left[some]
-    codes = None if codes is None else np.unique(codes[some], return_inverse=True)[1]
+    codes = None if codes is None else np.unique(places, return_inverse=True)[1]
     visit = np.cumsum(np.diff(places, prepend=places[:1]) != 0)
     n_visits, n = visit[-1] + 1, len(angles)
     if n_visits < _LEAST_VISITS:
@@ -132,18 +127,12 @@ def drift_of(
 def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:
     """All angles (n, n_joints), in rad, are multiples of a coarse step; `reach` in mm."""
     degrees = np.rad2deg(angles)
-    some = degrees.T[:, : 10 * _LEAST_DIFFERENT]
-    if not any(len(np.unique(column)) >= _LEAST_DIFFERENT for column in some):
-        return
-    for step in _STEPS:
+    n_different = max(len(set(column)) for column in degrees.T[:, : 10 * _LEAST_DIFFERENT])
+    for step in _STEPS if n_different >= _LEAST_DIFFERENT else ():
         size = np.deg2rad(step) / np.sqrt(12) * reach
         parts = degrees / step
         if np.abs(parts - np.round(parts)).max() < _OFF and size > _LARGE_MM:
-            yield Finding(
-                "coarse-angles",
-                f"All angles are multiples of {step:g} degrees: rounding alone moves the probe by "
-                f"{size:.2g} mm.",
-                "Take them with all digits that the encoders have.",
-                size_mm=size,
-            )
+            text = f"All angles are multiples of {step:g} degrees: rounding alone moves the probe"
+            advice = "Take them with all digits that the encoders have."
+            yield Finding("coarse-angles", f"{text} by {size:.2g} mm.", advice, size_mm=size)
             return

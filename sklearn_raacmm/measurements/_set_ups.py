@@ -30,13 +30,7 @@ def base_motions(points: np.ndarray, reach: float) -> np.ndarray:
 
 
 def moved_set_up(
-    left: np.ndarray,
-    columns: np.ndarray,
-    ridge: np.ndarray,
-    points: np.ndarray,
-    turns: np.ndarray,
-    weights: np.ndarray,
-    numbers: Any = None,
+    left: Any, columns: Any, ridge: Any, points: Any, turns: Any, weights: Any, numbers: Any
 ) -> Iterator[Finding]:
     r"""A tracker, a base or a tool that moved during the measurement, in one finding.
 
@@ -48,35 +42,30 @@ def moved_set_up(
     `left` (n, 3) is what calibration leaves of measured points, mm, `columns` (n, 3, p) their
     derivatives by what was fitted beside the base, `ridge` (p,) what the priors add to the normal
     matrix. `points` (n, 3) are the arm's, mm, `turns` (n, 3, 3) the orientations of the last link,
-    with which a tool moves. `numbers` (n,) are what the rows are called; None: from 0.
+    with which a tool moves. `numbers` (n,) are what the rows are called.
     """
     n = len(left)
     if n < 3 * _LEAST_ROWS:
         return
-    base = base_motions(points, np.abs(points).max())
-    columns = np.concatenate([columns, base], axis=2)
-    ridge = np.r_[ridge, np.zeros(6)]
+    effects = {"stations": base_motions(points, np.abs(points).max()), "tools": turns}
     root = np.sqrt(weights)[:, None, None]
-    columns, left = root * columns, root[:, :, 0] * left
-    found = {
-        what: _best_split(left, columns, ridge, root * extra)
-        for what, extra in (("stations", base), ("tools", turns))
-    }
+    columns = root * np.concatenate([columns, effects["stations"]], axis=2)
+    ridge, left = np.r_[ridge, np.zeros(6)], root[:, :, 0] * left
+    found = {what: _best_split(left, columns, ridge, root * effects[what]) for what in effects}
     what = max(found, key=lambda name: found[name][0])
     share, row, move, rest = found[what]
     usual = len(move) / (3 * n) * np.log(n)  # the best of n splits of noise
-    if share < _SHARE + usual or _jump(left, rest, row) < _JUMP:
+    size = np.linalg.norm(effects[what][row:] @ move, axis=1).mean()
+    if share < _SHARE + usual or _jump(left, rest, row) < _JUMP or size < _LEAST_MM:
         return
-    size = np.linalg.norm((base if what == "stations" else turns)[row:] @ move, axis=1).mean()
-    if size < _LEAST_MM:
-        return
-    before, after = row_numbers([row - 1, row] if numbers is None else numbers[[row - 1, row]])
+    before, after = row_numbers(numbers[[row - 1, row]])
     moved = "the tracker or the arm's base" if what == "stations" else "the probe or target"
+    text = f"The measured points jump beside the arm's, as if {moved} had moved by {size:.3g} mm"
+    advice = f"Give each part a label of its own, calibrate(..., {what}=labels), or measure again."
     yield Finding(
-        "moved-station" if what == "stations" else "moved-tool",
-        f"The measured points jump beside the arm's, as if {moved} had moved by {size:.3g} mm "
-        f"between rows {before} and {after}.",
-        f"Give each part a label of its own, calibrate(..., {what}=labels), or measure again.",
+        f"moved-{what.removesuffix('s')}",
+        f"{text} between rows {before} and {after}.",
+        advice,
         "repair",
         rows=(after,),
         size_mm=size,

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import _moved_positions, find_steps, moved_positions
-from sklearn_raacmm.measurements._moved_positions import MOVED
+from sklearn_raacmm.measurements import _moved_positions, moved_positions
+from sklearn_raacmm.measurements._moved_positions import MOVED, find_steps
 from sklearn_raacmm.utils import numbered_rows
 
 NOISE = 0.01
@@ -159,20 +159,21 @@ def test_the_warning_names_position_rows_and_size():
     left = test.arm.forward(angles) - test.arm.forward(test.data)
     left += np.random.default_rng(0).normal(0, NOISE, left.shape)
     expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first}\."
-    weights = np.ones(len(left))
-    (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
+    numbers = np.arange(len(left))
+    (found,) = moved_positions(left, angles, groups, NOISE**2, numbers)
     assert re.match(f"^{MOVED} {expected}", str(found))
     assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
     with numbered_rows(np.arange(len(left)) + 100):
-        (found,) = moved_positions(left, angles, weights, groups, NOISE**2)
+        (found,) = moved_positions(left, angles, groups, NOISE**2, numbers)
     assert f"between rows {first + 99} and {first + 100}." in found.text
     assert found.rows == (first + 100,)
-    weights = ((np.arange(len(left)) < first) | (groups != 2)).astype(float)
-    assert not list(moved_positions(left, angles, weights, groups, NOISE**2))
+    some = (numbers < first) | (groups != 2)
+    given = (part[some] for part in (left, angles, groups))
+    assert not list(moved_positions(*given, NOISE**2, numbers[some]))
     # Labels of their own after each step are the way out.
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
-    assert not list(moved_positions(left, angles, np.ones(len(left)), labels, NOISE**2))
+    assert not list(moved_positions(left, angles, labels, NOISE**2, numbers))
 
 
 @pytest.mark.exhaustive
@@ -196,8 +197,8 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
         left = left - ArmResidualRegressor(result.arm, orders=20, fade=0).fit(
             data.angles, left, groups=data.groups
         ).predict(data.angles)
-        every = np.ones(len(left))
-        found[name] = [*map(str, moved_positions(left, data.angles, every, data.groups, 0.0))]
+        numbers = np.arange(len(left))
+        found[name] = [*map(str, moved_positions(left, data.angles, data.groups, 0.0, numbers))]
     assert found["panda_3"] == []
     (sentence,) = found["panda_2"]
     assert sentence.count("position '") == 2

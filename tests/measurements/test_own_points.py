@@ -69,7 +69,7 @@ def test_each_change_is_named(real):
         (angles, y - f, "corrected-already"),
         (angles, y - 2 * f, "sign-of-residuals"),
     ]
-    assert [done(arm, q, v, codes, expected=f) for q, v, _ in cases] == [c for *_, c in cases]
+    assert [done(arm, q, v, codes, known=f) for q, v, _ in cases] == [c for *_, c in cases]
 
 
 def test_the_row_from_which_on_they_are_shifted_is_named(real):
