@@ -10,8 +10,8 @@ import numpy as np
 
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._new_poses import place_columns
-from sklearn_raacmm.error_model import LEAST_POSITIONS, constrained, judge
-from sklearn_raacmm.inference import Prior, condition, interval_scales, narrowed
+from sklearn_raacmm.error_model import LEAST_POSITIONS, interval_scales, judge
+from sklearn_raacmm.inference import Prior, condition, narrowed
 from sklearn_raacmm.utils import centred, ignored_findings
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
@@ -66,7 +66,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     )
     if codes is not None:  # what the same test shows at other positions in the same range
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
-        free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
+        free = model.constrained(tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
         "date": calendar.today().isoformat() if date is None else str(date),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, reach_mm
-from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
+from sklearn_raacmm.error_model._columns import TEMPERATURE, columns_of
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
@@ -51,9 +51,8 @@ def moved_model(linear, arm):
     check_same_table(linear.arm, arm)
     if np.any(arm.up != linear.arm.up):  # what the data found was of the earlier mounting
         linear = replace(linear, terms=linear.terms._replace(up=()))
-    n_waves = 2 * len(linear.terms.harmonics)
-    old = {c.name: (i, c) for i, c in enumerate(other_columns(linear.arm, linear.terms))}
-    others = other_columns(arm, linear.terms)
+    n_waves, others = 2 * len(linear.terms.harmonics), columns_of(arm, linear.terms).others
+    old = {c.name: (i, c) for i, c in enumerate(linear.layout.others)}
     matrix = np.zeros((n_waves + len(others), len(linear.coef)))
     matrix[:n_waves, :n_waves] = np.eye(n_waves)
     fresh = []  # the probe has a length along an axis along which the old one had none

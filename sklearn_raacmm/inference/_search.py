@@ -181,7 +181,7 @@ def _first_size(problem, state):
     root = np.repeat(np.sqrt(problem.structures.share[left.free]), 2)
     S, r = S * root * root[:, None], r * root
     best = 1.0, -np.inf
-    for v in state.variance[problem.structures.line] * _FIELD_SIZES:
+    for v in state.variance[problem.line] * _FIELD_SIZES:
         try:
             factor = root_of(np.eye(len(S)) + v * S)
         except LinAlgError:  # the rounding of large numbers
@@ -200,47 +200,36 @@ class _Leftover:
     """
 
     def __init__(self, problem, state):
-        sums, noise, structures = problem.sums, state.noise_variance, problem.structures
+        sums, noise = problem.sums, state.noise_variance
         self.sums, self.noise = sums, noise
         pairs, shares = problem.pairs_and_shares(state.lines, state.with_field)
         self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
-        self.prior = state.variance[structures.line]
-        self.columns, chosen = columns_of(self.free), columns_of(pairs)
-        self.r = sums.candidate_moment[self.columns] / noise
+        self.prior = state.variance[problem.line]
+        columns, m = columns_of(self.free), len(sums.gram)
+        self.r = sums.candidate_moment[columns] / noise
         self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
-        self.extra = None
-        m = len(sums.gram)
-        self.size = m + len(chosen)
-        self.factor = np.empty((self.size + 64, len(self.columns)))
-        self.factor[:m] = sums.cross[:, self.columns]
+        S, r, _ = problem.equations(pairs, noise)
+        self.size = len(S)
+        self.factor = np.empty((self.size + 64, len(columns)))
+        self.factor[:m] = sums.cross[:, columns]
         self.factor[m : self.size] = sums.rows(pairs, (), self.free)
-        S = np.zeros((self.size, self.size))  # of which one triangle is used
-        S[:m, :m], S[:m, m:] = sums.gram, sums.cross[:, chosen]
-        S[m:, m:] = sums.rows(pairs, (), pairs)
-        S /= noise
-        r = np.concatenate([sums.moment, sums.candidate_moment[chosen]]) / noise
-        if problem.extra is not None:
-            r += self._add_extra(problem.extra, sums.cross.shape[1], chosen, S)
+        self.extra = None
+        if sums.extra is not None:
+            scale = 1 / np.sqrt(sums.extra.variance + noise * sums.extra.share)
+            rows, waves = sums.extra.rows * scale[:, None], columns_of(pairs)
+            self.extra = rows[:, columns]
+            known = rows[:, np.r_[sums.cross.shape[1] : rows.shape[1], waves]]
+            self.factor[: self.size] += noise * (known.T @ self.extra)
+            first, second = self.extra[:, ::2], self.extra[:, 1::2]
+            both = (first, first), (second, second), (first, second)
+            self.own += [(a * b).sum(axis=0) for a, b in both]
+            self.r += self.extra.T @ (sums.extra.values * scale)
         S[np.diag_indices(self.size)] += 1 / (state.variance @ shares)
-        if self.size and len(self.columns):
+        if self.size and len(columns):
             root = _root_of_parts(S, m)
             # The transpose is in Fortran order: the factor is solved for in place.
             dtrsm(1 / noise, root, self.factor[: self.size].T, side=1, overwrite_b=1)
             self._explain(self.factor[: self.size], solve_triangular(root, r, trans="T"))
-
-    def _add_extra(self, extra, n_waves, chosen, S):
-        """Add what other observations say of all columns; of the chosen ones, their products."""
-        scale = 1 / np.sqrt(extra.variance + self.noise * extra.share)
-        rows, values = extra.rows * scale[:, None], extra.values * scale
-        known = rows[:, np.r_[n_waves : rows.shape[1], chosen]]
-        self.extra = rows[:, self.columns]
-        S += known.T @ known
-        self.factor[: self.size] += self.noise * (known.T @ self.extra)
-        first, second = self.extra[:, ::2], self.extra[:, 1::2]
-        both = (first, first), (second, second), (first, second)
-        self.own += [(a * b).sum(axis=0) for a, b in both]
-        self.r += self.extra.T @ values
-        return known.T @ values
 
     def _explain(self, rows, solved):
         """Take off what rows of the factor explain; `solved` are their products with y."""

@@ -19,8 +19,9 @@ from sklearn_raacmm import (
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.error_model import Terms
-from sklearn_raacmm.error_model._columns import ARCSEC
-from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
+from sklearn_raacmm.error_model._columns import ARCSEC, columns_of
+from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.metrics import gauge_lengths
 
 ARMS = {
@@ -178,7 +179,8 @@ def test_noise_is_right_beside_outliers():
         theta = rng.uniform(-2, 2, (1500, 6))
         y = rng.normal(scale=0.01, size=(1500, 3))
         y[:5] += 1.0
-        fitted = fit_linear_model(Rows(arm, theta, y, np.ones(1500), None), terms, True)
+        rows = Rows(arm, theta, y, np.ones(1500), None)
+        fitted = fit_linear_model(rows, columns_of(arm, terms), True)
         assert np.all(fitted.pose_weight[:5] == 0)
         found.append(fitted.model.noise_sd)
     assert np.mean(found) == pytest.approx(0.01, rel=0.02)

@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 from sklearn_raacmm import Arm
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.datasets import SimulatedArm
-from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.error_model._columns import ARCSEC, term_names
-from sklearn_raacmm.error_model._gauge import length_equations
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
+from sklearn_raacmm.error_model._sums import Rows, length_equations
 
 ARMS = {
     "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
@@ -39,7 +38,7 @@ def turned(arm, angles, frame, axis, turn):
 def test_harmonic_columns_are_angle_errors(arm):
     theta = draw_angles(arm, 20)
     pairs = np.array([(j, k) for j in range(arm.n_joints) for k in (1, 2, 17)])
-    columns = term_columns(arm, theta, Terms(pairs, False, False, False))
+    columns = columns_of(arm, Terms(pairs, False, False, False)).at(theta)
     for i, (joint, order) in enumerate(pairs):
         for part, wave in enumerate((np.cos, np.sin)):
             error = np.zeros_like(theta)
@@ -51,8 +50,8 @@ def test_harmonic_columns_are_angle_errors(arm):
 def test_kinematic_columns_are_changes_of_the_table(arm):
     theta = draw_angles(arm, 20)
     terms = Terms(np.empty((0, 2), int), False, True, False)
-    names, _ = term_names(arm, terms)
-    columns = term_columns(arm, theta, terms)
+    names = columns_of(arm, terms).names
+    columns = columns_of(arm, terms).at(theta)
     for column, name in enumerate(names):
         if name.startswith(("base", "beta")):
             continue
@@ -71,8 +70,8 @@ def test_kinematic_columns_are_changes_of_the_table(arm):
 def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
     theta = draw_angles(arm, 20)
     terms = Terms(np.empty((0, 2), int), False, True, False)
-    names, _ = term_names(arm, terms)
-    columns = dict(zip(names, np.moveaxis(term_columns(arm, theta, terms), 2, 0), strict=True))
+    names = columns_of(arm, terms).names
+    columns = dict(zip(names, np.moveaxis(columns_of(arm, terms).at(theta), 2, 0), strict=True))
     for axis, name in enumerate(("base_x", "base_y")):
         assert_allclose(columns[name], np.tile(ARCSEC * reach_mm(arm) * np.eye(3)[axis], (20, 1)))
     one = np.full(20, ARCSEC)
@@ -95,8 +94,8 @@ def test_gravity_columns_follow_potential_energy(arm, up):
     arm = arm.replace(up=up)
     theta = draw_angles(arm, 20)
     terms = Terms(np.empty((0, 2), int), True, False, False)
-    names, _ = term_names(arm, terms)
-    columns = term_columns(arm, theta, terms)
+    names = columns_of(arm, terms).names
+    columns = columns_of(arm, terms).at(theta)
     frames = arm.frames(theta)
     small = 1e-6
     for column, name in enumerate(names):
@@ -121,7 +120,7 @@ def test_gravity_columns_hold_twist_and_sag_of_the_textbooks_cantilever(up):
     machine = SimulatedArm("gravity", random_state=0, up=up)
     theta = draw_angles(machine.true_arm, 60)
     terms = Terms(np.empty((0, 2), int), True, False, False)
-    columns = term_columns(machine.true_arm, theta, terms).reshape(180, -1)
+    columns = columns_of(machine.true_arm, terms).at(theta).reshape(180, -1)
     moved = machine.deviations(theta, payload_n=5.0)
     for source in ("torsion", "sag", "payload"):
         moves = moved[source].ravel()
@@ -133,8 +132,8 @@ def test_gravity_columns_hold_twist_and_sag_of_the_textbooks_cantilever(up):
 def test_wobble_columns_tilt_the_joint_axis(arm):
     theta = draw_angles(arm, 20)
     terms = Terms(np.empty((0, 2), int), False, False, True)
-    names, _ = term_names(arm, terms)
-    columns = term_columns(arm, theta, terms)
+    names = columns_of(arm, terms).names
+    columns = columns_of(arm, terms).at(theta)
     for column, name in enumerate(names):
         joint, axis = int(name.split()[1]) - 1, "xy".index(name.split(",")[0][-1])
         wave = np.cos if "cos" in name else np.sin
@@ -151,7 +150,9 @@ def test_length_rows_are_changes_of_the_distance():
     theta, weights = draw_angles(arm, 60), rng.uniform(0.5, 2, 60)
     codes = np.repeat(np.arange(4), 15)
     terms = Terms(np.array([(0, 1), (3, 2)]), True, True, True)
-    found = length_equations(arm, theta, weights, codes, terms, [(0, 2, 100.0, 1), (3, 1, 90.0, 2)])
+    lengths = ((0, 2, 100.0, 1), (3, 1, 90.0, 2))
+    rows = Rows(arm, theta, np.zeros((60, 3)), weights, codes, lengths)
+    found = length_equations(rows, columns_of(arm, terms))
     w = rng.normal(size=found.rows.shape[1])
 
     def distances(points):
@@ -161,5 +162,5 @@ def test_length_rows_are_changes_of_the_distance():
     points = arm.forward(theta)
     assert_allclose(found.values, distances(points) - [100, 90])
     assert_array_equal(found.variance, [1, 4])
-    corrected = distances(points - term_columns(arm, theta, terms) @ (1e-3 * w))
+    corrected = distances(points - columns_of(arm, terms).at(theta) @ (1e-3 * w))
     assert_allclose(1e-3 * found.rows @ w, distances(points) - corrected, atol=1e-7)
