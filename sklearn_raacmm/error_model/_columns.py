@@ -208,13 +208,13 @@ def _lengths(arm):
 
 def columns_of(arm: Arm, terms: Terms) -> "Columns":
     """Columns of an arm, which are made once."""
-    return _alone(arm, terms._replace(harmonics=())).with_harmonics(terms.harmonics)
+    return _alone(arm, *terms[1:]).with_harmonics(terms.harmonics)
 
 
 @lru_cache(maxsize=64)
-def _alone(arm, causes):
-    """Columns without harmonics."""
-    return Columns(arm, causes._replace(harmonics=np.empty((0, 2), dtype=int)))
+def _alone(arm, *causes):
+    """Columns without harmonics; `causes` are the other fields of `Terms`."""
+    return Columns(arm, Terms(np.empty((0, 2), dtype=int), *causes))
 
 
 @lru_cache(maxsize=64)
@@ -310,7 +310,8 @@ class Columns:
 
     def means(self, rows: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> Any:
         """Weighted mean of the columns over each position, (n_positions, 3, n_columns)."""
-        total, sums = np.bincount(codes, weights), 0.0
+        total = np.bincount(codes, weights)
+        sums: Any = 0.0
         for part in chunks(len(rows), _CHUNK):
             sums = sums + group_sums(self.at(rows[part]), codes[part], weights[part], len(total))
         return sums / total[:, None, None]

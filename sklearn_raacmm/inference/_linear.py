@@ -142,7 +142,7 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
         return total([part.rows(pairs) for part in parts])
 
     whole = [total(values) for values in zip(*(part[:7] for part in parts), strict=True)]
-    return Sums(*whole, GramRows(sum_up, parts[0].cross.shape[1]))
+    return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1]), None])
 
 
 def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
