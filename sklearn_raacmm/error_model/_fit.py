@@ -104,8 +104,21 @@ def offered_harmonics(angles, orders):
         n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
         named = [_seen_orders(column, orders, n_poses) for column in angles.T]
     else:
-        named = _named_orders(orders, n_joints)
-    pairs = [(joint, order) for joint, own in enumerate(named) for order in own]
+        named = list(orders)
+        if not any(np.iterable(order) for order in named):
+            named = [named] * n_joints
+    if len(named) != n_joints:
+        raise ValueError(
+            f"orders has {len(named)} lists, but the arm has {n_joints} joints: give one for all, "
+            "or one for each."
+        )
+    for joint, own in enumerate(named, start=1):
+        bad = [k for k in own if not isinstance(k, Integral) or isinstance(k, bool) or k < 1]
+        if bad:
+            raise ValueError(
+                f"orders must be whole numbers of 1 or more, got {bad[0]!r} for joint {joint}."
+            )
+    pairs = sorted({(joint, int(order)) for joint, own in enumerate(named) for order in own})
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
@@ -117,36 +130,16 @@ def _seen_orders(angles, most, n_poses):
     return [*low, *high] if n_teeth >= _SCATTERED * n_poses else low
 
 
-def _named_orders(orders, n_joints):
-    """Orders of each joint, sorted."""
-    orders = list(orders)
-    if not any(np.iterable(order) for order in orders):
-        orders = [orders] * n_joints
-    if len(orders) != n_joints:
-        raise ValueError(
-            f"orders has {len(orders)} lists, but the arm has {n_joints} joints: give one for all, "
-            "or one for each."
-        )
-    for joint, own in enumerate(orders, start=1):
-        bad = [k for k in own if not isinstance(k, Integral) or isinstance(k, bool) or k < 1]
-        if bad:
-            raise ValueError(
-                f"orders must be whole numbers of 1 or more, got {bad[0]!r} for joint {joint}."
-            )
-    return [np.unique(np.array(list(own), dtype=int)).tolist() for own in orders]
-
-
-def structures_of(columns, with_field, unused=frozenset()):
+def structures_of(columns, with_field, unused):
     """Families, lines and field of a model that is offered some columns.
 
     Variances are in the order of `FAMILIES`. The families `unused` have proved not to be worth
     their price.
     """
-    order = columns.terms.harmonics[:, 1]
+    order, given = columns.terms.harmonics[:, 1], np.full(len(FAMILIES), np.nan)
     if not len(order) and not len(columns.family):
         raise ValueError("The model has no columns: no orders are offered and no causes are named.")
-    given = np.full(len(FAMILIES), np.nan)
-    given[list(unused)] = UNUSED_SD**2
+    given[unused] = UNUSED_SD**2
     return Structures(
         family=columns.family,
         price=order_price(order),
@@ -174,17 +167,6 @@ def smooth_shares(order: np.ndarray) -> np.ndarray:
     """
     share = (1 + np.square(order / _DECAY_FROM)) ** -2.0
     return np.where(order <= _FIELD_ORDER, share, 0.0)
-
-
-def least_unused(state, family, unused):
-    """Family of extra columns that is least worth its price, or None where all are worth it.
-
-    `family` is that of each column that is always in; `unused` have been put aside by now.
-    """
-    there = set(np.unique(family).tolist()) & set(FAMILIES_OF_EXTRA) - unused
-    gains = [(state.gain_of(np.flatnonzero(family == f)), f) for f in there]
-    gain, least = min(gains, default=(_PRICE_OF_EXTRA, None))
-    return least if gain < _PRICE_OF_EXTRA else None
 
 
 class Fitted(NamedTuple):
@@ -260,15 +242,15 @@ def _known_of_constants(rows, positions, fitted):
     # As counts of rows, weights of another size would have means scatter too much or too little.
     weight = rows.weights.mean()
     rows = rows._replace(weights=rows.weights / weight)
-    state = fitted.state
+    state = fitted.state._replace(noise_variance=fitted.state.noise_variance / weight)
     few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
-    total = np.bincount(positions, rows.weights)
-    start = lines, state.with_field, state.variance, state.noise_variance / weight
 
     def evidence(given):
         problem = Problem(given.sums(few), structures)
-        return problem.with_variances(problem.state(*start), _CONSTANT_STEPS).log_evidence
+        start = problem.with_lines(state, lines)
+        return problem.with_variances(start, _CONSTANT_STEPS).log_evidence
 
+    total = np.bincount(positions, rows.weights)
     n = 3 * len(total)
     found = {np.inf: evidence(rows)}
     for known in _KNOWN.tolist():
@@ -279,7 +261,7 @@ def _known_of_constants(rows, positions, fitted):
     variance = max(squares.mean(), least)
     taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
     found[0.0] = evidence(rows._replace(codes=positions)) - taken - _PRICE_OF_DEVIATIONS
-    known = max(found, key=lambda one: found[one])
+    known = max(found, key=found.__getitem__)
     # Constants that are no larger than the noise are none.
     return np.inf if known == _KNOWN[-1] else known * weight
 
@@ -291,14 +273,16 @@ def fit_linear_model(rows, columns, with_field) -> Any:
     The harmonics of the columns are those that are offered; `with_field` allows a smooth function
     of each angle. Families of extra columns that are not worth their price stay out.
     """
-    unused: frozenset[int] = frozenset()
+    extra, unused = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA), []
     while True:
         structures = structures_of(columns, with_field, unused)
         state, factor = _fit(rows, columns, structures)
-        least = least_unused(state, structures.family, unused)
-        if least is None:
+        of_family = {f: np.flatnonzero(columns.family == f) for f in extra.difference(unused)}
+        gains = [(state.gain_of(of), f) for f, of in of_family.items()]
+        gain, least = min(gains, default=(np.inf, None))
+        if gain >= _PRICE_OF_EXTRA:
             break
-        unused |= {least}
+        unused.append(least)
     used = rows.weighted(factor)
     model = model_of(used, columns, state)
     if np.any(factor < 1):
@@ -385,8 +369,7 @@ def _settled(rows, columns, structures, sums, state, factor):
             break
         some = rows.sums_after(some, old, factor, few)
         problem = Problem(some, structures)
-        start = problem.state(lines, state.with_field, state.variance, state.noise_variance)
-        found = problem.with_variances(start, _REFIT_STEPS)
+        found = problem.with_variances(problem.with_lines(state, lines), _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
     return state, factor, rows.sums_after(sums, before, factor, columns)
 

@@ -322,26 +322,21 @@ class LinearModel:
         """Posterior standard deviation (n,) in mm of a corrected length between two poses each."""
         n = self.arm.n_joints
         line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
-        length = np.linalg.norm(line, axis=1, keepdims=True)
-        line = line / np.maximum(length, 1e-300)
-        half, out = self._root(with_unseen=True), np.empty(len(first))
-        for rows in chunks(len(first), _CHUNK):
-            difference = self.columns(second[rows]) - self.columns(first[rows])
-            along = np.einsum("nc,ncp->np", line[rows], difference)
-            out[rows] = np.linalg.norm(along @ half, axis=1)
-        return out
+        line = line / np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-300)
+        between = self.root_at(second) - self.root_at(first)
+        return np.linalg.norm(
+            np.einsum("nc,ncr->nr", line, between.reshape(*line.shape, -1)), axis=1
+        )
 
     def harmonic_table(self) -> np.ndarray:
         """Harmonics as a structured array, the largest first: see `ArmResidualRegressor`."""
         n = 2 * len(self.terms.harmonics)
         pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
-        kinds = ["i4"] * 2 + ["f8"] * 7
-        table = np.empty(len(pairs), dtype=[*zip(_OF_HARMONICS, kinds, strict=True)])
+        dtype = [*zip(_OF_HARMONICS, ["i4"] * 2 + ["f8"] * 7, strict=True)]
         size, phase = np.hypot(*pairs.T), np.rad2deg(np.arctan2(*pairs.T[::-1]))
         places = np.add(self.terms.harmonics, (1, 0)).T
         values = *places, size, phase, *pairs.T, *sds.T, self.log_bayes_factor
-        for name, column in zip(_OF_HARMONICS, values, strict=True):
-            table[name] = column
+        table = np.array([*zip(*values, strict=True)], dtype=dtype)
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
     def term_table(self) -> Any:
@@ -349,14 +344,12 @@ class LinearModel:
         others, n = self.layout.others, self.layout.n_waves
         width = max([len(column.name) for column in others], default=1)
         dtype = [("family", "U11"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
-        table = np.empty(len(others), dtype=dtype)
-        table["family"] = [FAMILIES[column.family] for column in others]
-        table["name"] = self.layout.names
         # The columns of gravity are not all of one arc second: see `_gravity`.
         arcsec = ARCSEC / reach_mm(self.arm)
         size = np.array([c.unit / arcsec if c.kind == LOAD else 1.0 for c in others])
-        table["value"], table["sd"] = size * self.coef[n:], size * self.coef_sd[n:]
-        return table
+        family = [FAMILIES[column.family] for column in others]
+        values = size * self.coef[n:], size * self.coef_sd[n:]
+        return np.array([*zip(family, self.layout.names, *values, strict=True)], dtype=dtype)
 
 
 def _triangle(half, n_pairs):

@@ -10,7 +10,7 @@ the six axes of an icosahedron are those at every direction.
 
 import numpy as np
 
-from sklearn_raacmm.error_model._columns import LOAD, columns_of
+from sklearn_raacmm.error_model._columns import GRAVITY, LOAD, columns_of
 from sklearn_raacmm.error_model._fit import WIDE_SD, fit_with_constants, of_pairs
 from sklearn_raacmm.inference import Problem
 from sklearn_raacmm.utils import Finding, report_findings, stage
@@ -74,15 +74,14 @@ def _higher(fitted):
         return columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
 
     parts = [rows.sums(along(axis)) for axis in _AXES]
-    start = state.variance.copy()
-    families = np.unique(structures.family[loads])
+    variance = state.variance.copy()
     explains_all = parts[0].square / parts[0].gram.diagonal()[loads].mean()
-    start[families] = np.maximum(start[families], min(WIDE_SD**2, explains_all))
+    variance[GRAVITY] = max(variance[GRAVITY], min(WIDE_SD**2, explains_all))
+    start = state._replace(variance=variance)
 
     def at(up):
         problem = Problem(_sums_at(up, parts, loads), structures)
-        there = problem.state(lines, state.with_field, start, state.noise_variance)
-        return problem.with_variances(there, _STEPS)
+        return problem.with_variances(problem.with_lines(start, lines), _STEPS)
 
     # A direction that has paid already is only made better.
     stated, price = few.up, 0.0 if few.terms.up else _PRICE

@@ -21,6 +21,7 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -297,6 +298,10 @@ class Problem:
             determined=1 - np.einsum("ij,ij->i", half, half) / prior,
         )
 
+    def with_lines(self, state: State, lines: np.ndarray) -> State:
+        """Other lines at the variances of a state, beside its field."""
+        return self.state(lines, state.with_field, state.variance, state.noise_variance)
+
     def equations(self, pairs: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Products of what is in, with itself and with y, over the noise variance.
 
@@ -346,13 +351,12 @@ class Problem:
         variance = np.clip(variance, least, np.maximum(least, self.structures.largest))
         variance = np.where(self.known, self.structures.given, variance)
         noise = max(noise, _LEAST_NOISE * self.start)
-        found = self.state(last.lines, last.with_field, variance, noise)
-        for _ in range(_HALVINGS - 1):
+        for _ in range(_HALVINGS):
+            found = self.state(last.lines, last.with_field, variance, noise)
             if found.log_evidence >= last.log_evidence:
                 break
             variance = np.sqrt(variance * last.variance)
             noise = np.sqrt(noise * last.noise_variance)
-            found = self.state(last.lines, last.with_field, variance, noise)
         return found
 
     def _fixed_point(self, state):
@@ -385,11 +389,10 @@ def root_of(matrix, lower=False):
     """Cholesky factor; where rounding has eaten what the priors add, of slightly more."""
     diagonal = np.diag_indices(len(matrix))
     for more in _RIDGES:
-        try:
+        with suppress(LinAlgError):
             return cholesky(matrix, lower=lower, check_finite=False)
-        except LinAlgError:
-            matrix = matrix.copy()
-            matrix[diagonal] *= 1 + more
+        matrix = matrix.copy()
+        matrix[diagonal] *= 1 + more
     return cholesky(matrix, lower=lower, check_finite=False)
 
 

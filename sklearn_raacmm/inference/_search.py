@@ -46,27 +46,22 @@ def search(problem: Problem, state: State | None = None) -> State:
         best = problem.nothing()
     else:
         lines = state.lines if state.with_field else state.lines[:0]
-        best = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        best = problem.with_lines(state, lines)
         best = _settled(problem, best) if state.with_field else best
-    value = net_evidence(problem, best)
     for _ in range(_MAX_ROUNDS):
         lines = _extended(problem, best)
         if len(lines) == len(best.lines):
             break
-        state = problem.state(lines, best.with_field, best.variance, best.noise_variance)
-        state = _settled(problem, state)
-        last, value = value, net_evidence(problem, state)
-        if not value > last + SMALL_RISE:
-            break
-        best = state
+        last, best = best, _settled(problem, problem.with_lines(best, lines))
+        if not net_evidence(problem, best) > net_evidence(problem, last) + SMALL_RISE:
+            return last
     return best
 
 
 def search_at(problem: Problem, state: State) -> State:
     """Lines worth their price at the variances of a state of more data, beside its field."""
-    start = state.with_field, state.variance, state.noise_variance
     lines = _extended(problem, state._replace(lines=state.lines[:0]))
-    return _pruned(problem, problem.state(lines, *start))
+    return _pruned(problem, problem.with_lines(state, lines))
 
 
 def beside_field(problem: Problem, state: State, of_field: Problem, alone: State) -> State | None:
@@ -84,10 +79,8 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
     if rise + saved < structures.field_price:
         return None
-    variance = state.variance.copy()
-    variance[-1] = size
-    start = problem.state(state.lines, True, variance, state.noise_variance)
-    found = search(problem, start)
+    variance = np.append(state.variance[:-1], size)
+    found = search(problem, problem.state(state.lines, True, variance, state.noise_variance))
     before = problem.with_variances(state)
     if net_evidence(problem, found) < net_evidence(problem, before) + structures.field_price:
         return None
@@ -162,8 +155,7 @@ def _pruned(problem, state):
         if not needless:
             return state
         worst = np.argsort(net, kind="stable")[: max(needless - 1, 1)]
-        lines = np.delete(state.lines, worst)
-        state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        state = problem.with_lines(state, np.delete(state.lines, worst))
 
 
 def _first_size(problem, state):
