@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, reach_mm
+from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.error_model._columns import TEMPERATURE, columns_of
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
@@ -98,11 +98,6 @@ def moved_fading(fading, old, new):
     A longer probe makes every standard deviation larger, and the errors with it: that is no reason
     to take the correction back. Those of the last joint grow as its lever does, others less.
     """
-    ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
+    levers = [np.hypot(arm.a[-1], arm.d[-1]) + np.linalg.norm(arm.probe) for arm in (old, new)]
+    ratio = max(float(levers[1] / levers[0]), 1.0) if levers[0] > 0 else 1.0
     return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
-
-
-def lever_mm(arm: Arm, probe_mm: Any = None) -> Any:
-    """Length of the last link and of the probe, or of one of another length, mm."""
-    own = np.linalg.norm(arm.probe) if probe_mm is None else probe_mm
-    return float(np.hypot(arm.a[-1], arm.d[-1]) + own)
