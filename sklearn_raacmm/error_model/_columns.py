@@ -12,7 +12,7 @@ export to C writes the same table into its source.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import cached_property, lru_cache
-from itertools import compress
+from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -112,14 +112,13 @@ def _gravity(arm):
     longer probe than the one that was learnt came out four times worse.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
-    for frame in range(n + 1):
-        for axis in range(3):
-            before = range(max(frame - 1, 0), frame) if frame < n else ()
-            for load in [*before, *range(frame + 1, n + 2)]:
-                at = "probe" if load > n else f"frame {load}"
-                name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                size = unit * (_OF_END if load < frame else 1.0)
-                yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
+    for frame, axis in product(range(n + 1), range(3)):
+        before = range(max(frame - 1, 0), frame) if frame < n else ()
+        for load in [*before, *range(frame + 1, n + 2)]:
+            at = "probe" if load > n else f"frame {load}"
+            name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
+            size = unit * (_OF_END if load < frame else 1.0)
+            yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 
 def _kinematics(arm):
@@ -147,13 +146,10 @@ def _kinematics(arm):
 
 def _wobble(arm):
     """Tilts of each joint's axis about the two directions across it."""
-    first = _first_frame(arm)
-    for j in range(arm.n_joints):
-        for axis in range(2):
-            for order in _WOBBLE_ORDERS:
-                for part, signed in (("cos", order), ("sin", -order)):
-                    name = f"joint {j + 1} tilts about {'xy'[axis]}, {part}({order} theta)"
-                    yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, signed)
+    joints, waves, first = range(arm.n_joints), (("cos", 1), ("sin", -1)), _first_frame(arm)
+    for j, axis, order, (part, sign) in product(joints, range(2), _WOBBLE_ORDERS, waves):
+        name = f"joint {j + 1} tilts about {'xy'[axis]}, {part}({order} theta)"
+        yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, sign * order)
 
 
 def _temperature(arm, name, by, mean):
@@ -177,19 +173,13 @@ def _temperature(arm, name, by, mean):
             yield column._replace(name=of, family=TEMPERATURE, unit=unit, by=by, reference=mean)
 
 
-def _force(arm):
-    """Turns of each frame about each of its axes, by the torque of a force on the probe."""
-    unit = ARCSEC / reach_mm(arm)
-    for frame in range(arm.n_joints + 1):
-        for axis in range(3):
-            name = f"force bends frame {frame} about {'xyz'[axis]}"
-            yield Column(name, FORCE, PUSH, frame, axis, unit)
-
-
 def _of_extra(arm, extra):
     """What the columns of X after the angles do."""
     if any(name.startswith(("force", "payload")) for name, _ in extra):
-        yield from _force(arm)
+        # Turns of each frame about each of its axes, by the torque of a force on the probe.
+        for frame, axis in product(range(arm.n_joints + 1), range(3)):
+            name = f"force bends frame {frame} about {'xyz'[axis]}"
+            yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / reach_mm(arm))
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
         if kind in ("temperature", "time"):

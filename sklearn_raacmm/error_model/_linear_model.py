@@ -285,7 +285,8 @@ class LinearModel:
         is the root with these. Fields that the positions hardly tell from others are left: with few
         positions G would explode.
         """
-        columns, model = self.layout, self
+        columns, half = self.layout, self.half
+        changes: dict[str, Any] = {}
         means = columns.means(X, codes, weights)
         if columns.terms.kinematics:
             points = group_means(columns.points(X), codes, weights)
@@ -293,18 +294,20 @@ class LinearModel:
             size = np.square(spread).sum()
             if size > 0:
                 scale_of = np.einsum("gc,gcp->p", spread, means) / size
-                along, unit = scale_of @ self.half, columns.scale
+                along, unit = scale_of @ half, columns.scale
                 if keep_scale:
-                    coef = self.coef - unit * (scale_of @ self.coef)
-                    model = replace(self, coef=coef, half=self.half - np.outer(unit, along))
+                    half = half - np.outer(unit, along)
+                    changes = {"coef": self.coef - unit * (scale_of @ self.coef), "half": half}
                 else:
-                    model = replace(self, scale_sd=float(np.linalg.norm(along)))
-        half, of_place = model.half, place_fields(columns)
+                    changes = {"scale_sd": float(np.linalg.norm(along))}
+        of_place = place_fields(columns)
         if of_place.shape[1]:
             flat = means.reshape(-1, means.shape[2])
             shown = np.linalg.lstsq(flat @ of_place, flat @ half, rcond=_LEAST_SHOWN)[0]
             half = half - of_place @ shown
-        return replace(model, gauge_free_half=half, fading_half=half)
+        found = replace(self, **changes, gauge_free_half=half, fading_half=half)
+        vars(found)["layout"] = columns  # need not be looked up again
+        return found
 
     def joint_covariance(
         self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = True

@@ -271,13 +271,10 @@ class Problem:
         self, lines: np.ndarray, with_field: bool, variance: np.ndarray, noise: float
     ) -> State:
         """Posterior and evidence at given variances."""
-        pairs, shares = self.pairs_and_shares(lines, with_field)
-        S, r, fixed = self.equations(pairs, noise)
-        prior = variance @ shares
+        pairs, prior, S, r, fixed = self.equations(lines, with_field, variance, noise)
         # The last column is eliminated first: those that are always in then have the shortest rows
         # of `half`, which makes standard deviations cheap.
         S = S[::-1, ::-1]
-        S[np.diag_indices(len(S))] += 1 / prior[::-1]
         coef, half, volume = r, S, np.log(prior).sum()
         if len(S):
             root = root_of(S.T, lower=True)  # of which S.T is the same, in the order of Fortran
@@ -302,11 +299,16 @@ class Problem:
         """Other lines at the variances of a state, beside its field."""
         return self.state(lines, state.with_field, state.variance, state.noise_variance)
 
-    def equations(self, pairs: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """Products of what is in, with itself and with y, over the noise variance.
+    def equations(
+        self, lines: np.ndarray, with_field: bool, variance: np.ndarray, noise: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """Pairs that are in, prior variances, and the equations of the coefficients.
 
-        And what of minus twice the log evidence depends on the noise alone.
+        The latter are the penalised Gram matrix, the products with y, and what of minus twice the
+        log evidence depends on the noise alone.
         """
+        pairs, shares = self.pairs_and_shares(lines, with_field)
+        prior = variance @ shares
         gram, moment = self._products(pairs)
         S, r, extra = gram / noise, moment / noise, self.sums.extra
         fixed = (self.n + _ASSUMED_ROWS) * np.log(noise)
@@ -319,7 +321,8 @@ class Problem:
             S += weighted @ rows
             r += weighted @ extra.values
             fixed += precision @ np.square(extra.values) - np.log(precision).sum()
-        return S, r, fixed
+        S[np.diag_indices(len(S))] += 1 / prior
+        return pairs, prior, S, r, fixed
 
     def _products(self, pairs):
         """Gram matrix of the columns that are always in and of some pairs, and products with y."""

@@ -194,13 +194,13 @@ class _Leftover:
     def __init__(self, problem, state):
         sums, noise = problem.sums, state.noise_variance
         self.sums, self.noise = sums, noise
-        pairs, shares = problem.pairs_and_shares(state.lines, state.with_field)
+        choice = state.lines, state.with_field, state.variance, noise
+        pairs, _, S, r, _ = problem.equations(*choice)
         self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
         self.prior = state.variance[problem.line]
         columns, m = columns_of(self.free), len(sums.gram)
         self.r = sums.candidate_moment[columns] / noise
         self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
-        S, r, _ = problem.equations(pairs, noise)
         self.size = len(S)
         self.factor = np.empty((self.size + 64, len(columns)))
         self.factor[:m] = sums.cross[:, columns]
@@ -216,7 +216,6 @@ class _Leftover:
             both = (first, first), (second, second), (first, second)
             self.own += [(a * b).sum(axis=0) for a, b in both]
             self.r += self.extra.T @ (sums.extra.values * scale)
-        S[np.diag_indices(self.size)] += 1 / (state.variance @ shares)
         if self.size and len(columns):
             root = _root_of_parts(S, m)
             # The transpose is in Fortran order: the factor is solved for in place.
