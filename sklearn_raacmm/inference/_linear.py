@@ -134,7 +134,7 @@ class State(NamedTuple):
 
 
 def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
-    """Sums of the same columns times numbers, added up: over more or fewer poses, or weighted."""
+    """Sums of the same columns times numbers, added up, without what was observed beside them."""
 
     def total(values) -> Any:
         return sum(sign * value for sign, value in zip(signs, values, strict=True))
@@ -147,7 +147,7 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
 
 
 def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
-    """Sums with some of the candidates only."""
+    """Sums with some of the candidates only, without what was observed beside them."""
     columns = columns_of(pairs)
 
     def sum_up(some):
@@ -158,6 +158,7 @@ def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
         own=sums.own[:, pairs],
         candidate_moment=sums.candidate_moment[columns],
         rows=GramRows(sum_up, len(columns)),
+        extra=None,
     )
 
 

@@ -11,32 +11,17 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
 
-ARMS = {
-    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
-    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
-}
-NONE = np.empty((0, 2), int)
-
-
-def draw_angles(arm, n, seed=0):
-    return np.random.default_rng(seed).uniform(-2, 2, (n, arm.n_joints))
+from ._arms import ARMS, columns_by_name, displaced, draw_angles
 
 
 def by_name(arm, theta, values, extra):
     """Columns of an extra, one for each name."""
-    terms = Terms(NONE, False, False, False, extra)
-    columns = columns_of(arm, terms).at(np.column_stack([theta, values]))
-    names = columns_of(arm, terms).names
-    assert len(set(names)) == len(names) == columns.shape[2]
-    return dict(zip(names, np.moveaxis(columns, 2, 0), strict=True))
+    return columns_by_name(arm, np.column_stack([theta, values]), False, False, False, extra)
 
 
 # -- columns --------------------------------------------------------------------------------------
@@ -76,8 +61,8 @@ def test_direction_turns_its_joint_either_way(arm):
     theta, came = draw_angles(arm, 20), np.resize([1.0, -1.0, 0.0], 20)
     (column,) = by_name(arm, theta, came, (("direction 2", (0.5,)),)).values()
     error = np.zeros_like(theta)
-    error[:, 1] = ARCSEC * (came - 0.5)
-    assert_allclose(column, arm.forward(theta + error) - arm.forward(theta), atol=1e-7)
+    error[:, 1] = came - 0.5
+    assert_allclose(column, displaced(arm, theta, error), atol=1e-7)
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
@@ -101,12 +86,9 @@ def test_a_force_turns_every_frame_by_its_torque(arm):
     only_z = by_name(arm, theta, force[:, 2], (("force z", (0.0,)),))
     for name in only_z:
         assert_allclose(payload[name], only_z[name], atol=1e-12)
-    gravity = Terms(NONE, True, False, False)
-    loads = dict(
-        zip(columns_of(arm, gravity).names, columns_of(arm, gravity).at(theta).T, strict=True)
-    )
+    loads = columns_by_name(arm, theta, True, False, False)
     one = by_name(arm, theta, np.ones(20), (("payload", (0.0,)),))
-    expected = loads["load at probe bends frame 2 about y"].T
+    expected = loads["load at probe bends frame 2 about y"]
     assert_allclose(one["force bends frame 2 about y"], expected, atol=1e-12)
 
 
@@ -175,8 +157,8 @@ def test_causes_are_learnt_from_several_probes():
 
     def shown(theta, arm):
         error = np.zeros_like(theta)
-        error[:, 4] = 8 * ARCSEC * np.cos(theta[:, 4] - 1)
-        return arm.forward(theta + error) - arm.forward(theta)
+        error[:, 4] = 8 * np.cos(theta[:, 4] - 1)
+        return displaced(arm, theta, error)
 
     arms = {length: arm.replace(probe=(0, 0, length)) for length in (100.0, 250.0, 400.0)}
     y = np.concatenate([shown(theta[lengths == k], arms[k]) for k in (100.0, 250.0)])
@@ -203,8 +185,8 @@ def lagging():
     theta = draw_angles(arm, 160)
     came = rng.choice([-1.0, 1.0], 160)
     error = np.zeros_like(theta)
-    error[:, 1] = 10 * ARCSEC * came
-    y = arm.forward(theta + error) - arm.forward(theta) + rng.normal(scale=0.003, size=(160, 3))
+    error[:, 1] = 10 * came
+    y = displaced(arm, theta, error) + rng.normal(scale=0.003, size=(160, 3))
     return arm, np.column_stack([theta, came, rng.normal(20, 1, 160)]), y, np.arange(160) % 8
 
 

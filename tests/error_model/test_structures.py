@@ -3,22 +3,18 @@
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import ARCSEC, columns_of
 from sklearn_raacmm.error_model._fit import fit_linear_model, offered_harmonics
 from sklearn_raacmm.error_model._sums import Rows
 
-ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
-
-
-def draw_angles(n, seed=0, width=2.0):
-    return np.random.default_rng(seed).uniform(-width, width, (n, ARM.n_joints))
+from ._arms import ARM, draw_angles
 
 
 def test_offered_orders():
-    theta = draw_angles(30)
+    theta = draw_angles(ARM, 30)
     theta[:, 2] = np.arange(30) % 4
     offered = offered_harmonics(theta, 50)
     assert [np.count_nonzero(offered[:, 0] == j) for j in range(6)] == [30, 30, 4, 30, 30, 30]
@@ -49,7 +45,7 @@ def test_orders_are_checked(params, message):
 
 def with_gears(n, gears, seed=0, amplitude=4.0, noise=0.01):
     """Poses and residuals of an arm whose joints err by harmonics of these orders."""
-    theta = draw_angles(n, seed)
+    theta = draw_angles(ARM, n, seed)
     rng = np.random.default_rng(seed + 100)
     error = np.zeros_like(theta)
     for joint, order in gears:

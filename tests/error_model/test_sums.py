@@ -17,11 +17,7 @@ from sklearn_raacmm.error_model._sums import (
 )
 from sklearn_raacmm.inference import Sums, combined
 
-ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
-
-
-def draw_angles(n, seed=0, width=2.0):
-    return np.random.default_rng(seed).uniform(-width, width, (n, ARM.n_joints))
+from ._arms import ARM, draw_angles
 
 
 def explicit_sums(theta, y, weights, codes, offered, terms):
@@ -48,7 +44,7 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeyp
     monkeypatch.setattr(_sums, "_CHUNK", chunk)
     rng = np.random.default_rng(3)
     n = 60
-    theta, y, weights = draw_angles(n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
+    theta, y, weights = draw_angles(ARM, n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
     codes = rng.permutation(np.arange(n) % 6) if with_offsets else None
     orders = [2, 5, 300] if some_orders else range(1, 12)
     offered = np.array([(j, k) for j in (0, 2, 5) for k in orders])
@@ -84,7 +80,7 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeyp
 def test_sums_follow_weights_that_change(with_offsets):
     """Sums over the poses concerned are added and taken off: as summed up from the start."""
     rng = np.random.default_rng(6)
-    theta, y = draw_angles(80), rng.normal(size=(80, 3))
+    theta, y = draw_angles(ARM, 80), rng.normal(size=(80, 3))
     codes = np.arange(80) // 10
     old = np.ones(80)
     new = np.where(codes < 3, rng.uniform(0, 2, 80), old)
@@ -156,7 +152,7 @@ def test_sums_of_candidates_are_the_same_on_the_grid(with_offsets, monkeypatch):
 
 def test_sums_of_all_blocks_less_one_are_those_of_the_others():
     rng = np.random.default_rng(5)
-    theta, y, weights = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
+    theta, y, weights = draw_angles(ARM, 80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
     codes, block = np.arange(80) // 10, np.arange(80) // 30
     offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
     columns = columns_of(ARM, Terms(offered, True, True, True))
@@ -170,7 +166,7 @@ def test_sums_of_all_blocks_less_one_are_those_of_the_others():
 
 def test_high_orders_are_exact():
     """Waves by doubling against cosines and sines, at the highest order of all."""
-    theta = draw_angles(500, width=6.0)[:, 0]
+    theta = draw_angles(ARM, 500, width=6.0)[:, 0]
     found = waves(theta, np.arange(1, 1001))
     phase = np.arange(1, 1001) * theta[:, None]
     assert np.abs(found - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12
