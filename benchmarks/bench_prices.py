@@ -20,7 +20,7 @@ import numpy as np
 from _arm_folds import mean_deviation as deviation
 from bench_after_the_lab import Robot
 
-import sklearn_raacmm.error_model._structures as structures
+import sklearn_raacmm.error_model._fit as structures
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 

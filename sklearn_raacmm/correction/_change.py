@@ -27,12 +27,12 @@ from sklearn_raacmm.error_model import (
     LEAST_POSITIONS,
     ArmResidualRegressor,
     check_poses,
-    constrained,
+    interval_scales,
     judge,
     order_price,
     smooth_shares,
 )
-from sklearn_raacmm.inference import Prior, condition, interval_scales, log_density, narrowed
+from sklearn_raacmm.inference import Prior, condition, log_density, narrowed
 from sklearn_raacmm.utils import (
     Finding,
     centred,
@@ -191,7 +191,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     )
     if codes is not None:  # what the same test shows at other positions in the same range
         tried = poses_in_range(angles[weights > 0], arm.n_joints)
-        free = constrained(model, tried, np.ones(len(tried)), np.arange(len(tried)))
+        free = model.constrained(tried, np.ones(len(tried)), np.arange(len(tried)))
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
         "date": day(date),

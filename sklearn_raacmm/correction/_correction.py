@@ -22,7 +22,7 @@ from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correc
 from sklearn_raacmm.correction._one_fit import with_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import update_correction
-from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, unseen_variance
+from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, Floats, check_option, encode_groups
 
@@ -543,7 +543,7 @@ class Correction:
         """
         variance = within**2 + (self.scale_sd * (points - _shoulder(self.arm))) ** 2
         if (linear := linear_in_use(self.model)) is not None:
-            variance += unseen_variance(linear, X)
+            variance += linear.unseen_variance(X)
         return np.sqrt(variance)
 
     def _of_angles(self, model):

@@ -5,21 +5,11 @@
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model._checks import check_poses
-from sklearn_raacmm.error_model._columns import (
-    LOAD,
-    PUSH,
-    SHIFT,
-    TURN,
-    Terms,
-    column_table,
-    term_columns,
-    vertical,
-)
-from sklearn_raacmm.error_model._extra import check_extra, force_on_probe
-from sklearn_raacmm.error_model._fading import LEAST_POSITIONS, Fading, Judgement, judge
-from sklearn_raacmm.error_model._gauge import constrained, unseen_variance
+from sklearn_raacmm.error_model._columns import LOAD, PUSH, SHIFT, TURN, Terms
+from sklearn_raacmm.error_model._extra import check_extra
+from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, UNUSED_SD, order_price, smooth_shares
+from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._structures import UNUSED_SD, order_price, smooth_shares
 
 __all__ = [
     "LEAST_POSITIONS",
@@ -35,13 +25,8 @@ __all__ = [
     "Terms",
     "check_extra",
     "check_poses",
-    "column_table",
-    "constrained",
-    "force_on_probe",
+    "interval_scales",
     "judge",
     "order_price",
     "smooth_shares",
-    "term_columns",
-    "unseen_variance",
-    "vertical",
 ]

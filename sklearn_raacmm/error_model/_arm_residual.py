@@ -17,12 +17,17 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import Arm, angles_for, check_arm
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of
-from sklearn_raacmm.error_model._columns import CAUSES, Terms
+from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._extra import with_references
-from sklearn_raacmm.error_model._fading import find_fading, judge, warn_where_unknown
-from sklearn_raacmm.error_model._left_out import leave_out, with_honest_intervals
+from sklearn_raacmm.error_model._fit import offered_harmonics
+from sklearn_raacmm.error_model._left_out import (
+    find_fading,
+    judge,
+    leave_out,
+    warn_where_unknown,
+    with_honest_intervals,
+)
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
-from sklearn_raacmm.error_model._structures import offered_harmonics
 from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import (
@@ -263,11 +268,12 @@ class ArmResidualRegressor(
         with_field = isinstance(self.orders, Integral)
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
-        fitted, terms = fit_with_vertical(rows, of_constants, terms, with_field)
+        columns = columns_of(arm, terms)
+        fitted = fit_with_vertical(rows, of_constants, columns, with_field)
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
-        left_out = leave_out(fitted, terms, positions, rows.weights)
+        left_out = leave_out(fitted, positions, rows.weights)
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)

@@ -13,7 +13,7 @@ from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
 from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
-from sklearn_raacmm.error_model._fit import Rows
+from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.measurements import check_targets, find_dwells
 from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (

@@ -4,21 +4,22 @@ Every column is the displacement of the probe in mm that one unit of a coefficie
 is one arc second, or, for lengths, the length that one arc second spans at the arm's reach. So all
 coefficients of a family are of one size, whatever the size of the arm.
 
-One table says what each column is, see `Column`. `term_columns` computes the columns from it, and
-the export to C writes the same table into its source.
+One table says what each column is, see `Column`. `Columns` computes the columns from it, and the
+export to C writes the same table into its source.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from functools import lru_cache
-from itertools import compress
+from functools import cached_property, lru_cache
+from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of, reach_mm
-from sklearn_raacmm.error_model._extra import force_on_probe, parsed
+from sklearn_raacmm.error_model._extra import parsed
+from sklearn_raacmm.utils import chunks, group_sums
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own; then that of harmonics that are taken for
@@ -35,8 +36,10 @@ FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE)
 TURN, SHIFT, LOAD, PUSH = range(4)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
-# What places the base and is not in its table: shifts along and turns about x and y.
+# What places the base and is not in its table: shifts along and turns about x and y. Columns that
+# move the arm as a whole, the first axis standing still in the base.
 _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
+BASE_MOTIONS = ("d1", "theta_offset1", *_BASE)
 # Shorter lengths of the table do not grow: 1 mm of aluminium grows by 0.02 um per K.
 _LEAST_GROWING_MM = 1.0
 # Waves of one joint about one axis from which on a product per joint is faster than one selection
@@ -45,6 +48,8 @@ _LONG_RUN = 24
 # What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
 # moves it, in parts of that: F L^2 / (6 E I).
 _OF_END = 0.5
+# Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
+_CHUNK = 512
 
 
 class Terms(NamedTuple):
@@ -62,11 +67,6 @@ class Terms(NamedTuple):
     wobble: bool
     extra: tuple[Any, ...] = ()
     up: tuple[float, ...] = ()
-
-
-def vertical(arm: Arm, terms: Terms) -> np.ndarray:
-    """Unit vector against gravity in the base frame, (3,): the arm's, or what the data found."""
-    return np.array(terms.up) if terms.up else arm.up
 
 
 class Column(NamedTuple):
@@ -112,14 +112,13 @@ def _gravity(arm):
     longer probe than the one that was learnt came out four times worse.
     """
     n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
-    for frame in range(n + 1):
-        for axis in range(3):
-            before = range(max(frame - 1, 0), frame) if frame < n else ()
-            for load in [*before, *range(frame + 1, n + 2)]:
-                at = "probe" if load > n else f"frame {load}"
-                name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
-                size = unit * (_OF_END if load < frame else 1.0)
-                yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
+    for frame, axis in product(range(n + 1), range(3)):
+        before = range(max(frame - 1, 0), frame) if frame < n else ()
+        for load in [*before, *range(frame + 1, n + 2)]:
+            at = "probe" if load > n else f"frame {load}"
+            name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
+            size = unit * (_OF_END if load < frame else 1.0)
+            yield Column(name, GRAVITY, LOAD, frame, axis, size, load=load)
 
 
 def _kinematics(arm):
@@ -147,13 +146,10 @@ def _kinematics(arm):
 
 def _wobble(arm):
     """Tilts of each joint's axis about the two directions across it."""
-    first = _first_frame(arm)
-    for j in range(arm.n_joints):
-        for axis in range(2):
-            for order in _WOBBLE_ORDERS:
-                for part, signed in (("cos", order), ("sin", -order)):
-                    name = f"joint {j + 1} tilts about {'xy'[axis]}, {part}({order} theta)"
-                    yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, signed)
+    joints, waves, first = range(arm.n_joints), (("cos", 1), ("sin", -1)), _first_frame(arm)
+    for j, axis, order, (part, sign) in product(joints, range(2), _WOBBLE_ORDERS, waves):
+        name = f"joint {j + 1} tilts about {'xy'[axis]}, {part}({order} theta)"
+        yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, sign * order)
 
 
 def _temperature(arm, name, by, mean):
@@ -177,19 +173,13 @@ def _temperature(arm, name, by, mean):
             yield column._replace(name=of, family=TEMPERATURE, unit=unit, by=by, reference=mean)
 
 
-def _force(arm):
-    """Turns of each frame about each of its axes, by the torque of a force on the probe."""
-    unit = ARCSEC / reach_mm(arm)
-    for frame in range(arm.n_joints + 1):
-        for axis in range(3):
-            name = f"force bends frame {frame} about {'xyz'[axis]}"
-            yield Column(name, FORCE, PUSH, frame, axis, unit)
-
-
-def _extra(arm, extra):
+def _of_extra(arm, extra):
     """What the columns of X after the angles do."""
     if any(name.startswith(("force", "payload")) for name, _ in extra):
-        yield from _force(arm)
+        # Turns of each frame about each of its axes, by the torque of a force on the probe.
+        for frame, axis in product(range(arm.n_joints + 1), range(3)):
+            name = f"force bends frame {frame} about {'xyz'[axis]}"
+            yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / reach_mm(arm))
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
         if kind in ("temperature", "time"):
@@ -200,47 +190,161 @@ def _extra(arm, extra):
             yield Column(of, DIRECTION, TURN, frame, 2, unit, by=by, reference=reference[0])
 
 
+def _lengths(arm):
+    """Lengths of the table by the names of their columns, mm."""
+    lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
+    return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
+
+
+def columns_of(arm: Arm, terms: Terms) -> "Columns":
+    """Columns of an arm, which are made once."""
+    return _alone(arm, *terms[1:]).with_harmonics(terms.harmonics)
+
+
 @lru_cache(maxsize=64)
-def _columns_of_causes(arm, causes):
-    """Columns that are no harmonics, in their order; `causes` are `Terms` without harmonics."""
-    wanted = causes.gravity, causes.kinematics, causes.wobble
-    families = compress((_gravity, _kinematics, _wobble), wanted)
-    own = [column for family in families for column in family(arm)]
-    return *own, *_extra(arm, causes.extra)
+def _alone(arm, *causes):
+    """Columns without harmonics; `causes` are the other fields of `Terms`."""
+    return Columns(arm, Terms(np.empty((0, 2), dtype=int), *causes))
 
 
-def other_columns(arm, terms):
-    """Columns that are no harmonics, as a tuple of `Column`."""
-    return _columns_of_causes(arm, terms._replace(harmonics=()))
+@lru_cache(maxsize=64)
+def _with_harmonics(alone, harmonics):
+    """Columns with harmonics, of which `harmonics` are the bytes."""
+    pairs = np.frombuffer(harmonics, dtype=int).reshape(-1, 2)
+    return Columns(alone.arm, alone.terms._replace(harmonics=pairs), alone)
 
 
-def term_names(arm, terms):
-    """Names and families of the columns that are no harmonics."""
-    others = other_columns(arm, terms)
-    return [c.name for c in others], np.array([c.family for c in others], dtype=int)
+class Columns:
+    """The columns of a model, in mm per unit coefficient: see `columns_of`.
 
-
-def column_table(arm: Arm, terms: Terms) -> np.ndarray:
-    """What each column is, as a structured array of the numbers of `Column`.
-
-    A cosine and a sine turn for each harmonic come first, then the others.
+    A cosine and a sine for each harmonic come first, `n_waves` in all, then the `others`, of which
+    `names` and `family` (m,) are those of `Column`; `alone` are the latter without harmonics.
+    Rows are angles (n, n_joints) in rad; then the extra columns that the terms name; then the probe
+    of each row in the last frame, mm, where it is not the arm's.
     """
-    columns = [*_harmonics(arm, terms.harmonics), *other_columns(arm, terms)]
-    return np.array([column[1:] for column in columns], dtype=_NUMBERS)
+
+    def __init__(self, arm: Arm, terms: Terms, alone: Any = None) -> None:
+        self.arm: Arm = arm
+        self.terms: Terms = terms
+        self.n_joints: int = len(arm.a)
+        self.n_waves: int = 2 * len(terms.harmonics)
+        self.alone: Columns = self if alone is None else alone
+        if alone is None:
+            wanted = terms.gravity, terms.kinematics, terms.wobble
+            of_causes = compress((_gravity, _kinematics, _wobble), wanted)
+            own = [column for columns in of_causes for column in columns(arm)]
+            self.others: tuple[Column, ...] = (*own, *_of_extra(arm, terms.extra))
+        else:
+            self.others = alone.others
+        self.names: list[str] = [column.name for column in self.others]
+        self.family: np.ndarray = np.array([c.family for c in self.others], dtype=int)
+        # Unit vector against gravity in the base frame: the arm's, or what the data have found.
+        self.up: np.ndarray = np.array(terms.up) if terms.up else arm.up
+
+    def with_harmonics(self, pairs: np.ndarray) -> "Columns":
+        """The same others with other harmonics (n_pairs, 2)."""
+        return _with_harmonics(self.alone, np.ascontiguousarray(pairs, dtype=int).tobytes())
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """What each column is, as a structured array of the numbers of `Column`."""
+        columns = [*_harmonics(self.arm, self.terms.harmonics), *self.others]
+        return np.array([column[1:] for column in columns], dtype=_NUMBERS)
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Coefficients that make the whole arm larger: the column of the probe's position."""
+        lengths = _lengths(self.arm)
+        sizes = [lengths.get(c.name, 0.0) / c.unit for c in self.others]
+        return np.concatenate([np.zeros(self.n_waves), sizes])
+
+    @cached_property
+    def forces(self) -> np.ndarray:
+        """Force on the probe in the base frame by one of each extra column, (n_extra, 3)."""
+        forces = np.zeros((len(self.terms.extra), 3))
+        for force, (name, _) in zip(forces, self.terms.extra, strict=True):
+            kind, axis = parsed(name, self.n_joints)
+            if kind == "force":
+                force[axis] = 1.0
+            elif kind == "payload":  # a weight pulls against the vertical
+                force -= self.arm.up
+        return forces
+
+    @cached_property
+    def _plan(self):
+        return _Plan(self)
+
+    def _parts(self, rows):
+        """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
+        n, end = self.n_joints, self.n_joints + len(self.terms.extra)
+        return rows[:, :n], rows[:, n:end], rows[:, end:] if rows.shape[1] > end else None
+
+    def points(self, rows: np.ndarray) -> np.ndarray:
+        """Probe points (n, 3) of rows, mm."""
+        angles, _, probes = self._parts(rows)
+        return points_of(self.arm, angles, probes)
+
+    def levers(self, rows: np.ndarray) -> np.ndarray:
+        """What each joint's angle does to the probe at rows, (n, 3, n_joints)."""
+        angles, _, probes = self._parts(rows)
+        z = 3 * (np.arange(self.n_joints) + _first_frame(self.arm)) + 2
+        return axis_vectors(self.arm, angles, probes)[0][:, :, z]
+
+    def at(self, rows: np.ndarray) -> np.ndarray:
+        """Columns at rows, (n, 3, n_columns)."""
+        plan = self._plan
+        out = np.empty((len(rows), 3, plan.rest + len(plan.which)))
+        for start, end, vector, waves in self.factored(rows, out[:, :, plan.rest :]).runs:
+            np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
+        return out
+
+    def means(self, rows: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> Any:
+        """Weighted mean of the columns over each position, (n_positions, 3, n_columns)."""
+        total = np.bincount(codes, weights)
+        sums: Any = 0.0
+        for part in chunks(len(rows), _CHUNK):
+            sums = sums + group_sums(self.at(rows[part]), codes[part], weights[part], len(total))
+        return sums / total[:, None, None]
+
+    def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> "FactoredColumns":
+        """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
+        plan = self._plan
+        angles, values, probes = self._parts(rows)
+        vectors, places = axis_vectors(self.arm, angles, probes)
+        phase = angles[:, plan.wave_joint] * plan.wave_order
+        wave = np.empty((len(angles), 2 * phase.shape[1]))
+        np.cos(phase, out=wave[:, 0::2])
+        np.sin(phase, out=wave[:, 1::2])
+        runs = [
+            (start, end, vectors[:, :, which] * unit, wave[:, start:end])
+            for start, end, which, unit in plan.runs
+        ]
+        factor = np.tile(plan.unit, (len(angles), 1))
+        if len(plan.loads):
+            factor[:, plan.loads] *= _torques(plan, self.up, vectors, places)
+        factor[:, plan.waves] *= wave[:, plan.rest :]
+        if self.terms.extra:
+            if probes is not None:  # each grows in proportion to itself
+                grown = plan.grown_axis
+                factor[:, plan.grown] *= probes[:, grown] / self.arm.probe[grown]
+            force = (values - plan.means) @ self.forces
+            factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
+            factor[:, plan.given] *= values[:, plan.by] - plan.means[plan.by]
+        rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)
+        return FactoredColumns(runs, rest)
 
 
 class _Plan:
-    """A column table, arranged for whole arrays: all that does not depend on the pose."""
+    """A column table, arranged for whole arrays."""
 
-    def __init__(self, arm, terms):
-        table = column_table(arm, terms)
-        self.n_joints, n_axes = arm.n_joints, 3 * (arm.n_joints + 1)
+    def __init__(self, columns):
+        table, n_waves, n_axes = columns.table, columns.n_waves, 3 * (columns.n_joints + 1)
         axis = 3 * table["frame"] + table["axis"]
         which = np.where(table["kind"] == SHIFT, n_axes, 0) + axis  # into the `axis_vectors`
         # Runs of columns (first, last, vector, unit): many waves that share one vector.
         self.runs, self.rest = [], 0
-        n_waves = 2 * len(terms.harmonics)
-        if n_waves and n_waves >= _LONG_RUN * len(np.unique(terms.harmonics[:, 0])):
+        n_joints = len(np.unique(columns.terms.harmonics[:, 0]))
+        if n_waves and n_waves >= _LONG_RUN * n_joints:
             ends = np.flatnonzero(np.diff(which[:n_waves], append=-1)) + 1
             for start, end in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
                 self.runs.append((start, end, int(which[start]), float(table["unit"][start])))
@@ -256,26 +360,23 @@ class _Plan:
         self.pushes = np.flatnonzero(rest["kind"] == PUSH)
         self.push_turn = axis[self.pushes]  # into the vectors: what the turn does to the probe
         self.given = np.flatnonzero(rest["by"] >= 0)  # columns that an extra column multiplies
-        self.by, self.reference = rest["by"][self.given], rest["reference"][self.given]
+        self.by = rest["by"][self.given]
+        self.means = np.array([reference[0] for _, reference in columns.terms.extra])
         # Growth of the probe.
-        grows = [
-            c.family == TEMPERATURE and c.name[:6] == "probe_" for c in other_columns(arm, terms)
-        ]
+        grows = [c.family == TEMPERATURE and c.name[:6] == "probe_" for c in columns.others]
         self.grown = n_waves - self.rest + np.flatnonzero(grows)
         self.grown_axis = rest["axis"][self.grown]
-        self.up = vertical(arm, terms)
 
 
-@lru_cache(maxsize=64)
-def _planned(arm, harmonics, causes):
-    """`_Plan` of an arm; `harmonics` are the bytes of those of the terms, `causes` the others."""
-    pairs = np.frombuffer(harmonics, dtype=int).reshape(-1, 2)
-    return _Plan(arm, causes._replace(harmonics=pairs))
-
-
-def _plan(arm, terms):
-    harmonics = np.ascontiguousarray(terms.harmonics, dtype=int).tobytes()
-    return _planned(arm, harmonics, terms._replace(harmonics=()))
+def _torques(plan, up, vectors, places):
+    """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
+    torques = 0.0
+    for k in np.flatnonzero(up):
+        pair = (k + 1) % 3, (k + 2) % 3
+        x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
+        ux, uy = (vectors[:, i, plan.load_x] for i in pair)
+        torques = torques + up[k] * (uy * x - ux * y)
+    return torques
 
 
 class FactoredColumns:
@@ -322,92 +423,3 @@ def _filled(rows):
     """Columns from the first to the last one that is not all zeros."""
     some = np.flatnonzero(rows.any(axis=0))
     return slice(some[0], some[-1] + 1) if len(some) else slice(0, 0)
-
-
-def factored_columns(arm, angles, terms):
-    """Columns as `term_columns` gives them, not multiplied out."""
-    return _factored(arm, angles, _plan(arm, terms), terms, None)
-
-
-def term_columns(arm: Arm, angles: np.ndarray, terms: Terms) -> np.ndarray:
-    """Columns (n, 3, n_columns) of the model, in mm per unit coefficient.
-
-    The angles (n, n_joints + n_extra) are in rad; then come the extra columns that `terms` names;
-    then the probe of each row in the last frame, mm, where it is not the arm's.
-    """
-    plan = _plan(arm, terms)
-    out = np.empty((len(angles), 3, plan.rest + len(plan.which)))
-    found = _factored(arm, angles, plan, terms, out[:, :, plan.rest :])
-    for start, end, vector, waves in found.runs:
-        np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
-    return out
-
-
-def _parts_of_rows(n_joints, terms, rows):
-    """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
-    end = n_joints + len(terms.extra)
-    probes = rows[:, end:] if rows.shape[1] > end else None
-    return rows[:, :n_joints], rows[:, n_joints:end], probes
-
-
-def points_of_rows(arm, terms, rows):
-    """Probe points (n, 3) of rows that `term_columns` takes, mm."""
-    angles, _, probes = _parts_of_rows(arm.n_joints, terms, rows)
-    return points_of(arm, angles, probes)
-
-
-def _factored(arm, angles, plan, terms, out):
-    """`FactoredColumns` by a plan; its `rest` is written to `out`, where that is given."""
-    angles, values, probes = _parts_of_rows(plan.n_joints, terms, angles)
-    vectors, places = axis_vectors(arm, angles, probes)
-    phase = angles[:, plan.wave_joint] * plan.wave_order
-    wave = np.empty((len(angles), 2 * phase.shape[1]))
-    np.cos(phase, out=wave[:, 0::2])
-    np.sin(phase, out=wave[:, 1::2])
-    runs = [
-        (start, end, vectors[:, :, which] * unit, wave[:, start:end])
-        for start, end, which, unit in plan.runs
-    ]
-    factor = np.tile(plan.unit, (len(angles), 1))
-    if len(plan.loads):
-        factor[:, plan.loads] *= _torques(plan, vectors, places)
-    factor[:, plan.waves] *= wave[:, plan.rest :]
-    if terms.extra:
-        if probes is not None:  # each grows in proportion to itself
-            factor[:, plan.grown] *= probes[:, plan.grown_axis] / arm.probe[plan.grown_axis]
-        force = force_on_probe(terms.extra, values, arm.up)
-        factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
-        factor[:, plan.given] *= values[:, plan.by] - plan.reference
-    rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)
-    return FactoredColumns(runs, rest)
-
-
-def _torques(plan, vectors, places):
-    """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
-    torques = 0.0
-    for k in np.flatnonzero(plan.up):
-        pair = (k + 1) % 3, (k + 2) % 3
-        x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
-        ux, uy = (vectors[:, i, plan.load_x] for i in pair)
-        torques = torques + plan.up[k] * (uy * x - ux * y)
-    return torques
-
-
-def levers(arm, terms, rows):
-    """What each joint's angle does to the probe at rows as of `term_columns`, (n, 3, n_joints)."""
-    angles, _, probes = _parts_of_rows(arm.n_joints, terms, rows)
-    z = 3 * (np.arange(arm.n_joints) + _first_frame(arm)) + 2
-    return axis_vectors(arm, angles, probes)[0][:, :, z]
-
-
-def scale_direction(arm, terms):
-    """Coefficients that make the whole arm larger: the column of the probe's position itself."""
-    lengths, others = _lengths(arm), other_columns(arm, terms)
-    sizes = [lengths[c.name] / c.unit if c.name in lengths else 0.0 for c in others]
-    return np.concatenate([np.zeros(2 * len(terms.harmonics)), sizes])
-
-
-def _lengths(arm):
-    """Lengths of the table by the names of their columns, mm."""
-    lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
-    return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))

@@ -99,18 +99,3 @@ def check_values(extra, values):
             )
             advice = "Does the sensor work, and is the unit the same as in the fit?"
             report_findings([Finding("column-out-of-range", said, advice, rows=rows)])
-
-
-def force_on_probe(extra: Any, values: np.ndarray, up: np.ndarray) -> Any:
-    """Force on the probe in the base frame, less that of the training mean, (n, 3).
-
-    A payload is a weight: it pulls against `up`.
-    """
-    force = np.zeros((len(values), 3))
-    for (name, reference), column in zip(extra, values.T, strict=True):
-        kind, axis = parsed(name, 0) if name.startswith(("force", "payload")) else ("", -1)
-        if kind == "force":
-            force[:, axis] += column - reference[0]
-        elif kind == "payload":
-            force -= np.outer(column - reference[0], up)
-    return force

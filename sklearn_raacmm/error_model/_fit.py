@@ -1,30 +1,26 @@
-"""The fit of the linear error model, from arrays to a `LinearModel`."""
+"""The fit of the linear error model, from arrays to a `LinearModel`.
+
+Families of causes are always in; harmonics are lines that have to be worth their price; a smooth
+function of every joint's angle, all low orders together, is the field.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
+from numbers import Integral
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model._columns import (
-    FAMILIES,
-    factored_columns,
-    levers,
-    term_names,
-)
-from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
-from sklearn_raacmm.error_model._gauge import constrained, length_equations, without_motions
+from sklearn_raacmm.error_model._columns import FAMILIES, FAMILIES_OF_EXTRA, Columns
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._structures import least_unused, structures_of
-from sklearn_raacmm.error_model._waves import candidate_sums
+from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.inference import (
     Problem,
     State,
+    Structures,
     beside_field,
-    combined,
     search,
     sums_of_pairs,
 )
@@ -40,14 +36,34 @@ from sklearn_raacmm.utils import (
     tukey_weights,
 )
 
+# What a harmonic costs per logarithm of its order.
+_PRICE_PER_LOG_ORDER = 2.0
+# Orders up to this may be there all together, smaller the higher they are: a smooth function of the
+# joint's angle. Order at which the decay begins; price in nats (``benchmarks/bench_prices.py
+# --field``).
+_FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
+# Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
+# cause that helped to 22 or more (``benchmarks/bench_extra.py``).
+_PRICE_OF_EXTRA = 10.0
+# Prior standard deviation of a family that is not worth its price: its coefficients are nothing.
+UNUSED_SD = 1e-6
+# One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
+# data do not show would carry the variance beyond all bounds by their rounding.
+_LARGEST_VARIANCE = 3600.0**2
+# Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
+# leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
+WIDE_SD = 30.0
+# Angles nearer to each other than this, in rad, count as one: the rounding of files.
+_SAME_ANGLE = 1e-6
+# Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
+# are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
+HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
+
 # Rounds of robust weights at one choice, and choices with what they have become. Weights that
 # change by less than this have settled.
 _ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
-# Where less than this share of the poses is concerned, sums over them cost less than new ones
-# (``benchmarks/bench_fit.py``).
-_FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
 # Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
@@ -70,81 +86,101 @@ _KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-4.0, 0.5, 0.5), 3
 # in nats, that means say nothing of the arm: of four to seven positions that a calibration has
 # drawn together it came to 18, of twelve and deviations from a median to 55 (same script).
 _LEAST_MEANS, _PRICE_OF_DEVIATIONS = 1e-6, 30.0
+# The fewest positions at which a share of the correction is found: of three the rest is hardly the
+# model that is judged. With fewer it is used as a whole, if it helped at each of them.
+LEAST_POSITIONS = 4
 
 
-class Rows(NamedTuple):
-    """What a model is fitted to."""
+def offered_harmonics(angles, orders):
+    """Harmonics that a fit may take, (n_pairs, 2): joint from 0 and order, sorted.
 
-    arm: Arm
-    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, extra columns, perhaps probes (n, 3)
-    y: np.ndarray  # (n, 3) residuals in mm
-    weights: np.ndarray  # (n,)
-    codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
-    lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
-    known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
-
-    def at(self, which):
-        """Some of the rows, with positions counted from 0 and the lengths that are left."""
-        codes, lengths = self.codes, self.lengths
-        if codes is not None:
-            present, codes = np.unique(codes[which], return_inverse=True)
-            codes = codes.ravel()
-            place = {code: i for i, code in enumerate(present.tolist())}
-            lengths = [
-                (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
-            ]
-        return self._replace(
-            X=self.X[which],
-            y=self.y[which],
-            weights=self.weights[which],
-            codes=codes,
-            lengths=tuple(lengths),
+    `angles` (n, n_joints) of the poses are in rad. `orders` may be the highest order: a joint at m
+    different angles is offered none above m, for on a grid the waves of lower orders are the same
+    there; but all above 72 where its angles are scattered. Or the orders themselves, for all joints
+    or for each.
+    """
+    n_joints = angles.shape[1]
+    if isinstance(orders, Integral):
+        n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
+        named = [_seen_orders(column, orders, n_poses) for column in angles.T]
+    else:
+        named = list(orders)
+        if not any(np.iterable(order) for order in named):
+            named = [named] * n_joints
+    if len(named) != n_joints:
+        raise ValueError(
+            f"orders has {len(named)} lists, but the arm has {n_joints} joints: give one for all, "
+            "or one for each."
         )
+    for joint, own in enumerate(named, start=1):
+        bad = [k for k in own if not isinstance(k, Integral) or isinstance(k, bool) or k < 1]
+        if bad:
+            raise ValueError(
+                f"orders must be whole numbers of 1 or more, got {bad[0]!r} for joint {joint}."
+            )
+    pairs = sorted({(joint, int(order)) for joint, own in enumerate(named) for order in own})
+    return np.array(pairs, dtype=int).reshape(-1, 2)
 
-    def weighted(self, factor):
-        """The rows with their weights times a factor, without those of no weight."""
-        rows = self._replace(weights=self.weights * factor)
-        kept = rows.weights > 0
-        return rows if kept.all() else rows.at(kept)
 
-    def sums(self, terms):
-        """Sums over the rows, the harmonics of `terms` being the candidates; known lengths."""
-        rows = self.arm, self.X, self.y, self.weights, self.codes
-        sums = candidate_sums(*rows, terms.harmonics, terms, self.known)
-        if self.codes is None or self.known:
-            return sums, None
-        sums, lengths = without_motions(sums, self.arm, terms), None
-        if self.lengths:
-            poses = self.X, self.weights, self.codes
-            lengths = length_equations(self.arm, *poses, terms, self.lengths)
-        return sums, lengths
+def _seen_orders(angles, most, n_poses):
+    """Orders up to `most` that the angles of a joint can tell apart."""
+    n, n_teeth = (len(np.unique(np.round(angles / same))) for same in (_SAME_ANGLE, _SAME_TOOTH))
+    low = list(range(1, min(most, n) + 1))
+    high = range(max(HIGHEST_OF_FEW, len(low)) + 1, most + 1)
+    return [*low, *high] if n_teeth >= _SCATTERED * n_poses else low
 
-    def sums_after(self, sums, old, new, terms):
-        """The `sums` at the factors `new`, from those at `old`: few rows are summed up again."""
-        touched = old != new
-        if not touched.any():
-            return sums
-        if self.codes is not None:
-            touched = np.isin(self.codes, self.codes[touched])
-        # Rows that all had no weight, or all lose it, have no sums of their own.
-        empty = any(not np.any(factor[touched]) for factor in (old, new))
-        if self.lengths or empty or touched.mean() > _FEW_POSES:
-            return self.weighted(new).sums(terms)
-        rows = self.at(touched)
-        less, more = (rows.weighted(factor[touched]).sums(terms)[0] for factor in (old, new))
-        return combined((sums[0], less, more), (1, -1, 1)), None
+
+def structures_of(columns, with_field, unused):
+    """Families, lines and field of a model that is offered some columns.
+
+    Variances are in the order of `FAMILIES`. The families `unused` have proved not to be worth
+    their price.
+    """
+    order, given = columns.terms.harmonics[:, 1], np.full(len(FAMILIES), np.nan)
+    if not len(order) and not len(columns.family):
+        raise ValueError("The model has no columns: no orders are offered and no causes are named.")
+    given[unused] = UNUSED_SD**2
+    return Structures(
+        family=columns.family,
+        price=order_price(order),
+        share=smooth_shares(order) if with_field and len(order) else None,
+        field_price=_PRICE_OF_FIELD,
+        given=given,
+        largest=_LARGEST_VARIANCE,
+        wide=WIDE_SD**2,
+    )
+
+
+def order_price(order: Any) -> Any:
+    """Price in nats of harmonics of the orders k: ``2 log(k)``, for the odds fall with its square.
+
+    Every encoder is a little eccentric, so that order 1 is free. On simulated arms factors from 1.5
+    to 2.5 leave the same within 0.5 % (``benchmarks/bench_prices.py``).
+    """
+    return _PRICE_PER_LOG_ORDER * np.log(order)
+
+
+def smooth_shares(order: np.ndarray) -> np.ndarray:
+    """Prior variance of each order as a part of the field, relative to that of order 0.
+
+    ``(1 + (k / 16)^2)^-2``, the spectrum of functions that can be differentiated; 0 above order 48.
+    """
+    share = (1 + np.square(order / _DECAY_FROM)) ** -2.0
+    return np.where(order <= _FIELD_ORDER, share, 0.0)
 
 
 class Fitted(NamedTuple):
-    """A fitted model, how it was found, and what the robust weights left of each row."""
+    """A fitted model, how it was found, and of what."""
 
     model: LinearModel
     state: State
-    pose_weight: np.ndarray  # (n,)
+    pose_weight: np.ndarray  # (n,) what the robust weights left of each row
     rows: Rows
+    columns: Columns  # their harmonics are those that were offered
+    structures: Structures
 
 
-def fit_with_constants(rows, positions, terms, with_field):
+def fit_with_constants(rows, positions, columns, with_field):
     """Fit the model, and constants of the positions of the variance that the evidence asks for.
 
     A reference may be off by a constant in each position. The arm's own differences between
@@ -155,7 +191,7 @@ def fit_with_constants(rows, positions, terms, with_field):
     `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
     those given less their constants, or with positions of which nothing is known.
     """
-    fitted = fit_linear_model(rows, terms, with_field)
+    fitted = fit_linear_model(rows, columns, with_field)
     if positions is None or rows.codes is not None:
         return fitted
     n_positions = int(positions.max()) + 1
@@ -163,11 +199,11 @@ def fit_with_constants(rows, positions, terms, with_field):
         return fitted
     known: Any = np.inf
     for _ in range(_CONSTANT_ROUNDS):
-        last, known = known, _known_of_constants(rows, positions, terms, with_field, fitted)
+        last, known = known, _known_of_constants(rows, positions, fitted)
         if known == last:
             break
         given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
-        fitted = fit_linear_model(given, terms, with_field)
+        fitted = fit_linear_model(given, columns, with_field)
     if np.isinf(known):
         return fitted
     weights = rows.weights * fitted.pose_weight
@@ -193,7 +229,7 @@ def fit_with_constants(rows, positions, terms, with_field):
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))
 
 
-def _known_of_constants(rows, positions, terms, with_field, fitted):
+def _known_of_constants(rows, positions, fitted):
     """Noise variance over that of the constants, by the evidence of what a fit has chosen.
 
     Infinite: there are none. With W the weight of a position its constant takes
@@ -206,15 +242,15 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
     # As counts of rows, weights of another size would have means scatter too much or too little.
     weight = rows.weights.mean()
     rows = rows._replace(weights=rows.weights / weight)
-    state, structures = fitted.state, structures_of(rows.arm, terms, with_field)
-    few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
-    total = np.bincount(positions, rows.weights)
-    start = lines, state.with_field, state.variance, state.noise_variance / weight
+    state = fitted.state._replace(noise_variance=fitted.state.noise_variance / weight)
+    few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
 
     def evidence(given):
-        problem = Problem(given.sums(few)[0], structures)
-        return problem.with_variances(problem.state(*start), _CONSTANT_STEPS).log_evidence
+        problem = Problem(given.sums(few), structures)
+        start = problem.with_lines(state, lines)
+        return problem.with_variances(start, _CONSTANT_STEPS).log_evidence
 
+    total = np.bincount(positions, rows.weights)
     n = 3 * len(total)
     found = {np.inf: evidence(rows)}
     for known in _KNOWN.tolist():
@@ -225,30 +261,34 @@ def _known_of_constants(rows, positions, terms, with_field, fitted):
     variance = max(squares.mean(), least)
     taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
     found[0.0] = evidence(rows._replace(codes=positions)) - taken - _PRICE_OF_DEVIATIONS
-    known = max(found, key=lambda one: found[one])
+    known = max(found, key=found.__getitem__)
     # Constants that are no larger than the noise are none.
     return np.inf if known == _KNOWN[-1] else known * weight
 
 
 @stage("linear error model")
-def fit_linear_model(rows, terms, with_field) -> Any:
+def fit_linear_model(rows, columns, with_field) -> Any:
     """Fit the model to rows of weights above 0, with robust weights of the poses: a `Fitted`.
 
-    The harmonics of `terms` are those that are offered; `with_field` allows a smooth function of
-    each angle. Families of extra columns that are not worth their price stay out.
+    The harmonics of the columns are those that are offered; `with_field` allows a smooth function
+    of each angle. Families of extra columns that are not worth their price stay out.
     """
-    unused: frozenset[int] = frozenset()
+    extra, unused = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA), []
     while True:
-        structures = structures_of(rows.arm, terms, with_field, unused)
-        state, factor = _fit(rows, terms, structures)
-        least = least_unused(state, structures.family, unused)
-        if least is None:
+        structures = structures_of(columns, with_field, unused)
+        state, factor = _fit(rows, columns, structures)
+        of_family = {f: np.flatnonzero(columns.family == f) for f in extra.difference(unused)}
+        gains = [(state.gain_of(of), f) for f, of in of_family.items()]
+        gain, least = min(gains, default=(np.inf, None))
+        if gain >= _PRICE_OF_EXTRA:
             break
-        unused |= {least}
-    model = model_of(rows.weighted(factor), terms, state)
+        unused.append(least)
+    used = rows.weighted(factor)
+    model = model_of(used, columns, state)
     if np.any(factor < 1):
         model = replace(model, noise_variance=model.noise_variance / _SHARE_OF_NOISE)
-    return Fitted(_with_noise_of_angles(model, rows.weighted(factor)), state, factor, rows)
+    model = _with_noise_of_angles(model, used)
+    return Fitted(model, state, factor, rows, columns, structures)
 
 
 def _with_noise_of_angles(model, rows):
@@ -260,7 +300,7 @@ def _with_noise_of_angles(model, rows):
     """
     squares = np.empty((len(rows.X), 3, 3))
     for part in chunks(len(rows.X), _ROWS_OF_NOISE):
-        J = levers(rows.arm, model.terms, rows.X[part])
+        J = model.layout.levers(rows.X[part])
         squares[part] = J @ J.swapaxes(1, 2)
     lever = np.average(np.einsum("nii->n", squares), weights=rows.weights) / 3
     if not lever > 0:
@@ -281,46 +321,46 @@ def _with_noise_of_angles(model, rows):
     return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))
 
 
-def _fit(rows, terms, structures) -> tuple[Any, Any]:
+def _fit(rows, columns, structures) -> tuple[Any, Any]:
     """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
-    sums, state = rows.sums(terms), None
+    sums, state = rows.sums(columns), None
     for _ in range(_MAX_CHOICES):
         start = factor
-        state = search(Problem(sums[0], structures, sums[1]), state)
-        state, factor, sums = _settled(rows, terms, structures, sums, state, factor)
+        state = search(Problem(sums, structures), state)
+        state, factor, sums = _settled(rows, columns, structures, sums, state, factor)
         if structures.share is not None and not state.with_field:
-            beside = _beside_field(rows, terms, structures, sums, state, factor)
+            beside = _beside_field(rows, columns, structures, sums, state, factor)
             if beside is not None:
-                state, factor, sums = _settled(rows, terms, structures, sums, beside, factor)
+                state, factor, sums = _settled(rows, columns, structures, sums, beside, factor)
         if np.all(factor == start):
             break
     return state, factor
 
 
-def _beside_field(rows, terms, structures, sums, state, factor):
+def _beside_field(rows, columns, structures, sums, state, factor):
     """The choice beside the field, or None; sums of the field alone say whether it is searched."""
-    problem = Problem(sums[0], structures, sums[1])
+    problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
-    few, of_field, lines = of_pairs(terms, structures, state.lines, pairs)
+    few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
     some = rows.weighted(factor).sums(few)
     alone = state._replace(lines=lines, pairs=lines)
-    return beside_field(problem, state, Problem(some[0], of_field, some[1]), alone)
+    return beside_field(problem, state, Problem(some, of_field), alone)
 
 
-def of_pairs(terms, structures, lines, pairs):
-    """Terms, structures, and which are lines, where some pairs are the only candidates."""
-    few = terms._replace(harmonics=terms.harmonics[pairs])
+def of_pairs(columns, structures, lines, pairs):
+    """Columns, structures, and which are lines, where some pairs are the only candidates."""
+    few = columns.with_harmonics(columns.terms.harmonics[pairs])
     share = None if structures.share is None else structures.share[pairs]
     structures = structures._replace(price=structures.price[pairs], share=share)
     return few, structures, np.flatnonzero(np.isin(pairs, lines))
 
 
-def _settled(rows, terms, structures, sums, state, factor):
+def _settled(rows, columns, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
-    few, structures, lines = of_pairs(terms, structures, state.lines, pairs)
-    some = (sums_of_pairs(sums[0], pairs), None)
+    few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
+    some = sums_of_pairs(sums, pairs)
     for _ in range(_ROUNDS):
         left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
         old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
@@ -328,46 +368,44 @@ def _settled(rows, terms, structures, sums, state, factor):
         if np.all(factor == old):
             break
         some = rows.sums_after(some, old, factor, few)
-        problem = Problem(some[0], structures, some[1])
-        start = problem.state(lines, state.with_field, state.variance, state.noise_variance)
-        found = problem.with_variances(start, _REFIT_STEPS)
+        problem = Problem(some, structures)
+        found = problem.with_variances(problem.with_lines(state, lines), _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
-    return state, factor, rows.sums_after(sums, before, factor, terms)
+    return state, factor, rows.sums_after(sums, before, factor, columns)
 
 
-def _expected(rows, terms, state):
-    """Residuals (n, 3) that a state of these terms expects at the rows."""
-    coef = np.roll(state.coef, 2 * len(terms.harmonics))
+def _expected(rows, columns, state):
+    """Residuals (n, 3) that a state of these columns expects at the rows."""
+    coef = np.roll(state.coef, columns.n_waves)
     found = np.empty_like(rows.y)
     for part in chunks(len(rows.X), _POSES):
-        found[part] = factored_columns(rows.arm, rows.X[part], terms).dot(coef)
+        found[part] = columns.factored(rows.X[part]).dot(coef)
     return found
 
 
-def model_of(rows, terms, state):
-    """`LinearModel` of a state: harmonics by joint, then the other columns.
+def model_of(rows, columns, state):
+    """`LinearModel` of a state, whose candidates are the harmonics of the columns.
 
-    The harmonics of `terms` are the candidates of the state.
+    Harmonics come first, by joint, then the other columns.
     """
-    offered, terms = terms.harmonics, terms._replace(harmonics=terms.harmonics[state.pairs])
-    n_waves = 2 * len(state.pairs)
-    order = np.roll(np.arange(len(state.coef)), n_waves)
-    half = state.half[order]
-    families = np.unique(term_names(rows.arm, terms)[1]).tolist()
-    line = len(FAMILIES) - 2
+    order = np.roll(np.arange(len(state.coef)), 2 * len(state.pairs))
+    offered, half, line = columns.terms.harmonics, state.half[order], len(FAMILIES) - 2
+    families = np.unique(columns.family).tolist()
     families += [line] * bool(len(offered)) + [line + 1] * state.with_field
+    offsets = rows.codes is not None and not rows.known
     model = LinearModel(
         arm=rows.arm,
-        terms=terms,
+        terms=columns.terms._replace(harmonics=offered[state.pairs]),
         coef=state.coef[order],
         half=half,
         noise_variance=state.noise_variance,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
-        offsets=rows.codes is not None and not rows.known,
+        offsets=offsets,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
         gauge_free_half=half,
         fading_half=half,
     )
-    poses = rows.X, rows.weights, rows.codes
-    return constrained(model, *poses, keep_scale=not rows.lengths)
+    if rows.codes is None:
+        return model
+    return model.constrained(rows.X, rows.weights, rows.codes, keep_scale=not rows.lengths)

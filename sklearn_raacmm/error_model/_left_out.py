@@ -1,24 +1,31 @@
-"""Models without one block of positions each: what intervals and the judgement are made of.
+"""How far a model can be trusted: by models without one block of positions each.
 
 Standard deviations of a posterior are too small where its model is not complete. Errors at
-positions that had no part in a fit show by how much, and whether the correction helps at all.
-Without a block the harmonics are chosen again, with the variances that the whole has found.
+positions that had no part in a fit show by how much, whether the correction helps at all, and how
+much of it is used. Without a block the harmonics are chosen again, with the variances that the
+whole has found.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import gammaln
+from scipy.stats import norm, t
 from sklearn.cluster import KMeans
 
-from sklearn_raacmm.error_model._columns import points_of_rows
-from sklearn_raacmm.error_model._fading import LEAST_POSITIONS
-from sklearn_raacmm.error_model._fit import model_of
-from sklearn_raacmm.error_model._structures import HIGHEST_OF_FEW, structures_of
-from sklearn_raacmm.inference import Problem, combined, interval_scales, search_at
-from sklearn_raacmm.utils import centred, group_means, stage
+from sklearn_raacmm.error_model._fit import (
+    HIGHEST_OF_FEW,
+    LEAST_POSITIONS,
+    model_of,
+    of_pairs,
+)
+from sklearn_raacmm.inference import Problem, combined, search_at
+from sklearn_raacmm.utils import Finding, centred, group_means, report_findings, stage
 
 # Blocks left out in turn.
 N_BLOCKS = 10
@@ -33,47 +40,188 @@ _EFFECTIVE_ROWS = 3.0
 # (``benchmarks/bench_few_poses.py``).
 _PER_FEW_POSITIONS = 2.0
 
+# Factor of the standard deviation: Wiener's. With 2 instead 25 simulated errors at poses of real
+# arms leave 3 % and 11 % more. In single-point tests so many times the factor by which errors at
+# positions left out have widened the standard deviation, where that is less
+# (``benchmarks/bench_few_poses.py``).
+_MOST, _OF_WIDENED = 1.0, 0.3
+# A gain of less than this share of the deviation is none.
+_LEAST_GAIN = 1e-3
+# predict warns where less than this share is left of more than half of the corrections.
+_WARN_SHARE = 0.1
+
+# Spread of the priors of log a and log b about their means; rate of the Gamma(2) prior of the
+# degrees of freedom (M. A. Juarez, M. F. J. Steel, J. Bus. Econ. Stat. 28, 2010).
+_LOG_SPREAD, _PER_FREEDOM = 1.0, 0.1
+_SEARCH = {"xatol": 1e-4, "fatol": 1e-6, "maxiter": 500}
+# From the better of two starts the search goes on to here: fading acts on the result, which has to
+# be the same for a weight of 2 and a row that is there twice.
+_POLISH = {"xatol": 1e-8, "fatol": 1e-12, "maxiter": 500}
+
+
+@dataclass(frozen=True)
+class Fading:
+    """Share of a correction that is used, by how little is known: of any model of residuals.
+
+    With s the doubt at a pose, mm, it is ``most size^2 / (size^2 + factor^2 max(0, s^2 -
+    known^2))``: Wiener's factor for errors of the size of the residuals, known to this uncertainty.
+
+    Attributes
+    ----------
+    size_mm : float
+        Root mean square length of the training residuals.
+    factor : float
+        Factor of the doubt; 0 for no fading.
+    known_mm : float
+        Doubt up to which nothing fades: the largest at poses that have shown so.
+    most : float
+        Share where nothing fades: found at positions left out, 0 where the correction did not help.
+    """
+
+    size_mm: float
+    factor: float
+    known_mm: float = 0.0
+    most: float = 1.0
+
+    def share(self, doubt: np.ndarray) -> np.ndarray:
+        """Share from 0 to 1 of each correction, (n,), by its doubt (n,) in mm."""
+        if not (self.factor > 0 and self.size_mm > 0):
+            return np.full(len(doubt), self.most)
+        size = self.size_mm**2
+        beyond = np.maximum(np.square(doubt) - self.known_mm**2, 0.0)
+        return self.most * size / np.maximum(size + self.factor**2 * beyond, 1e-300)
+
+
+class Judgement(NamedTuple):
+    """Whether a correction helps at positions that were left out; means over positions."""
+
+    mean_before_mm: float  # without correction
+    mean_after_mm: float  # with it
+    gain_se_mm: float  # standard error over positions of the difference
+    n_positions: int
+    helps: bool
+
+
+def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0):
+    """Fading of a correction of residuals (n, 3) in mm.
+
+    Errors at positions left out are `widening` times as large as the standard deviation says.
+    """
+    y = centred(y, codes, weights)
+    if factor == "auto":
+        factor = _MOST
+        if codes is not None and codes.max() + 1 >= LEAST_POSITIONS:
+            # A flat optimum has few reliable digits; corrections must not depend on the others.
+            factor = min(round(_OF_WIDENED * widening, 3), _MOST)
+    size = np.sqrt(np.average(np.square(y).sum(axis=1), weights=weights))
+    return Fading(float(size), float(factor))
+
+
+def judge(
+    y: np.ndarray,
+    correction: np.ndarray,
+    doubt: np.ndarray,
+    fading: Fading,
+    weights: np.ndarray,
+    codes: np.ndarray | None,
+    positions: np.ndarray,
+    before: float | None = None,
+) -> tuple[Fading, Judgement]:
+    """How much of a correction is used, by positions that were left out of the fit.
+
+    With y the residuals (n, 3) and f what of the `correction` has not faded, the share is ``sum
+    y.f / sum f.f``, from 0 to 1: that of least squares. Poses that slipped have no `weights` (n,).
+    With fewer than four `positions` it is 1 or 0, by whether the mean deviation falls at each. A
+    share that was known `before` moves as far as it is more than a standard error away.
+
+    Returns the fading with this share, and how well it did.
+    """
+    kept = weights > 0
+    fading = replace(fading, most=1.0)
+    used = centred(fading.share(doubt)[:, None] * correction, codes, weights)
+    y = centred(y, codes, weights)
+    places = np.unique(positions[kept], return_inverse=True)[1].ravel()
+    n = int(places.max()) + 1
+
+    def deviations(left):
+        return group_means(np.linalg.norm(left, axis=1)[kept], places, weights[kept])
+
+    def gains_of(share):
+        gains = without - deviations(y - share * used)
+        return gains, gains.std(ddof=1) / np.sqrt(n) if n > 1 else np.inf
+
+    without = deviations(y)
+    if n < LEAST_POSITIONS:
+        gains, error = gains_of(1.0)
+        most = float(gains.mean() > max(error, _LEAST_GAIN * without.mean()) and gains.min() > 0)
+    else:
+        size = max(weights @ np.square(used).sum(axis=1), 1e-300)
+        most = weights @ (y * used).sum(axis=1) / size
+        if before is not None:
+            pulls = np.bincount(places, (weights * ((y - most * used) * used).sum(axis=1))[kept])
+            error = np.linalg.norm(pulls) / size
+            most = np.clip(before, most - error, most + error)
+        most = float(np.clip(most, 0.0, 1.0))
+    gains, error = gains_of(most)
+    means = float(without.mean()), float((without - gains).mean())
+    return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
+
+
+def warn_where_unknown(share, most):
+    """Warn where nothing, or next to nothing, is left of most corrections."""
+    if most == 0:
+        said = "The correction is 0: it did not help at positions that were left out."
+        advice = "Update it with new poses, or learn again."
+        report_findings([Finding("share-of-zero", said, advice)])
+        return
+    faded = np.count_nonzero(share < _WARN_SHARE * most)
+    if 2 * faded > len(share):
+        said = (
+            f"{faded} of {len(share)} poses lie where the model knows little: their corrections "
+            "are reduced to less than a tenth."
+        )
+        advice = "Measure there before you correct, or see `fading`."
+        report_findings([Finding("little-known", said, advice)])
+
 
 @stage("models without one block each")
-def leave_out(fitted, terms, positions, weights):
+def leave_out(fitted, positions, weights):
     """Errors at the rows of each block of neighbouring positions by a model of the others.
 
-    The harmonics of `terms` were offered to the fit, and `positions` (n,) count from 0. Outliers
-    keep their `weights` in the means of their positions.
+    `positions` (n,) count from 0. Outliers keep their `weights` in the means of their positions.
 
     Returns what models without the block of a row say of it: the correction (n, 3); the doubt (n,)
     that it fades by; its standard deviations (n, 3), where positions have offsets those of its
     deviation from the position's mean. All in mm. Or None where all positions are at one place, or
     all weight is in one block.
     """
-    model, state, rows = fitted.model, fitted.state, fitted.rows
-    points = points_of_rows(rows.arm, terms, rows.X)
-    blocks = _blocks(points, positions, weights)
+    model, state, rows, offered = fitted.model, fitted.state, fitted.rows, fitted.columns
+    blocks = _blocks(offered.points(rows.X), positions, weights)
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
     # High orders beside the chosen ones take most of the time: on 22 simulated sets the models
     # without a block were the same with all of them offered again.
-    low = terms.harmonics[:, 1] <= HIGHEST_OF_FEW
+    low = offered.terms.harmonics[:, 1] <= HIGHEST_OF_FEW
     low[state.lines] = True
     if not low.any():  # only high ones are offered
         low[:] = True
-    terms = terms._replace(harmonics=terms.harmonics[low])
-    structures = structures_of(rows.arm, terms, state.with_field)
+    pairs = np.flatnonzero(low)
+    columns, structures, _ = of_pairs(offered, fitted.structures, state.lines, pairs)
     start = state._replace(noise_variance=model.noise_variance)
     used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
     parts = {
-        block: used.at((blocks == block) & kept).sums(terms)[0]
+        block: used.at((blocks == block) & kept).sums(columns)
         for block in np.unique(blocks[kept]).tolist()
     }
     whole = combined(list(parts.values()), [1.0] * len(parts))
-    n = len(points)
+    n = len(rows.y)
     found = np.empty((n, 3)), np.empty(n), np.empty((n, 3))
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.
         sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
         best = search_at(Problem(sums, structures), start)
-        rest = model_of(used.at((blocks != block) & kept), terms, best)
+        rest = model_of(used.at((blocks != block) & kept), columns, best)
         of = np.flatnonzero(blocks == block)
         for values, mine in zip(found, _at_rows(rest, rows.at(of), weights[of]), strict=True):
             values[of] = mine
@@ -124,3 +272,45 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
     usual = 0.0 if codes is None else _USUAL_LOG_B
     scales = interval_scales(errors, noise, spread, weights, worth, usual)
     return replace(model, noise_scale=scales[0], std_scale=scales[1])
+
+
+def interval_scales(
+    errors: np.ndarray,
+    noise: np.ndarray,
+    std: np.ndarray,
+    weights: np.ndarray,
+    worth: float = 1.0,
+    usual_log_b: float = 0.0,
+) -> tuple[float, float]:
+    """Factors of noise and standard deviation at which intervals of 95 % hold.
+
+    Errors (n, q) in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its
+    degrees of freedom have the highest posterior. Both deviations (n, q) are then multiplied so
+    that 1.96 of them hold 95 %. `worth` are independent errors per coordinate: those of one
+    position resemble each other. `usual_log_b` is the mean of the prior of log b; that of log a is
+    0.
+    """
+    # Rows of no deviation at all, of positions of one pose, say nothing.
+    used = np.square(noise) + np.square(std) > 0
+    weight = np.broadcast_to(weights[:, None], errors.shape)[used]
+    e2, n2, s2 = (np.square(values[used]) for values in (errors, noise, std))
+    if not len(e2):
+        return 1.0, 1.0
+    usual = np.array([0.0, usual_log_b])
+
+    def loss(logs):
+        a, b, freedom = np.exp(logs)
+        variance = a * n2 + b * s2
+        # As t.logpdf of SciPy, whose checks would take 40 % of the time of a fit to 60 rows.
+        level = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) - 0.5 * np.log(np.pi * freedom)
+        size = np.log1p(e2 / (freedom * variance))
+        density = level - 0.5 * ((freedom + 1) * size + np.log(variance))
+        prior = 0.5 * np.square((logs[:2] - usual) / _LOG_SPREAD).sum() + _PER_FREEDOM * freedom
+        return -worth * (weight @ density) + prior - 2 * logs[2]
+
+    starts = ([0.0, 0.0, 3.0], [-1.0, 2.0, 1.5])
+    found = [minimize(loss, start, method="Nelder-Mead", options=_SEARCH) for start in starts]
+    best = min(found, key=lambda one: one.fun).x
+    a, b, freedom = np.exp(minimize(loss, best, method="Nelder-Mead", options=_POLISH).x)
+    widening = t.ppf(0.975, freedom) / norm.ppf(0.975)
+    return float(widening * np.sqrt(a)), float(widening * np.sqrt(b))

@@ -1,34 +1,51 @@
-"""The fitted linear error model as a value: its columns, coefficients and their covariance."""
+"""The fitted linear error model as a value: its columns, coefficients and their covariance.
+
+A single-point test compares poses that reach one point. It shows nothing of a motion of the base,
+of a common scale of all lengths, or of a base that bends under the arm's load: they move all poses
+that reach a point by the same vector.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any, Self
 
 import numpy as np
+from scipy.linalg import qr
 
 from sklearn_raacmm.arm import Arm, points_of, reach_mm
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
+    BASE_MOTIONS,
     FAMILIES,
     LOAD,
+    Columns,
     Terms,
-    factored_columns,
-    levers,
-    other_columns,
-    term_columns,
-    term_names,
+    columns_of,
 )
-from sklearn_raacmm.error_model._gauge import unseen_half
-from sklearn_raacmm.utils import check_shapes, chunks
+from sklearn_raacmm.utils import check_shapes, chunks, group_means
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
 _CHUNK = 2**17
 # A root of which more than this share is not zero is worth being made a triangle.
 _FULL = 0.6
+# Poses at which fields are compared with columns: three equations each, for some 200 columns.
+_POSES = 150
+# Share of a field that columns may leave for it to be one of theirs: bending about the second
+# joint's axis is one only nearly.
+_LEFT = 0.01
+# A combination of fields that moves the positions by less than this share of what the one that is
+# shown best does stays in the standard deviations (``benchmarks/bench_few_poses.py``).
+_LEAST_SHOWN = 0.05
+# Standard deviation of how much the base gives way over that of joints and links, where positions
+# do not show it (``benchmarks/bench_acceptance.py predict --first 200 --arms 46``).
+_BASE = 0.3
+# Size of a column, relative to the largest, that moves nothing. Part of the difference of two
+# roots that is rounding.
+_NOTHING, _ROUNDING = 1e-6, 1e-12
 
 _OF_HARMONICS = (
     "joint", "order", "amplitude_arcsec", "phase_deg", "cos_arcsec", "sin_arcsec",
@@ -104,10 +121,7 @@ class LinearModel:
     lever_mm: float = 1.0
 
     def __getstate__(self) -> dict[str, Any]:
-        state = dict(vars(self))
-        for made_of_others in ("_std_root", "_fading_root"):
-            state.pop(made_of_others, None)
-        return state
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -121,8 +135,13 @@ class LinearModel:
                 f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
                 f"{self.arm.n_joints}."
             )
-        n = 2 * len(pairs) + len(other_columns(self.arm, self.terms))
+        n = 2 * len(pairs) + len(self.layout.others)
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
+
+    @cached_property
+    def layout(self) -> Columns:
+        """What each column is, and how it is computed."""
+        return columns_of(self.arm, self.terms)
 
     @property
     def coef_sd(self) -> np.ndarray:
@@ -135,8 +154,8 @@ class LinearModel:
         return float(np.sqrt(self.noise_variance))
 
     def columns(self, angles: np.ndarray) -> np.ndarray:
-        """Columns (n, 3, n_columns) of the model in mm per unit coefficient: see `term_columns`."""
-        return term_columns(self.arm, angles, self.terms)
+        """Columns (n, 3, n_columns) of the model in mm per unit coefficient: see `Columns`."""
+        return self.layout.at(angles)
 
     def predict(self, angles: np.ndarray, return_std: bool = False) -> tuple[np.ndarray, Any]:
         """Posterior of the correction: mean (n, 3) and standard deviation (n, 3) or None, mm.
@@ -144,31 +163,24 @@ class LinearModel:
         The standard deviation is without noise, and of what the test can show: :meth:`widened`
         makes intervals of it that hold.
         """
-        mean, found = self._posterior(angles, [self._std_root] * return_std)
-        return mean, found[0] if return_std else None
+        return self.predict_with_doubt(angles, return_std, return_doubt=False)[:2]
 
     def predict_with_doubt(
         self, angles: np.ndarray, return_std: bool = False, return_doubt: bool = True
     ) -> tuple[np.ndarray, Any, Any]:
         """As `predict`, and what corrections fade by: the length (n,) by `fading_half` in mm."""
-        if not return_doubt:
-            return *self.predict(angles, return_std), None
-        roots = [self._fading_root]
-        if return_std and roots[0] is not self._std_root:
-            roots = [self._std_root, *roots]
-        mean, found = self._posterior(angles, roots)
-        return mean, found[0] if return_std else None, np.linalg.norm(found[-1], axis=1)
-
-    def _posterior(self, angles, roots):
-        """Mean (n, 3), and standard deviations (n, 3) by each of some roots."""
+        roots = [self._std_root] * return_std + [self._fading_root] * return_doubt
+        if return_std and return_doubt and roots[0] is roots[1]:
+            roots = roots[:1]
         mean = np.empty((len(angles), 3))
         found = [np.empty((len(angles), 3)) for _ in roots]
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
-            columns = factored_columns(self.arm, angles[rows], self.terms)
+            columns = self.layout.factored(angles[rows])
             mean[rows] = columns.dot(self.coef)
             for std, root in zip(found, roots, strict=True):
                 std[rows] = np.sqrt(columns.squares(root))
-        return mean, found
+        doubt = np.linalg.norm(found[-1], axis=1) if return_doubt else None
+        return mean, found[0] if return_std else None, doubt
 
     @cached_property
     def _std_root(self):
@@ -195,7 +207,7 @@ class LinearModel:
         n, share = self.arm.n_joints, self.noise_of_angles
         root = np.zeros((len(angles), 3, 3 + n))
         root[:, range(3), range(3)] = np.sqrt(1 - share)
-        root[:, :, 3:] = np.sqrt(share) / self.lever_mm * levers(self.arm, self.terms, angles)
+        root[:, :, 3:] = np.sqrt(share) / self.lever_mm * self.layout.levers(angles)
         return root
 
     def noise_ratio(self, angles: np.ndarray) -> np.ndarray:
@@ -222,7 +234,80 @@ class LinearModel:
     def _root(self, with_unseen):
         """Root (n_columns, r) of the widened covariance of the coefficients: see `root_at`."""
         seen = self.std_scale * self.gauge_free_half
-        return seen + unseen_half(self) if with_unseen else seen
+        return seen + self._unseen_half() if with_unseen else seen
+
+    def _unseen_half(self):
+        """What positions with offsets do not show, as columns to add to `gauge_free_half`.
+
+        What the posterior has beside it, without the motions of the base: the frame is the arm's
+        own. What is left is how the arm gives way as a function of the place.
+        """
+        unseen, others = self.half - self.gauge_free_half, self.layout.others
+        if self.offsets:
+            for i, column in enumerate(others, start=len(unseen) - len(others)):
+                if column.name in BASE_MOTIONS:
+                    unseen[i] = -self.gauge_free_half[i]
+                elif column.kind == LOAD and column.frame == 0:
+                    unseen[i] *= _BASE
+        return unseen
+
+    def unseen_variance(self, angles: np.ndarray) -> np.ndarray:
+        """Variance of each coordinate that positions with offsets do not show, (n, 3), mm^2.
+
+        With G the widened root of what they show and U of what they do not, ``(G + U)(G + U)' - G
+        G'`` is ``U (2 G + U)'`` but for its order. U is narrow, for few fields differ.
+        """
+        variance = np.zeros((len(angles), 3))
+        if not self.offsets:
+            return variance
+        unseen = self._unseen_half()
+        basis, triangle, _ = qr(unseen, mode="economic", pivoting=True, check_finite=False)
+        size = np.abs(triangle.diagonal())
+        basis = basis[:, size > _ROUNDING * size.max(initial=0.0)]
+        other = (2 * self.std_scale * self.gauge_free_half + unseen) @ (unseen.T @ basis)
+        for rows in chunks(len(angles), _CHUNK // 256):
+            columns = self.columns(angles[rows])
+            columns = columns.reshape(3 * len(columns), len(unseen))
+            variance[rows] = ((columns @ basis) * (columns @ other)).sum(axis=1).reshape(-1, 3)
+        return np.maximum(variance, 0.0)  # both together may be known better than what is shown
+
+    def constrained(
+        self, X: np.ndarray, weights: np.ndarray, codes: np.ndarray, keep_scale: bool = True
+    ) -> Self:
+        """Model without what positions with offsets cannot show: the scale, where the base stands.
+
+        Unless known lengths show the scale, distances between positions stay on the average as the
+        calibration has them (an inner constraint, as geodesists have it in free networks).
+
+        Other columns imitate the fields of `place_fields` at the positions of the test. With M the
+        mean columns over the positions and F = M W those of the fields W, ``G = lstsq(F, M)`` is
+        the field in every column, and ``A - A W G`` are the columns without it: `gauge_free_half`
+        is the root with these. Fields that the positions hardly tell from others are left: with few
+        positions G would explode.
+        """
+        columns, half = self.layout, self.half
+        changes: dict[str, Any] = {}
+        means = columns.means(X, codes, weights)
+        if columns.terms.kinematics:
+            points = group_means(columns.points(X), codes, weights)
+            spread = points - points.mean(axis=0)
+            size = np.square(spread).sum()
+            if size > 0:
+                scale_of = np.einsum("gc,gcp->p", spread, means) / size
+                along, unit = scale_of @ half, columns.scale
+                if keep_scale:
+                    half = half - np.outer(unit, along)
+                    changes = {"coef": self.coef - unit * (scale_of @ self.coef), "half": half}
+                else:
+                    changes = {"scale_sd": float(np.linalg.norm(along))}
+        of_place = place_fields(columns)
+        if of_place.shape[1]:
+            flat = means.reshape(-1, means.shape[2])
+            shown = np.linalg.lstsq(flat @ of_place, flat @ half, rcond=_LEAST_SHOWN)[0]
+            half = half - of_place @ shown
+        found = replace(self, **changes, gauge_free_half=half, fading_half=half)
+        vars(found)["layout"] = columns  # need not be looked up again
+        return found
 
     def joint_covariance(
         self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = True
@@ -240,43 +325,34 @@ class LinearModel:
         """Posterior standard deviation (n,) in mm of a corrected length between two poses each."""
         n = self.arm.n_joints
         line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
-        length = np.linalg.norm(line, axis=1, keepdims=True)
-        line = line / np.maximum(length, 1e-300)
-        half, out = self._root(with_unseen=True), np.empty(len(first))
-        for rows in chunks(len(first), _CHUNK):
-            difference = self.columns(second[rows]) - self.columns(first[rows])
-            along = np.einsum("nc,ncp->np", line[rows], difference)
-            out[rows] = np.linalg.norm(along @ half, axis=1)
-        return out
+        line = line / np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-300)
+        between = self.root_at(second) - self.root_at(first)
+        return np.linalg.norm(
+            np.einsum("nc,ncr->nr", line, between.reshape(*line.shape, -1)), axis=1
+        )
 
     def harmonic_table(self) -> np.ndarray:
         """Harmonics as a structured array, the largest first: see `ArmResidualRegressor`."""
         n = 2 * len(self.terms.harmonics)
         pairs, sds = self.coef[:n].reshape(-1, 2), self.coef_sd[:n].reshape(-1, 2)
-        kinds = ["i4"] * 2 + ["f8"] * 7
-        table = np.empty(len(pairs), dtype=[*zip(_OF_HARMONICS, kinds, strict=True)])
+        dtype = [*zip(_OF_HARMONICS, ["i4"] * 2 + ["f8"] * 7, strict=True)]
         size, phase = np.hypot(*pairs.T), np.rad2deg(np.arctan2(*pairs.T[::-1]))
         places = np.add(self.terms.harmonics, (1, 0)).T
         values = *places, size, phase, *pairs.T, *sds.T, self.log_bayes_factor
-        for name, column in zip(_OF_HARMONICS, values, strict=True):
-            table[name] = column
+        table = np.array([*zip(*values, strict=True)], dtype=dtype)
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
     def term_table(self) -> Any:
         """The other causes as a structured array: see `ArmResidualRegressor`."""
-        names, family = term_names(self.arm, self.terms)
-        n = 2 * len(self.terms.harmonics)
-        width = max([len(name) for name in names], default=1)
+        others, n = self.layout.others, self.layout.n_waves
+        width = max([len(column.name) for column in others], default=1)
         dtype = [("family", "U11"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
-        table = np.empty(len(names), dtype=dtype)
-        table["family"] = [FAMILIES[f] for f in family]
-        table["name"] = names
         # The columns of gravity are not all of one arc second: see `_gravity`.
         arcsec = ARCSEC / reach_mm(self.arm)
-        others = other_columns(self.arm, self.terms)
         size = np.array([c.unit / arcsec if c.kind == LOAD else 1.0 for c in others])
-        table["value"], table["sd"] = size * self.coef[n:], size * self.coef_sd[n:]
-        return table
+        family = [FAMILIES[column.family] for column in others]
+        values = size * self.coef[n:], size * self.coef_sd[n:]
+        return np.array([*zip(family, self.layout.names, *values, strict=True)], dtype=dtype)
 
 
 def _triangle(half, n_pairs):
@@ -291,3 +367,43 @@ def _triangle(half, n_pairs):
     root = np.empty((len(half), min(half.shape)))
     root[order] = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
     return root
+
+
+def place_fields(columns):
+    """Coefficients (n_columns, k) whose effect is the same at all poses that reach a point.
+
+    One column for each field that the model can make, of up to eleven: see `_fields`.
+    """
+    own = _fields_of_causes(columns.alone)
+    return np.pad(own, ((columns.n_waves, len(columns.others) - len(own)), (0, 0)))
+
+
+def _fields(points, up):
+    """Three shifts, three turns, a scale, a stretch across z, and the base bent about its axes.
+
+    (3 n, 10 or 11) of length 1 each, at points (n, 3). The torque of a weight at p about the axis e
+    of the base is -(e x p) . up. In an upright arm to bend about the second joint's axis, which is
+    horizontal and above the base, is to bend about x and y together with a stretch.
+    """
+    x, y, _ = points.T
+    fields = [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+    fields += [np.cross(axis, points) for axis in np.eye(3)]
+    fields += [points, np.column_stack([x, y, np.zeros_like(x)])]
+    fields += [(turn @ up)[:, None] * turn for turn in fields[3:6]]
+    flat = np.stack(fields, axis=2).reshape(3 * len(points), -1)
+    size = np.linalg.norm(flat, axis=0)
+    return flat[:, size > 0] / size[size > 0]
+
+
+@lru_cache(maxsize=64)
+def _fields_of_causes(columns):
+    """The same for the columns that are neither harmonics nor extra."""
+    columns = columns_of(columns.arm, columns.terms._replace(extra=()))
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    of_place = _fields(columns.points(angles), columns.up)
+    own = columns.at(angles).reshape(len(of_place), -1)
+    size = np.linalg.norm(own, axis=0)
+    size = np.where(size > _NOTHING * size.max(initial=0.0), size, np.inf)
+    coef = np.linalg.lstsq(own / size, of_place, rcond=1e-10)[0]
+    left = np.linalg.norm(of_place - own / size @ coef, axis=0)
+    return (coef / size[:, None])[:, left < _LEFT]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, reach_mm
-from sklearn_raacmm.error_model._columns import TEMPERATURE, other_columns
+from sklearn_raacmm.arm import reach_mm
+from sklearn_raacmm.error_model._columns import TEMPERATURE, columns_of
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
@@ -51,9 +51,8 @@ def moved_model(linear, arm):
     check_same_table(linear.arm, arm)
     if np.any(arm.up != linear.arm.up):  # what the data found was of the earlier mounting
         linear = replace(linear, terms=linear.terms._replace(up=()))
-    n_waves = 2 * len(linear.terms.harmonics)
-    old = {c.name: (i, c) for i, c in enumerate(other_columns(linear.arm, linear.terms))}
-    others = other_columns(arm, linear.terms)
+    n_waves, others = 2 * len(linear.terms.harmonics), columns_of(arm, linear.terms).others
+    old = {c.name: (i, c) for i, c in enumerate(linear.layout.others)}
     matrix = np.zeros((n_waves + len(others), len(linear.coef)))
     matrix[:n_waves, :n_waves] = np.eye(n_waves)
     fresh = []  # the probe has a length along an axis along which the old one had none
@@ -99,11 +98,6 @@ def moved_fading(fading, old, new):
     A longer probe makes every standard deviation larger, and the errors with it: that is no reason
     to take the correction back. Those of the last joint grow as its lever does, others less.
     """
-    ratio = max(lever_mm(new) / lever_mm(old), 1.0) if lever_mm(old) > 0 else 1.0
+    levers = [np.hypot(arm.a[-1], arm.d[-1]) + np.linalg.norm(arm.probe) for arm in (old, new)]
+    ratio = max(float(levers[1] / levers[0]), 1.0) if levers[0] > 0 else 1.0
     return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
-
-
-def lever_mm(arm: Arm, probe_mm: Any = None) -> Any:
-    """Length of the last link and of the probe, or of one of another length, mm."""
-    own = np.linalg.norm(arm.probe) if probe_mm is None else probe_mm
-    return float(np.hypot(arm.a[-1], arm.d[-1]) + own)

@@ -10,9 +10,8 @@ the six axes of an icosahedron are those at every direction.
 
 import numpy as np
 
-from sklearn_raacmm.error_model._columns import LOAD, column_table, term_columns, vertical
-from sklearn_raacmm.error_model._fit import fit_with_constants, of_pairs
-from sklearn_raacmm.error_model._structures import UNUSED_SD, WIDE_SD, structures_of
+from sklearn_raacmm.error_model._columns import GRAVITY, LOAD, columns_of
+from sklearn_raacmm.error_model._fit import WIDE_SD, fit_with_constants, of_pairs
 from sklearn_raacmm.inference import Problem
 from sklearn_raacmm.utils import Finding, report_findings, stage
 
@@ -34,61 +33,58 @@ _NOTHING_LEFT = 1e-3
 _STEPS, _LADDER, _FARTHEST = 3, (0.3, 0.3, 0.1, 0.03), 3.0
 
 
-def fit_with_vertical(rows, positions, terms, with_field):
-    """The fit of `fit_with_constants` along the vertical of the arm, or that which the data show.
-
-    Returns the `Fitted`, and the terms with that direction.
-    """
+def fit_with_vertical(rows, positions, columns, with_field):
+    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show."""
     # A force that is always there is not told from gravity in its direction.
+    terms = columns.terms
     may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
-    fitted, rounds = fit_with_constants(rows, positions, terms, with_field), 0
-    while may_turn and rounds < _ROUNDS and (up := _higher(fitted, terms, with_field)):
-        terms, rounds = terms._replace(up=up), rounds + 1
-        fitted = fit_with_constants(rows, positions, terms, with_field)
-    if terms.up:
-        shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (terms.up, rows.arm.up)]
+    fitted, rounds = fit_with_constants(rows, positions, columns, with_field), 0
+    while may_turn and rounds < _ROUNDS and (up := _higher(fitted)):
+        columns, rounds = columns_of(rows.arm, terms._replace(up=up)), rounds + 1
+        fitted = fit_with_constants(rows, positions, columns, with_field)
+    if rounds:
+        shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
         said = (
             f"Gravity seems to pull against {shown[0]} of the base frame, not against up = "
             f"{shown[1]}: its columns follow the data."
         )
         advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
         report_findings([Finding("vertical", said, advice)])
-    return fitted, terms
+    return fitted
 
 
 @stage("direction of gravity")
-def _higher(fitted, terms, with_field):
+def _higher(fitted):
     """A direction against gravity of higher evidence than that of a fit, or ().
 
-    The harmonics of `terms` were offered to the fit; those that it chose stay. To turn the
-    direction round changes signs only: of both the one is taken along which the arm gives way.
+    The harmonics that the fit chose stay. To turn the direction round changes signs only: of both
+    the one is taken along which the arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
     if state.noise_variance < _NOTHING_LEFT**2 * np.square(fitted.rows.y).mean():
         return ()
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
-    unused = frozenset(np.flatnonzero(state.variance == UNUSED_SD**2).tolist())
-    structures = structures_of(rows.arm, terms, with_field, unused)
-    few, structures, lines = of_pairs(terms, structures, state.lines, state.pairs)
-    table = column_table(rows.arm, few._replace(harmonics=few.harmonics[:0]))
-    loads = table["kind"] == LOAD
+    few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
+    loads = few.table["kind"][few.n_waves :] == LOAD
     if rows.y.shape[1] * len(np.unique(rows.X, axis=0)) < loads.sum():
         return ()  # along any direction so many columns explain so few poses
-    parts = [rows.sums(few._replace(up=tuple(axis.tolist()))) for axis in _AXES]
-    start = state.variance.copy()
-    families = np.unique(structures.family[loads])
-    explains_all = parts[0][0].square / parts[0][0].gram.diagonal()[loads].mean()
-    start[families] = np.maximum(start[families], min(WIDE_SD**2, explains_all))
+
+    def along(up):
+        return columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
+
+    parts = [rows.sums(along(axis)) for axis in _AXES]
+    variance = state.variance.copy()
+    explains_all = parts[0].square / parts[0].gram.diagonal()[loads].mean()
+    variance[GRAVITY] = max(variance[GRAVITY], min(WIDE_SD**2, explains_all))
+    start = state._replace(variance=variance)
 
     def at(up):
-        sums, lengths = _sums_at(up, parts, loads)
-        problem = Problem(sums, structures, lengths)
-        there = problem.state(lines, state.with_field, start, state.noise_variance)
-        return problem.with_variances(there, _STEPS)
+        problem = Problem(_sums_at(up, parts, loads), structures)
+        return problem.with_variances(problem.with_lines(start, lines), _STEPS)
 
     # A direction that has paid already is only made better.
-    stated, price = vertical(rows.arm, terms), 0.0 if terms.up else _PRICE
+    stated, price = few.up, 0.0 if few.terms.up else _PRICE
     up = max([stated, *_AXES], key=lambda axis: at(axis).log_evidence)
     for step in _LADDER:
         higher, rise = _climbed(up, step, lambda near: at(near).log_evidence)
@@ -99,8 +95,7 @@ def _higher(fitted, terms, with_field):
     if there.log_evidence - at(stated).log_evidence < price:
         return ()
     # A probe sags, whatever the pose: the arm measures it above where it is.
-    few = few._replace(up=tuple(up.tolist()))
-    columns = term_columns(rows.arm, rows.X, few)[:, :, -len(loads) :][:, :, loads]
+    columns = along(up).at(rows.X)[:, :, few.n_waves :][:, :, loads]
     above = columns @ there.coef[: len(loads)][loads] @ up
     up = up * np.sign(above.sum())
     return () if stated @ up > _NEAR else tuple(up.tolist())
@@ -132,8 +127,7 @@ def _climbed(up, step, value):
 
 
 def _sums_at(up, parts, loads):
-    """Sums and known lengths at a direction, of those at the `_AXES`."""
-    sums, lengths = zip(*parts, strict=True)
+    """Sums at a direction, of those at the `_AXES`."""
     pairs = np.triu_indices(3)
     square = np.linalg.solve(
         np.array([np.outer(axis, axis)[pairs] for axis in _AXES]).T, np.outer(up, up)[pairs]
@@ -142,14 +136,14 @@ def _sums_at(up, parts, loads):
     # Shares of the six in products with none, one and two columns of gravity.
     shares = np.array([np.eye(len(_AXES))[0], linear, square])
     one = loads.astype(int)
-    gram, moment, cross = (np.array(p) for p in zip(*(part[:3] for part in sums), strict=True))
-    whole = sums[0]._replace(
+    gram, moment, cross = (np.array(p) for p in zip(*(part[:3] for part in parts), strict=True))
+    whole = parts[0]._replace(
         gram=np.einsum("ijp,pij->ij", shares[one[:, None] + one], gram),
         moment=np.einsum("ip,pi->i", shares[one], moment),
         cross=np.einsum("ip,piw->iw", shares[one], cross),
     )
-    if lengths[0] is None:
-        return whole, None
+    if whole.extra is None:
+        return whole
     one = np.r_[np.zeros(cross.shape[2], int), one]
-    rows = np.einsum("ip,pni->ni", shares[one], np.array([part.rows for part in lengths]))
-    return whole, lengths[0]._replace(rows=rows)
+    rows = np.einsum("ip,pni->ni", shares[one], np.array([part.extra.rows for part in parts]))
+    return whole._replace(extra=whole.extra._replace(rows=rows))

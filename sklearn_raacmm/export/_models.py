@@ -10,14 +10,7 @@ import numpy as np
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
-from sklearn_raacmm.error_model import (
-    LOAD,
-    PUSH,
-    ArmResidualRegressor,
-    column_table,
-    force_on_probe,
-    vertical,
-)
+from sklearn_raacmm.error_model import LOAD, PUSH, ArmResidualRegressor
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
@@ -286,7 +279,7 @@ def arm_model(chain, step):
 def linear_model(chain, linear, fading):
     """Correction of a `LinearModel`, variances, and squared doubt; each None where not needed."""
     p, arm = chain.p, linear.arm
-    table = column_table(arm, linear.terms)
+    table = linear.layout.table
     m, n_axes = len(table), 3 * (arm.n_joints + 1)
     if not m:
         return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
@@ -417,7 +410,7 @@ def _sizes(chain, linear, table, vectors):
         of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
         of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
         axis = 12 * table["frame"][loaded] + 3 * table["axis"][loaded]
-        up, torque = vertical(arm, linear.terms), None
+        up, torque = linear.layout.up, None
         for c in np.flatnonzero(up).tolist():
             pair = (c + 1) % 3, (c + 2) % 3
             x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in pair)
@@ -433,9 +426,7 @@ def _sizes(chain, linear, table, vectors):
     pushed = np.flatnonzero(table["kind"] == PUSH)
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
-        from_zero = [(name, (0.0,)) for name, _ in extra]
-        unit_forces = force_on_probe(from_zero, np.eye(len(extra)), arm.up).T
-        force = p.affine(p("sub", values, mean), unit_forces)
+        force = p.affine(p("sub", values, mean), linear.layout.forces.T)
         turns = 3 * table["frame"][pushed] + table["axis"][pushed]
         at = np.arange(3) * 2 * n_axes + turns[:, None]
         torque = p("dots", p.take(vectors, at.ravel()), force)

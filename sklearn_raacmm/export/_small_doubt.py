@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.error_model import SHIFT, TURN, column_table
+from sklearn_raacmm.error_model import SHIFT, TURN
 from sklearn_raacmm.export._steps import typical_rows
 
 # Waves of one joint about one axis that are taken for themselves, if there are so many.
@@ -77,7 +77,7 @@ def small_doubt(linear, fading, angles):
 
     None where it would have no fewer numbers than the whole.
     """
-    table = column_table(linear.arm, linear.terms)
+    table = linear.layout.table
     covariance = linear.fading_half @ linear.fading_half.T
     of_axis = axis_numbers(table, linear.arm.n_joints)
     blocks = _blocks(table, of_axis)

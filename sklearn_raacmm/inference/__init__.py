@@ -4,13 +4,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.inference._condition import (
-    Posterior,
     Prior,
+    Whitened,
+    best_cause,
     condition,
+    explained,
     log_density,
     narrowed,
+    score_tests,
 )
-from sklearn_raacmm.inference._intervals import interval_scales
 from sklearn_raacmm.inference._linear import (
     Extra,
     GramRows,
@@ -18,18 +20,15 @@ from sklearn_raacmm.inference._linear import (
     State,
     Structures,
     Sums,
-    columns_of,
     combined,
     evidence_variance,
     sums_of_pairs,
 )
-from sklearn_raacmm.inference._search import beside_field, net_evidence, search, search_at
-from sklearn_raacmm.inference._test import Whitened, best_cause, explained, score_tests
+from sklearn_raacmm.inference._search import beside_field, search, search_at
 
 __all__ = [
     "Extra",
     "GramRows",
-    "Posterior",
     "Prior",
     "Problem",
     "State",
@@ -38,15 +37,12 @@ __all__ = [
     "Whitened",
     "beside_field",
     "best_cause",
-    "columns_of",
     "combined",
     "condition",
     "evidence_variance",
     "explained",
-    "interval_scales",
     "log_density",
     "narrowed",
-    "net_evidence",
     "score_tests",
     "search",
     "search_at",

@@ -21,6 +21,7 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +54,15 @@ _RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
 _BATCH = 48
 
 
+class Extra(NamedTuple):
+    """Observations beside the sums: ``rows @ coefficients`` is `values` and noise."""
+
+    rows: np.ndarray  # (n, 2 n_pairs + m) the candidates' columns, then those that are always in
+    values: np.ndarray  # (n,)
+    variance: np.ndarray  # (n,) that they have by themselves
+    share: np.ndarray  # (n,) of the noise variance that comes on top
+
+
 class Sums(NamedTuple):
     """Inner products of the columns that are always in (A), of the candidates (H) and of y.
 
@@ -68,15 +78,7 @@ class Sums(NamedTuple):
     square: float  # y'y
     n_observations: float
     rows: Any  # callable: (pairs, likely, beside) to rows of H'H, see `GramRows`
-
-
-class Extra(NamedTuple):
-    """Observations beside the sums: ``rows @ coefficients`` is `values` and noise."""
-
-    rows: np.ndarray  # (n, 2 n_pairs + m) the candidates' columns, then those that are always in
-    values: np.ndarray  # (n,)
-    variance: np.ndarray  # (n,) that they have by themselves
-    share: np.ndarray  # (n,) of the noise variance that comes on top
+    extra: Extra | None = None  # what was observed beside them
 
 
 class Structures(NamedTuple):
@@ -89,11 +91,6 @@ class Structures(NamedTuple):
     given: np.ndarray  # (n_families + 2,) variances that are known, NaN for those to be found
     largest: float  # variance beyond which a coefficient makes no sense
     wide: float  # variance of the families at which a second search begins
-
-    @property
-    def line(self) -> int:
-        """Index of the variance that lines share; that of the field is the next one."""
-        return len(self.given) - 2
 
 
 class State(NamedTuple):
@@ -137,26 +134,20 @@ class State(NamedTuple):
 
 
 def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
-    """Sums of the same columns times numbers, added up: over more or fewer poses, or weighted."""
-    whole: list[Any] = [
-        sum(sign * value for sign, value in zip(signs, values, strict=True))
-        for values in zip(*(part[:-1] for part in parts), strict=True)
-    ]
+    """Sums of the same columns times numbers, added up, without what was observed beside them."""
 
-    terms = [
-        (sign * own, found)
-        for sign, part in zip(signs, parts, strict=True)
-        for own, found in part.rows.terms
-    ]
+    def total(values) -> Any:
+        return sum(sign * value for sign, value in zip(signs, values, strict=True))
 
-    def sum_up(pairs) -> Any:
-        return sum(sign * found(pairs) for sign, found in terms)
+    def sum_up(pairs):
+        return total([part.rows(pairs) for part in parts])
 
-    return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1], terms)])
+    whole = [total(values) for values in zip(*(part[:7] for part in parts), strict=True)]
+    return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1]), None])
 
 
 def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
-    """Sums with some of the candidates only."""
+    """Sums with some of the candidates only, without what was observed beside them."""
     columns = columns_of(pairs)
 
     def sum_up(some):
@@ -167,6 +158,7 @@ def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
         own=sums.own[:, pairs],
         candidate_moment=sums.candidate_moment[columns],
         rows=GramRows(sum_up, len(columns)),
+        extra=None,
     )
 
 
@@ -179,19 +171,12 @@ def columns_of(pairs: ArrayLike) -> np.ndarray:
 class GramRows:
     """Rows of the candidates' Gram matrix, summed up when first asked for and kept.
 
-    `sum_up` makes of pairs (k,) their rows (2 k, n_columns). `terms` are the rows and their factors
-    that it adds up, where it does: who combines them again need not go through this sum.
+    `sum_up` makes of pairs (k,) their rows (2 k, n_columns).
     """
 
-    def __init__(
-        self,
-        sum_up: Callable[[np.ndarray], np.ndarray],
-        n_columns: int,
-        terms: list[tuple[float, Any]] | None = None,
-    ) -> None:
+    def __init__(self, sum_up: Callable[[np.ndarray], np.ndarray], n_columns: int) -> None:
         self._sum_up = sum_up
         self._place: dict[int, int] = {}
-        self.terms: list[tuple[float, Any]] = [(1.0, self)] if terms is None else terms
         self._rows = np.empty((0, n_columns))
 
     def __call__(
@@ -222,12 +207,15 @@ class GramRows:
 
 
 class Problem:
-    """Sums, known structures and other observations: what a posterior is found from."""
+    """Sums and known structures: what a posterior is found from.
 
-    def __init__(self, sums: Sums, structures: Structures, extra: Extra | None = None) -> None:
+    `line` is the index of the variance that lines share; that of the field is the next one.
+    """
+
+    def __init__(self, sums: Sums, structures: Structures) -> None:
         self.sums: Sums = _without_rounding(sums)
         self.structures: Structures = structures
-        self.extra: Extra | None = extra
+        self.line: int = len(structures.given) - 2
         self.n: float = max(sums.n_observations, 1.0)
         self.start: float = max(sums.square / self.n, _NO_NOISE)
         self.assumed: float = _ASSUMED_SHARE * self.start
@@ -242,7 +230,7 @@ class Problem:
         diagonal, family = self.sums.gram.diagonal(), structures.family
         sizes = {f: diagonal[family == f].sum() for f in np.unique(family)}
         if self.sums.own.size:
-            sizes[structures.line] = _GUESSED_LINES * self.sums.own[:2].sum(axis=0).mean()
+            sizes[self.line] = _GUESSED_LINES * self.sums.own[:2].sum(axis=0).mean()
         for f, size in sizes.items():
             if not self.known[f]:
                 variance[f] = self.start * self.n / size if size > 0 else 1.0
@@ -254,25 +242,25 @@ class Problem:
         Where another fit has explained most of y, the guess is far too small, and the fixed point
         ends at zero; from large variances it finds what that fit could not explain.
         """
-        line, largest, none = self.structures.line, self.structures.largest, np.empty(0, dtype=int)
-        families = np.arange(line + 2) < line
+        families = np.arange(self.line + 2) < self.line
         wide = np.where(families & ~self.known, self.structures.wide, self.guess)
-        starts = [np.minimum(variance, largest) for variance in (self.guess, wide)]
-        found = [
-            self.with_variances(self.state(none, False, variance, self.start))
-            for variance in starts
-        ]
-        return max(found, key=lambda state: state.log_evidence)
+
+        def found_from(variance):
+            variance = np.minimum(variance, self.structures.largest)
+            start = self.state(np.empty(0, dtype=int), False, variance, self.start)
+            return self.with_variances(start)
+
+        return max(map(found_from, (self.guess, wide)), key=lambda state: state.log_evidence)
 
     def pairs_and_shares(
         self, lines: np.ndarray, with_field: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         """Pairs that are in, sorted, and the share (n_structures, m + 2 k) that each column has."""
-        structures, pairs = self.structures, lines
+        structures, pairs, line = self.structures, lines, self.line
         share = structures.share if with_field else None
         if share is not None:
             pairs = np.union1d(lines, np.flatnonzero(share > 0)).astype(int)
-        m, line = len(structures.family), structures.line
+        m = len(structures.family)
         shares = np.zeros((line + 2, m + 2 * len(pairs)))
         shares[structures.family, np.arange(m)] = 1.0
         shares[line, m:] = np.repeat(np.isin(pairs, lines, assume_unique=True), 2)
@@ -284,23 +272,10 @@ class Problem:
         self, lines: np.ndarray, with_field: bool, variance: np.ndarray, noise: float
     ) -> State:
         """Posterior and evidence at given variances."""
-        pairs, shares = self.pairs_and_shares(lines, with_field)
-        gram, moment = self._products(pairs)
-        prior = variance @ shares
+        pairs, prior, S, r, fixed = self.equations(lines, with_field, variance, noise)
         # The last column is eliminated first: those that are always in then have the shortest rows
         # of `half`, which makes standard deviations cheap.
-        S, r = gram[::-1, ::-1] / noise, moment / noise
-        fixed = (self.n + _ASSUMED_ROWS) * np.log(noise)
-        fixed += (self.sums.square + _ASSUMED_ROWS * self.assumed) / noise
-        if self.extra is not None:
-            precision = 1 / (self.extra.variance + noise * self.extra.share)
-            always = self.extra.rows[:, self.sums.cross.shape[1] :]
-            rows = np.concatenate([always, self.extra.rows[:, columns_of(pairs)]], axis=1)
-            weighted = rows.T * precision
-            S += (weighted @ rows)[::-1, ::-1]
-            r = r + weighted @ self.extra.values
-            fixed += precision @ np.square(self.extra.values) - np.log(precision).sum()
-        S[np.diag_indices(len(S))] += 1 / prior[::-1]
+        S = S[::-1, ::-1]
         coef, half, volume = r, S, np.log(prior).sum()
         if len(S):
             root = root_of(S.T, lower=True)  # of which S.T is the same, in the order of Fortran
@@ -320,6 +295,35 @@ class Problem:
             log_evidence=float(-0.5 * (fixed - r @ coef + volume)),
             determined=1 - np.einsum("ij,ij->i", half, half) / prior,
         )
+
+    def with_lines(self, state: State, lines: np.ndarray) -> State:
+        """Other lines at the variances of a state, beside its field."""
+        return self.state(lines, state.with_field, state.variance, state.noise_variance)
+
+    def equations(
+        self, lines: np.ndarray, with_field: bool, variance: np.ndarray, noise: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """Pairs that are in, prior variances, and the equations of the coefficients.
+
+        The latter are the penalised Gram matrix, the products with y, and what of minus twice the
+        log evidence depends on the noise alone.
+        """
+        pairs, shares = self.pairs_and_shares(lines, with_field)
+        prior = variance @ shares
+        gram, moment = self._products(pairs)
+        S, r, extra = gram / noise, moment / noise, self.sums.extra
+        fixed = (self.n + _ASSUMED_ROWS) * np.log(noise)
+        fixed += (self.sums.square + _ASSUMED_ROWS * self.assumed) / noise
+        if extra is not None:
+            precision = 1 / (extra.variance + noise * extra.share)
+            n_waves, columns = self.sums.cross.shape[1], columns_of(pairs)
+            rows = extra.rows[:, np.r_[n_waves : extra.rows.shape[1], columns]]
+            weighted = rows.T * precision
+            S += weighted @ rows
+            r += weighted @ extra.values
+            fixed += precision @ np.square(extra.values) - np.log(precision).sum()
+        S[np.diag_indices(len(S))] += 1 / prior
+        return pairs, prior, S, r, fixed
 
     def _products(self, pairs):
         """Gram matrix of the columns that are always in and of some pairs, and products with y."""
@@ -351,13 +355,12 @@ class Problem:
         variance = np.clip(variance, least, np.maximum(least, self.structures.largest))
         variance = np.where(self.known, self.structures.given, variance)
         noise = max(noise, _LEAST_NOISE * self.start)
-        found = self.state(last.lines, last.with_field, variance, noise)
-        for _ in range(_HALVINGS - 1):
+        for _ in range(_HALVINGS):
+            found = self.state(last.lines, last.with_field, variance, noise)
             if found.log_evidence >= last.log_evidence:
                 break
             variance = np.sqrt(variance * last.variance)
             noise = np.sqrt(noise * last.noise_variance)
-            found = self.state(last.lines, last.with_field, variance, noise)
         return found
 
     def _fixed_point(self, state):
@@ -390,11 +393,10 @@ def root_of(matrix, lower=False):
     """Cholesky factor; where rounding has eaten what the priors add, of slightly more."""
     diagonal = np.diag_indices(len(matrix))
     for more in _RIDGES:
-        try:
+        with suppress(LinAlgError):
             return cholesky(matrix, lower=lower, check_finite=False)
-        except LinAlgError:
-            matrix = matrix.copy()
-            matrix[diagonal] *= 1 + more
+        matrix = matrix.copy()
+        matrix[diagonal] *= 1 + more
     return cholesky(matrix, lower=lower, check_finite=False)
 
 

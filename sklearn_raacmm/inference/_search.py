@@ -46,27 +46,22 @@ def search(problem: Problem, state: State | None = None) -> State:
         best = problem.nothing()
     else:
         lines = state.lines if state.with_field else state.lines[:0]
-        best = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        best = problem.with_lines(state, lines)
         best = _settled(problem, best) if state.with_field else best
-    value = net_evidence(problem, best)
     for _ in range(_MAX_ROUNDS):
         lines = _extended(problem, best)
         if len(lines) == len(best.lines):
             break
-        state = problem.state(lines, best.with_field, best.variance, best.noise_variance)
-        state = _settled(problem, state)
-        last, value = value, net_evidence(problem, state)
-        if not value > last + SMALL_RISE:
-            break
-        best = state
+        last, best = best, _settled(problem, problem.with_lines(best, lines))
+        if not net_evidence(problem, best) > net_evidence(problem, last) + SMALL_RISE:
+            return last
     return best
 
 
 def search_at(problem: Problem, state: State) -> State:
     """Lines worth their price at the variances of a state of more data, beside its field."""
-    start = state.with_field, state.variance, state.noise_variance
     lines = _extended(problem, state._replace(lines=state.lines[:0]))
-    return _pruned(problem, problem.state(lines, *start))
+    return _pruned(problem, problem.with_lines(state, lines))
 
 
 def beside_field(problem: Problem, state: State, of_field: Problem, alone: State) -> State | None:
@@ -84,10 +79,8 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
     if rise + saved < structures.field_price:
         return None
-    variance = state.variance.copy()
-    variance[-1] = size
-    start = problem.state(state.lines, True, variance, state.noise_variance)
-    found = search(problem, start)
+    variance = np.append(state.variance[:-1], size)
+    found = search(problem, problem.state(state.lines, True, variance, state.noise_variance))
     before = problem.with_variances(state)
     if net_evidence(problem, found) < net_evidence(problem, before) + structures.field_price:
         return None
@@ -162,8 +155,7 @@ def _pruned(problem, state):
         if not needless:
             return state
         worst = np.argsort(net, kind="stable")[: max(needless - 1, 1)]
-        lines = np.delete(state.lines, worst)
-        state = problem.state(lines, state.with_field, state.variance, state.noise_variance)
+        state = problem.with_lines(state, np.delete(state.lines, worst))
 
 
 def _first_size(problem, state):
@@ -181,7 +173,7 @@ def _first_size(problem, state):
     root = np.repeat(np.sqrt(problem.structures.share[left.free]), 2)
     S, r = S * root * root[:, None], r * root
     best = 1.0, -np.inf
-    for v in state.variance[problem.structures.line] * _FIELD_SIZES:
+    for v in state.variance[problem.line] * _FIELD_SIZES:
         try:
             factor = root_of(np.eye(len(S)) + v * S)
         except LinAlgError:  # the rounding of large numbers
@@ -200,47 +192,35 @@ class _Leftover:
     """
 
     def __init__(self, problem, state):
-        sums, noise, structures = problem.sums, state.noise_variance, problem.structures
+        sums, noise = problem.sums, state.noise_variance
         self.sums, self.noise = sums, noise
-        pairs, shares = problem.pairs_and_shares(state.lines, state.with_field)
+        choice = state.lines, state.with_field, state.variance, noise
+        pairs, _, S, r, _ = problem.equations(*choice)
         self.free = np.setdiff1d(np.arange(sums.own.shape[1]), pairs)
-        self.prior = state.variance[structures.line]
-        self.columns, chosen = columns_of(self.free), columns_of(pairs)
-        self.r = sums.candidate_moment[self.columns] / noise
+        self.prior = state.variance[problem.line]
+        columns, m = columns_of(self.free), len(sums.gram)
+        self.r = sums.candidate_moment[columns] / noise
         self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
-        self.extra = None
-        m = len(sums.gram)
-        self.size = m + len(chosen)
-        self.factor = np.empty((self.size + 64, len(self.columns)))
-        self.factor[:m] = sums.cross[:, self.columns]
+        self.size = len(S)
+        self.factor = np.empty((self.size + 64, len(columns)))
+        self.factor[:m] = sums.cross[:, columns]
         self.factor[m : self.size] = sums.rows(pairs, (), self.free)
-        S = np.zeros((self.size, self.size))  # of which one triangle is used
-        S[:m, :m], S[:m, m:] = sums.gram, sums.cross[:, chosen]
-        S[m:, m:] = sums.rows(pairs, (), pairs)
-        S /= noise
-        r = np.concatenate([sums.moment, sums.candidate_moment[chosen]]) / noise
-        if problem.extra is not None:
-            r += self._add_extra(problem.extra, sums.cross.shape[1], chosen, S)
-        S[np.diag_indices(self.size)] += 1 / (state.variance @ shares)
-        if self.size and len(self.columns):
+        self.extra = None
+        if sums.extra is not None:
+            scale = 1 / np.sqrt(sums.extra.variance + noise * sums.extra.share)
+            rows, waves = sums.extra.rows * scale[:, None], columns_of(pairs)
+            self.extra = rows[:, columns]
+            known = rows[:, np.r_[sums.cross.shape[1] : rows.shape[1], waves]]
+            self.factor[: self.size] += noise * (known.T @ self.extra)
+            first, second = self.extra[:, ::2], self.extra[:, 1::2]
+            both = (first, first), (second, second), (first, second)
+            self.own += [(a * b).sum(axis=0) for a, b in both]
+            self.r += self.extra.T @ (sums.extra.values * scale)
+        if self.size and len(columns):
             root = _root_of_parts(S, m)
             # The transpose is in Fortran order: the factor is solved for in place.
             dtrsm(1 / noise, root, self.factor[: self.size].T, side=1, overwrite_b=1)
             self._explain(self.factor[: self.size], solve_triangular(root, r, trans="T"))
-
-    def _add_extra(self, extra, n_waves, chosen, S):
-        """Add what other observations say of all columns; of the chosen ones, their products."""
-        scale = 1 / np.sqrt(extra.variance + self.noise * extra.share)
-        rows, values = extra.rows * scale[:, None], extra.values * scale
-        known = rows[:, np.r_[n_waves : rows.shape[1], chosen]]
-        self.extra = rows[:, self.columns]
-        S += known.T @ known
-        self.factor[: self.size] += self.noise * (known.T @ self.extra)
-        first, second = self.extra[:, ::2], self.extra[:, 1::2]
-        both = (first, first), (second, second), (first, second)
-        self.own += [(a * b).sum(axis=0) for a, b in both]
-        self.r += self.extra.T @ values
-        return known.T @ values
 
     def _explain(self, rows, solved):
         """Take off what rows of the factor explain; `solved` are their products with y."""

@@ -19,13 +19,12 @@ from sklearn_raacmm.residuals._earlier import (
     database_chain,
     polynomial_chain,
 )
-from sklearn_raacmm.residuals._point_correction import (
-    PointCorrectionMixin,
-    found_positions,
-    positions_of,
+from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
+from sklearn_raacmm.residuals._pose_features import (
+    PoseFeatures,
+    elbow_angle,
+    shoulder_wrist_distance,
 )
-from sklearn_raacmm.residuals._pose_features import PoseFeatures
-from sklearn_raacmm.residuals._pose_triangle import elbow_angle, shoulder_wrist_distance
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 __all__ = [
@@ -41,6 +40,5 @@ __all__ = [
     "found_positions",
     "polynomial_chain",
     "position_residuals",
-    "positions_of",
     "shoulder_wrist_distance",
 ]

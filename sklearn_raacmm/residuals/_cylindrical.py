@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -152,19 +153,18 @@ def _direction(azimuth, n):
 def direction_of(x, y):
     """Cosine and sine of the azimuth of points; (1, 0) on the axis itself, as arctan2 has it."""
     radius = np.hypot(x, y)
-    if radius.min(initial=np.inf) > 0:
-        return x / radius, y / radius
     on_axis = radius == 0
     radius[on_axis] = 1.0
     return np.where(on_axis, 1.0, x / radius), y / radius
 
 
-def to_cylindrical(vectors, direction):
-    cos, sin = direction
-    return to_cartesian(vectors, (cos, -sin))  # the turn back
+def to_cylindrical(vectors: np.ndarray, direction: Any) -> np.ndarray:
+    """Vectors (n, 3) turned back by a direction: see `to_cartesian`."""
+    return to_cartesian(vectors, (direction[0], -direction[1]))
 
 
 def to_cartesian(vectors: np.ndarray, direction: Any) -> np.ndarray:
+    """Vectors (n, 3) turned by a direction, cosine and sine of an azimuth or of one for each."""
     cos, sin = direction
     radial, tangential, axial = vectors.T
     # Not `np.stack`, which takes as long as the rest of one row's turn.
@@ -215,8 +215,6 @@ def without_direction(X):
 
 def ends_in_direction(X):
     """Whether the two last columns of X are the direction of an azimuth."""
-    try:
-        without_direction(X)
-    except (TypeError, ValueError):
-        return False
-    return True
+    with suppress(TypeError, ValueError):
+        return without_direction(X) is not None
+    return False

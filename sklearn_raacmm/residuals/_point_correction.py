@@ -93,14 +93,13 @@ class PointCorrectionMixin(RegressorMixin):
             raise ValueError("points must be given where azimuth is not the method of an arm.")
         points = floats("points", points, 3)
         predicted = self.predict(X, **predict_params)
-        mean = predicted[0] if isinstance(predicted, tuple) else predicted
+        mean, *deviations = predicted if isinstance(predicted, tuple) else (predicted,)
         if points.shape != mean.shape:
             raise ValueError(
                 f"points has shape {points.shape}, but predictions {mean.shape}: one point is "
                 "needed for each row of X."
             )
-        corrected = points - mean
-        return (corrected, *predicted[1:]) if isinstance(predicted, tuple) else corrected
+        return (points - mean, *deviations) if deviations else points - mean
 
     def score(
         self,

@@ -66,18 +66,11 @@ def constants_of(regressor, X, y, codes, weights, fit_params):
 
     Of targets (n,) or (n, q) they are (n_positions,) or (n_positions, q), to be subtracted.
     """
-    features, last = before_last(clone(regressor).fit(X, y, **fit_params), X)
-    if isinstance(last, BaseSearchCV):
-        features, last = before_last(last.best_estimator_, features)
-    return _solved(last, features, y, codes, weights)
-
-
-def _solved(fitted, features, y, codes, weights):
-    """Constants c of D'W (I - S) (y - D c) = 0; D has a column of ones for each position.
-
-    S is the map from targets to predictions: S D are the predictions of a fit to D, and where they
-    have an intercept, all c may be shifted together: their mean over rows is then zero.
-    """
+    features, fitted = before_last(clone(regressor).fit(X, y, **fit_params), X)
+    if isinstance(fitted, BaseSearchCV):
+        features, fitted = before_last(fitted.best_estimator_, features)
+    # Constants c of D'W (I - S) (y - D c) = 0; D has a column of ones for each position. S is the
+    # map from targets to predictions: S D are the predictions of a fit to D.
     if isinstance(fitted, GaussianProcessRegressor):  # the kernel that it has found
         smoother = clone(fitted).set_params(kernel=fitted.kernel_, optimizer=None)
         known = {}
@@ -89,6 +82,7 @@ def _solved(fitted, features, y, codes, weights):
     left = group_means(positions - smoothed, codes, weights)
     of_y = group_means(y - fitted.predict(features).reshape(y.shape), codes, weights)
     constants = np.linalg.lstsq(left, of_y, rcond=_SINGULAR)[0]
+    # With an intercept all c may be shifted together: their mean over rows is zero.
     if getattr(fitted, "fit_intercept", True):
         constants = constants - np.average(constants[codes], axis=0, weights=weights)
     return constants

@@ -190,9 +190,7 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
                 check_weights(value, y, name)
-        flat = y.ndim == 1
-        n_targets = 1 if flat else y.shape[1]
-
+        n_targets = 1 if y.ndim == 1 else y.shape[1]
         self._drops_direction = self.azimuth == "appended" and (
             self._rotates or ends_in_direction(X)
         )
@@ -205,22 +203,22 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             X, y, groups, codes, fit_params = _poses(X, y, groups, codes, fit_params)
         features, direction = self._split(X)
         if self._rotates:
-            self._check_residuals(X, y, codes)
+            weights, arm = np.ones(len(y)), self._arm()
+            angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+            offsets = codes is not None and are_deviations(y, codes, weights)
+            report_findings(check_targets(y, weights, arm, angles, codes, offsets))
             y = to_cylindrical(y, direction)
         routing = get_config()["enable_metadata_routing"]
         if routing:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
         self.regressor_: Any = clone(self._get_regressor())
         self.by_position_: bool = False
-        target = y
         try:
             if codes is not None:
-                target, fit_params = self._by_position(
-                    features, y, groups, codes, fit_params, routing
-                )
-            self.regressor_.fit(features, target, **fit_params)
+                y, fit_params = self._by_position(features, y, groups, codes, fit_params, routing)
+            self.regressor_.fit(features, y, **fit_params)
         except ValueError as error:
-            if flat or get_tags(self.regressor_).target_tags.multi_output:
+            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
                 raise
             raise ValueError(
                 f"{type(self.regressor_).__name__} learns one target at a time, but y has "
@@ -297,10 +295,10 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
         prediction = regressor.predict(features, **predict_params)
         if not self._rotates:
             return prediction
-        if isinstance(prediction, tuple):
-            mean, std = prediction
-            return to_cartesian(mean, direction), std_to_cartesian(std, direction)
-        return to_cartesian(prediction, direction)
+        if not isinstance(prediction, tuple):
+            return to_cartesian(prediction, direction)
+        mean, std = prediction
+        return to_cartesian(mean, direction), std_to_cartesian(std, direction)
 
     def _points_of(self, X):
         """Where the arm says that its probe is, (n, 3) in mm; None where there is no arm."""
@@ -336,13 +334,6 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             return X, (np.cos(azimuth), np.sin(azimuth))
         return X, None
 
-    def _check_residuals(self, X, y, codes):
-        """Say what is wrong with the targets, by the arm where the azimuth is that of an arm."""
-        weights, arm = np.ones(len(y)), self._arm()
-        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
-        offsets = codes is not None and are_deviations(y, codes, weights)
-        report_findings(check_targets(y, weights, arm, angles, codes, offsets))
-
     def _get_regressor(self):
         if isinstance(self.regressor, type):
             raise TypeError(
@@ -350,9 +341,9 @@ class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedE
             )
         if self.regressor is not None:
             return self.regressor
-        if get_config()["enable_metadata_routing"]:
-            return LinearRegression().set_fit_request(sample_weight=True)
-        return LinearRegression()
+        routing = get_config()["enable_metadata_routing"]
+        regressor = LinearRegression()
+        return regressor.set_fit_request(sample_weight=True) if routing else regressor
 
     def get_metadata_routing(self) -> Any:
         """Route `fit` and `predict` to the regressor; `groups` are our own, and requested."""
@@ -388,25 +379,20 @@ def _taken_by(regressor):
 
 def _poses(X, y, groups, codes, fit_params) -> Any:
     """The same with each pose once at which a logger wrote many rows."""
-    given = X, y, groups, codes, fit_params
     rows = None if issparse(X) else np.asarray(X)
     # What is no table of numbers is left to the regressor.
     if rows is None or rows.ndim != 2 or rows.dtype.kind != "f" or not np.isfinite(rows).all():
-        return given
+        return X, y, groups, codes, fit_params
     dwells = find_dwells(rows, codes, copies_count=True)
     if not dwells.merges:
-        return given
+        return X, y, groups, codes, fit_params
     report_findings(dwells.findings())
-    merged = {
-        name: dwells.mean(np.asarray(value))
-        if np.ndim(value) and len(value) == len(rows)
-        else value
-        for name, value in fit_params.items()
-    }
+    of_rows = [n for n, v in fit_params.items() if np.ndim(v) and len(v) == len(rows)]
+    merged = {name: dwells.mean(np.asarray(fit_params[name])) for name in of_rows}
     X, groups, codes = (
         v if v is None else _safe_indexing(v, dwells.first) for v in (X, groups, codes)
     )
-    return X, dwells.mean(y), groups, codes, merged
+    return X, dwells.mean(y), groups, codes, fit_params | merged
 
 
 def _with_shape(X):

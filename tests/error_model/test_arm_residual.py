@@ -10,39 +10,24 @@ from sklearn import config_context
 from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    calibrate,
-    position_residuals,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.error_model import Terms
-from sklearn_raacmm.error_model._columns import ARCSEC
-from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
+from sklearn_raacmm.error_model._columns import ARCSEC, columns_of
+from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.metrics import gauge_lengths
 
-ARMS = {
-    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
-    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
-}
+from ._arms import ARM, displaced, draw_angles
+
 ALONE = {"causes": []}
-
-
-def draw_angles(arm, n, seed=0, width=2.0):
-    return np.random.default_rng(seed).uniform(-width, width, (n, arm.n_joints))
-
-
-def displaced(arm, angles, errors_arcsec):
-    """What small angle errors do to the probe, by forward kinematics rather than the Jacobian."""
-    return arm.forward(angles + errors_arcsec * ARCSEC) - arm.forward(angles)
 
 
 @pytest.fixture(scope="module")
 def eccentric():
     """Simulated: eccentric encoders and teeth, 400 poses, 3 micrometres of noise."""
-    arm = ARMS["standard"]
+    arm = ARM
     theta = draw_angles(arm, 400, seed=1)
     error = np.zeros_like(theta)
     error[:, 1] = 6 * np.cos(theta[:, 1] - np.deg2rad(40))
@@ -55,7 +40,7 @@ def eccentric():
 @pytest.mark.exhaustive
 def test_chance_does_not_look_like_a_harmonic():
     """Of 40 fits to noise, few find more than the lowest orders, which cost next to nothing."""
-    arm = ARMS["standard"]
+    arm = ARM
     theta = draw_angles(arm, 100)
     for highest in (5, 60):
         counts = []
@@ -161,14 +146,6 @@ def test_known_lengths_join_the_fit(gauges):
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_lengths_are_checked(eccentric):
-    arm, theta, y, _ = eccentric
-    groups = np.arange(len(y)) % 20
-    model = ArmResidualRegressor(arm, orders=2, offsets=True)
-    with pytest.raises(ValueError, match="lengths are for positions with offsets"):
-        model.set_params(offsets=False).fit(theta, y, groups=groups, lengths=[(0, 1, 100, 1)])
-
-
 def test_noise_is_right_beside_outliers():
     """Monte Carlo: the weights of good poses took 7 % off the noise once there was an outlier."""
     rng = np.random.default_rng(0)
@@ -178,7 +155,8 @@ def test_noise_is_right_beside_outliers():
         theta = rng.uniform(-2, 2, (1500, 6))
         y = rng.normal(scale=0.01, size=(1500, 3))
         y[:5] += 1.0
-        fitted = fit_linear_model(Rows(arm, theta, y, np.ones(1500), None), terms, True)
+        rows = Rows(arm, theta, y, np.ones(1500), None)
+        fitted = fit_linear_model(rows, columns_of(arm, terms), True)
         assert np.all(fitted.pose_weight[:5] == 0)
         found.append(fitted.model.noise_sd)
     assert np.mean(found) == pytest.approx(0.01, rel=0.02)
@@ -210,7 +188,7 @@ def test_slipped_poses_are_left_out(eccentric):
 
 def test_few_poses_without_noise_are_no_reason_to_fail():
     """Fifteen poses, hundreds of columns, a residual that they explain entirely."""
-    arm = ARMS["standard"]
+    arm = ARM
     for seed in range(5):
         theta = draw_angles(arm, 15, seed=seed)
         y = displaced(arm, theta, np.tile([0, 5.0, -3.0, 0, 0, 0], (15, 1)))
@@ -266,7 +244,7 @@ def test_rows_without_weight_do_not_decide_when_the_others_have_settled():
 
 
 def test_kinematic_errors_come_back_in_their_units():
-    arm = ARMS["standard"]
+    arm = ARM
     theta = draw_angles(arm, 300)
     d, alpha = arm.d.copy(), arm.alpha.copy()
     d[2] += 0.05
@@ -311,30 +289,17 @@ def test_is_a_scikit_learn_estimator(eccentric):
 
 def test_errors(eccentric):
     arm, theta, y, _ = eccentric
-    model = ArmResidualRegressor(arm)
-    for X, target, message in [
-        (theta[:, :5], y, "X has 5 columns, but the arm .* has 6 joints"),
-        (theta, y[:, :2], r"y has shape \(400, 2\); Cartesian residuals \(n_samples, 3\)"),
-        (theta, y[:, 0], r"y has shape \(400,\)"),
+    known = {"groups": np.arange(len(y)) % 20, "lengths": [(0, 1, 100, 1)]}
+    for X, target, options, given, message in [
+        (theta[:, :5], y, {}, {}, "X has 5 columns, but the arm .* has 6 joints"),
+        (theta, y[:, :2], {}, {}, r"y has shape \(400, 2\); Cartesian residuals \(n_samples, 3\)"),
+        (theta, y[:, 0], {}, {}, r"y has shape \(400,\)"),
+        (theta, y, {"causes": ["gears"]}, {}, "some of gravity, kinematics, wobble, got 'gears'"),
+        (theta, y, {"causes": "gravity"}, {}, "'causes' parameter"),
+        (theta, y, {"offsets": False}, known, "lengths are for positions with offsets"),
     ]:
         with pytest.raises(ValueError, match=message):
-            model.fit(X, target)
-
-
-@pytest.mark.parametrize(
-    ("causes", "message"),
-    [
-        (
-            ["kinematics", "gears"],
-            "causes must be some of gravity, kinematics, wobble, got 'gears'",
-        ),
-        ("gravity", "'causes' parameter"),
-    ],
-)
-def test_unknown_causes_are_refused(eccentric, causes, message):
-    arm, theta, y, _ = eccentric
-    with pytest.raises(ValueError, match=message):
-        ArmResidualRegressor(arm, causes=causes).fit(theta, y)
+            ArmResidualRegressor(arm, **options).fit(X, target, **given)
 
 
 # -- real arms ------------------------------------------------------------------------------------

@@ -5,41 +5,19 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.datasets import SimulatedArm
-from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.error_model._columns import ARCSEC, term_names
-from sklearn_raacmm.error_model._gauge import length_equations
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
+from sklearn_raacmm.error_model._sums import Rows, length_equations
 
-ARMS = {
-    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
-    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
-}
-
-
-def draw_angles(arm, n, seed=0, width=2.0):
-    return np.random.default_rng(seed).uniform(-width, width, (n, arm.n_joints))
-
-
-def displaced(arm, angles, errors_arcsec):
-    """What small angle errors do to the probe, by forward kinematics rather than the Jacobian."""
-    return arm.forward(angles + errors_arcsec * ARCSEC) - arm.forward(angles)
-
-
-def turned(arm, angles, frame, axis, turn):
-    """Move the probe by turning frame `frame` about its axis by `turn` (n,) rad: by Rodrigues."""
-    frames = arm.frames(angles)
-    probe, origin = arm.forward(angles), frames[:, frame, :, 3]
-    rotation = Rotation.from_rotvec(turn[:, None] * frames[:, frame, :, axis])
-    return rotation.apply(probe - origin) + origin - probe
+from ._arms import ARMS, NONE, columns_by_name, displaced, draw_angles, turned
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_harmonic_columns_are_angle_errors(arm):
     theta = draw_angles(arm, 20)
     pairs = np.array([(j, k) for j in range(arm.n_joints) for k in (1, 2, 17)])
-    columns = term_columns(arm, theta, Terms(pairs, False, False, False))
+    columns = columns_of(arm, Terms(pairs, False, False, False)).at(theta)
     for i, (joint, order) in enumerate(pairs):
         for part, wave in enumerate((np.cos, np.sin)):
             error = np.zeros_like(theta)
@@ -48,12 +26,10 @@ def test_harmonic_columns_are_angle_errors(arm):
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
-def test_kinematic_columns_are_changes_of_the_table(arm):
+def test_kinematic_columns_are_changes_of_the_table_and_of_the_base(arm):
     theta = draw_angles(arm, 20)
-    terms = Terms(np.empty((0, 2), int), False, True, False)
-    names, _ = term_names(arm, terms)
-    columns = term_columns(arm, theta, terms)
-    for column, name in enumerate(names):
+    columns = columns_by_name(arm, theta, False, True, False)
+    for name, column in columns.items():
         if name.startswith(("base", "beta")):
             continue
         if name.startswith("probe"):
@@ -64,15 +40,8 @@ def test_kinematic_columns_are_changes_of_the_table(arm):
         value = getattr(arm, field).copy()
         value[index] += step
         moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
-        assert_allclose(columns[:, :, column], moved, atol=1e-7)
-
-
-@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
-def test_kinematic_columns_place_the_base_and_turn_about_y(arm):
-    theta = draw_angles(arm, 20)
-    terms = Terms(np.empty((0, 2), int), False, True, False)
-    names, _ = term_names(arm, terms)
-    columns = dict(zip(names, np.moveaxis(term_columns(arm, theta, terms), 2, 0), strict=True))
+        assert_allclose(column, moved, atol=1e-7)
+    # Those that place the base, and turns about y.
     for axis, name in enumerate(("base_x", "base_y")):
         assert_allclose(columns[name], np.tile(ARCSEC * reach_mm(arm) * np.eye(3)[axis], (20, 1)))
     one = np.full(20, ARCSEC)
@@ -94,12 +63,10 @@ def test_gravity_columns_follow_potential_energy(arm, up):
     """
     arm = arm.replace(up=up)
     theta = draw_angles(arm, 20)
-    terms = Terms(np.empty((0, 2), int), True, False, False)
-    names, _ = term_names(arm, terms)
-    columns = term_columns(arm, theta, terms)
+    columns = columns_by_name(arm, theta, True, False, False)
     frames = arm.frames(theta)
     small = 1e-6
-    for column, name in enumerate(names):
+    for name, column in columns.items():
         words = name.split()
         load = arm.n_joints + 1 if words[2] == "probe" else int(words[3])
         place = arm.forward(theta) if words[2] == "probe" else frames[:, load, :, 3]
@@ -109,10 +76,10 @@ def test_gravity_columns_follow_potential_energy(arm, up):
         torque = -(lifted + origin - place) @ arm.up / small / reach_mm(arm)
         share = 0.5 if load < frame else 1.0
         expected = turned(arm, theta, frame, axis, share * torque * ARCSEC)
-        assert_allclose(columns[:, :, column], expected, atol=2e-7, err_msg=name)
+        assert_allclose(column, expected, atol=2e-7, err_msg=name)
     # About three axes: every load beyond a frame, and one before it but for the first and last.
     n = arm.n_joints
-    assert len(names) == len(set(names)) == 3 * (n + 1) * (n + 2) // 2 + 3 * (n - 1)
+    assert len(columns) == 3 * (n + 1) * (n + 2) // 2 + 3 * (n - 1)
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (1, 0, 0), (0.3, -0.5, 0.2)])
@@ -120,8 +87,8 @@ def test_gravity_columns_hold_twist_and_sag_of_the_textbooks_cantilever(up):
     """The simulation bends tubes by beam theory, about another arm's frames: nothing is left."""
     machine = SimulatedArm("gravity", random_state=0, up=up)
     theta = draw_angles(machine.true_arm, 60)
-    terms = Terms(np.empty((0, 2), int), True, False, False)
-    columns = term_columns(machine.true_arm, theta, terms).reshape(180, -1)
+    terms = Terms(NONE, True, False, False)
+    columns = columns_of(machine.true_arm, terms).at(theta).reshape(180, -1)
     moved = machine.deviations(theta, payload_n=5.0)
     for source in ("torsion", "sag", "payload"):
         moves = moved[source].ravel()
@@ -132,16 +99,13 @@ def test_gravity_columns_hold_twist_and_sag_of_the_textbooks_cantilever(up):
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_wobble_columns_tilt_the_joint_axis(arm):
     theta = draw_angles(arm, 20)
-    terms = Terms(np.empty((0, 2), int), False, False, True)
-    names, _ = term_names(arm, terms)
-    columns = term_columns(arm, theta, terms)
-    for column, name in enumerate(names):
+    for name, column in columns_by_name(arm, theta, False, False, True).items():
         joint, axis = int(name.split()[1]) - 1, "xy".index(name.split(",")[0][-1])
         wave = np.cos if "cos" in name else np.sin
         order = int(name.split("(")[1][0])
         frame = joint if arm.convention == "standard" else joint + 1
         expected = turned(arm, theta, frame, axis, ARCSEC * wave(order * theta[:, joint]))
-        assert_allclose(columns[:, :, column], expected, atol=1e-7)
+        assert_allclose(column, expected, atol=1e-7)
 
 
 def test_length_rows_are_changes_of_the_distance():
@@ -151,7 +115,9 @@ def test_length_rows_are_changes_of_the_distance():
     theta, weights = draw_angles(arm, 60), rng.uniform(0.5, 2, 60)
     codes = np.repeat(np.arange(4), 15)
     terms = Terms(np.array([(0, 1), (3, 2)]), True, True, True)
-    found = length_equations(arm, theta, weights, codes, terms, [(0, 2, 100.0, 1), (3, 1, 90.0, 2)])
+    lengths = ((0, 2, 100.0, 1), (3, 1, 90.0, 2))
+    rows = Rows(arm, theta, np.zeros((60, 3)), weights, codes, lengths)
+    found = length_equations(rows, columns_of(arm, terms))
     w = rng.normal(size=found.rows.shape[1])
 
     def distances(points):
@@ -161,5 +127,5 @@ def test_length_rows_are_changes_of_the_distance():
     points = arm.forward(theta)
     assert_allclose(found.values, distances(points) - [100, 90])
     assert_array_equal(found.variance, [1, 4])
-    corrected = distances(points - term_columns(arm, theta, terms) @ (1e-3 * w))
+    corrected = distances(points - columns_of(arm, terms).at(theta) @ (1e-3 * w))
     assert_allclose(1e-3 * found.rows @ w, distances(points) - corrected, atol=1e-7)

@@ -11,32 +11,17 @@ from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
-from sklearn_raacmm.error_model._columns import ARCSEC, Terms, term_columns, term_names
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
 
-ARMS = {
-    "standard": Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1]),
-    "modified": Arm.from_name("panda", probe=(10.0, -20.0, 150.0)),
-}
-NONE = np.empty((0, 2), int)
+from ._arms import ARMS, columns_by_name, displaced, draw_angles
 
 
-def draw_angles(arm, n, seed=0):
-    return np.random.default_rng(seed).uniform(-2, 2, (n, arm.n_joints))
-
-
-def columns_of(arm, theta, values, extra):
+def by_name(arm, theta, values, extra):
     """Columns of an extra, one for each name."""
-    terms = Terms(NONE, False, False, False, extra)
-    columns = term_columns(arm, np.column_stack([theta, values]), terms)
-    names = term_names(arm, terms)[0]
-    assert len(set(names)) == len(names) == columns.shape[2]
-    return dict(zip(names, np.moveaxis(columns, 2, 0), strict=True))
+    return columns_by_name(arm, np.column_stack([theta, values]), False, False, False, extra)
 
 
 # -- columns --------------------------------------------------------------------------------------
@@ -47,7 +32,7 @@ def test_an_arm_that_grows_as_a_whole_stays_similar(arm):
     """All lengths by 4.8 ppm per K move every point along its radius; those below 1 mm stay."""
     arm = arm.replace(a=np.where(np.abs(arm.a) > 1, arm.a, 0), d=np.where(arm.d > 1, arm.d, 0))
     theta, kelvin = draw_angles(arm, 20), np.linspace(-3, 5, 20)
-    columns = columns_of(arm, theta, kelvin + 20, (("temperature", (20.0,)),))
+    columns = by_name(arm, theta, kelvin + 20, (("temperature", (20.0,)),))
     lengths = [c for name, c in columns.items() if not name.startswith("theta_offset")]
     grown = ARCSEC * kelvin[:, None] * arm.forward(theta)
     assert_allclose(sum(lengths), grown, atol=1e-9)
@@ -58,7 +43,7 @@ def test_an_arm_that_grows_as_a_whole_stays_similar(arm):
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_temperature_near_one_joint_moves_that_joint_and_its_link(arm):
     theta, kelvin = draw_angles(arm, 20), np.full(20, 2.0)
-    columns = columns_of(arm, theta, kelvin, (("temperature 3", (0.0,)),))
+    columns = by_name(arm, theta, kelvin, (("temperature 3", (0.0,)),))
     for name, column in columns.items():
         field = name.split()[0].removesuffix("3")
         assert name == f"{field}3 by temperature 3"
@@ -67,17 +52,17 @@ def test_temperature_near_one_joint_moves_that_joint_and_its_link(arm):
         moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
         assert_allclose(column, moved, atol=1e-7)
     assert "theta_offset3 by temperature 3" in columns
-    last = columns_of(arm, theta, kelvin, ((f"temperature {arm.n_joints}", (0.0,)),))
+    last = by_name(arm, theta, kelvin, ((f"temperature {arm.n_joints}", (0.0,)),))
     assert "probe_z by" in " ".join(last)
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_direction_turns_its_joint_either_way(arm):
     theta, came = draw_angles(arm, 20), np.resize([1.0, -1.0, 0.0], 20)
-    (column,) = columns_of(arm, theta, came, (("direction 2", (0.5,)),)).values()
+    (column,) = by_name(arm, theta, came, (("direction 2", (0.5,)),)).values()
     error = np.zeros_like(theta)
-    error[:, 1] = ARCSEC * (came - 0.5)
-    assert_allclose(column, arm.forward(theta + error) - arm.forward(theta), atol=1e-7)
+    error[:, 1] = came - 0.5
+    assert_allclose(column, displaced(arm, theta, error), atol=1e-7)
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
@@ -87,7 +72,7 @@ def test_a_force_turns_every_frame_by_its_torque(arm):
     force = rng.normal(size=(20, 3))
     extra = tuple((f"force {axis}", (0.25,)) for axis in "xyz")
     frames, probe = arm.frames(theta), arm.forward(theta)
-    columns = columns_of(arm, theta, force + 0.25, extra)
+    columns = by_name(arm, theta, force + 0.25, extra)
     for name, column in columns.items():
         frame, axis = int(name.split()[3]), "xyz".index(name[-1])
         origin, along = frames[:, frame, :, 3], frames[:, frame, :, axis]
@@ -97,14 +82,13 @@ def test_a_force_turns_every_frame_by_its_torque(arm):
         assert_allclose(column, turn.apply(probe - origin) + origin - probe, atol=1e-6)
     assert len(columns) == 3 * (arm.n_joints + 1)
     # A payload is a weight: it pulls along -z, as the loads of gravity do.
-    payload = columns_of(arm, theta, -force[:, 2] + 3, (("payload", (3.0,)),))
-    only_z = columns_of(arm, theta, force[:, 2], (("force z", (0.0,)),))
+    payload = by_name(arm, theta, -force[:, 2] + 3, (("payload", (3.0,)),))
+    only_z = by_name(arm, theta, force[:, 2], (("force z", (0.0,)),))
     for name in only_z:
         assert_allclose(payload[name], only_z[name], atol=1e-12)
-    gravity = Terms(NONE, True, False, False)
-    loads = dict(zip(term_names(arm, gravity)[0], term_columns(arm, theta, gravity).T, strict=True))
-    one = columns_of(arm, theta, np.ones(20), (("payload", (0.0,)),))
-    expected = loads["load at probe bends frame 2 about y"].T
+    loads = columns_by_name(arm, theta, True, False, False)
+    one = by_name(arm, theta, np.ones(20), (("payload", (0.0,)),))
+    expected = loads["load at probe bends frame 2 about y"]
     assert_allclose(one["force bends frame 2 about y"], expected, atol=1e-12)
 
 
@@ -115,11 +99,11 @@ def test_rows_may_have_probes_of_their_own(arm):
     rows = np.column_stack([draw_angles(arm, 20), np.linspace(15, 30, 20)])
     for length in (-40.0, 400.0):
         own = arm.replace(probe=arm.probe + np.array([5.0, -8.0, length]))
-        found = term_columns(arm, np.hstack([rows, np.tile(own.probe, (20, 1))]), terms)
-        expected = term_columns(own, rows, terms)
+        found = columns_of(arm, terms).at(np.hstack([rows, np.tile(own.probe, (20, 1))]))
+        expected = columns_of(own, terms).at(rows)
         ratio, waves = reach_mm(arm) / reach_mm(own), 2 * len(terms.harmonics)
-        places = {name: waves + i for i, name in enumerate(term_names(own, terms)[0])}
-        for i, name in enumerate(term_names(arm, terms)[0]):
+        places = {name: waves + i for i, name in enumerate(columns_of(own, terms).names)}
+        for i, name in enumerate(columns_of(arm, terms).names):
             is_length = name[:-1] in ("a", "d", "probe_", "base_")
             unit = ratio if is_length else 1 / ratio if name.startswith("load") else 1.0
             assert_allclose(found[:, :, waves + i], unit * expected[:, :, places[name]], atol=1e-12)
@@ -173,8 +157,8 @@ def test_causes_are_learnt_from_several_probes():
 
     def shown(theta, arm):
         error = np.zeros_like(theta)
-        error[:, 4] = 8 * ARCSEC * np.cos(theta[:, 4] - 1)
-        return arm.forward(theta + error) - arm.forward(theta)
+        error[:, 4] = 8 * np.cos(theta[:, 4] - 1)
+        return displaced(arm, theta, error)
 
     arms = {length: arm.replace(probe=(0, 0, length)) for length in (100.0, 250.0, 400.0)}
     y = np.concatenate([shown(theta[lengths == k], arms[k]) for k in (100.0, 250.0)])
@@ -201,8 +185,8 @@ def lagging():
     theta = draw_angles(arm, 160)
     came = rng.choice([-1.0, 1.0], 160)
     error = np.zeros_like(theta)
-    error[:, 1] = 10 * ARCSEC * came
-    y = arm.forward(theta + error) - arm.forward(theta) + rng.normal(scale=0.003, size=(160, 3))
+    error[:, 1] = 10 * came
+    y = displaced(arm, theta, error) + rng.normal(scale=0.003, size=(160, 3))
     return arm, np.column_stack([theta, came, rng.normal(20, 1, 160)]), y, np.arange(160) % 8
 
 

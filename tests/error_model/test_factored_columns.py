@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.error_model import LinearModel, Terms, term_columns
-from sklearn_raacmm.error_model._columns import factored_columns
+from sklearn_raacmm.error_model import LinearModel, Terms
+from sklearn_raacmm.error_model._columns import columns_of
 
 ARM = Arm.from_name("ur10", joint_signs=[1, -1, 1, 1, 1, -1], probe=(3.0, -8.0, 120.0))
 EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("force x", (1.5,)))
@@ -19,7 +19,7 @@ def some_model(n_orders, rng, triangle=True, extra=()):
     """Model of random numbers with so many orders of each joint."""
     pairs = np.array([(j, k) for j in range(6) for k in range(1, n_orders + 1)])
     terms = Terms(pairs.reshape(-1, 2), True, True, True, extra)
-    n = term_columns(ARM, np.zeros((1, 6 + len(extra))), terms).shape[2]
+    n = columns_of(ARM, terms).at(np.zeros((1, 6 + len(extra)))).shape[2]
     half = np.triu(rng.normal(size=(n, n)))[::-1]
     half = np.concatenate([half[-2 * len(pairs) :], half[: -2 * len(pairs)]])
     if not triangle:
@@ -36,8 +36,8 @@ def test_factors_are_the_columns(n_orders, extra):
     model = some_model(n_orders, rng, extra=extra)
     values = [rng.uniform(15, 30, 40), rng.choice([-1.0, 1.0], 40), rng.choice([1.0, 2.0], 40)]
     X = np.column_stack([rng.uniform(-3, 3, (40, 6)), *values[: len(extra)]])
-    explicit = term_columns(ARM, X, model.terms)
-    found = factored_columns(ARM, X, model.terms)
+    explicit = columns_of(ARM, model.terms).at(X)
+    found = columns_of(ARM, model.terms).factored(X)
     mean, dots = explicit @ model.coef, explicit @ model.half
     assert_allclose(found.dot(model.coef), mean, atol=1e-12 * np.abs(mean).max())
     assert_allclose(found.squares(model.half), np.square(dots).sum(axis=2), rtol=1e-11)

@@ -5,10 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.error_model import Terms, term_columns
-from sklearn_raacmm.error_model._columns import term_names
-from sklearn_raacmm.error_model._fit import Rows
-from sklearn_raacmm.error_model._gauge import place_fields, without_motions
+from sklearn_raacmm.error_model import Terms
+from sklearn_raacmm.error_model._columns import columns_of
+from sklearn_raacmm.error_model._linear_model import place_fields
+from sklearn_raacmm.error_model._sums import Rows, without_motions
 from sklearn_raacmm.inference import Sums
 from sklearn_raacmm.utils import centred
 
@@ -60,7 +60,7 @@ def test_fields_are_motions_scale_and_bends(name, gravity):
     rng = np.random.default_rng(1)
     theta, codes = poses_at_points(arm, 20, 6, rng)
     X = np.column_stack([theta, np.full(len(theta), 25.0), np.ones(len(theta))])
-    moved = term_columns(arm, X, terms) @ place_fields(arm, terms)
+    moved = columns_of(arm, terms).at(X) @ place_fields(columns_of(arm, terms))
     size = np.linalg.norm(moved, axis=(0, 1))
     # All poses that reach a point move alike, and each field is another one.
     assert np.abs(centred(moved, codes) / size).max() < 1e-4
@@ -75,8 +75,8 @@ def test_fields_are_motions_scale_and_bends(name, gravity):
 def test_a_model_without_such_causes_has_no_fields():
     arm = Arm.from_name("aacmm6")
     terms = Terms(np.array([(1, 1), (2, 3)]), False, False, True)
-    assert place_fields(arm, terms).shape == (2 * 2 + 48, 0)
-    assert place_fields(arm, terms._replace(wobble=False)).shape == (4, 0)
+    assert place_fields(columns_of(arm, terms)).shape == (2 * 2 + 48, 0)
+    assert place_fields(columns_of(arm, terms._replace(wobble=False))).shape == (4, 0)
 
 
 def errors_over_deviations(name, seed, single_point):
@@ -84,8 +84,8 @@ def errors_over_deviations(name, seed, single_point):
     arm, rng = Arm.from_name(name, probe=(5.0, -8.0, 120.0)), np.random.default_rng(seed)
     theta, codes = poses_at_points(arm, 30, 12, rng)
     terms = Terms(np.array([(1, 1), (1, 2), (2, 1), (3, 3), (4, 2)]), True, True, True)
-    family = np.r_[np.zeros(10, int), 1 + term_names(arm, terms)[1]]
-    columns = term_columns(arm, theta, terms)
+    family = np.r_[np.zeros(10, int), 1 + columns_of(arm, terms).family]
+    columns = columns_of(arm, terms).at(theta)
     truth = columns @ rng.normal(0, SIZES[family])
     y = truth + rng.normal(0, NOISE_MM, truth.shape)
     y = centred(y, codes) if single_point else y
@@ -132,13 +132,13 @@ def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
     rng = np.random.default_rng(0)
     theta = rng.uniform(-2, 2, (60, arm.n_joints))
     terms = Terms(np.array([(2, 1)]), False, True, False)
-    n = len(term_names(arm, terms)[0])
+    n = len(columns_of(arm, terms).names)
     sums = Sums(np.eye(n), np.zeros(n), np.zeros((n, 2)), None, None, 0.0, 0.0, None)
-    taken = np.eye(n) - without_motions(sums, arm, terms).gram
+    taken = np.eye(n) - without_motions(sums, columns_of(arm, terms)).gram
     size, vectors = np.linalg.eigh(taken)
     assert_allclose(size, size > 0.5, atol=1e-12)  # a projection
     out = vectors[:, size > 0.5]
-    moved = (term_columns(arm, theta, terms)[:, :, 2:] @ out).reshape(180, -1)
+    moved = (columns_of(arm, terms).at(theta)[:, :, 2:] @ out).reshape(180, -1)
     points, one = arm.forward(theta), np.ones((60, 1))
     motions = [np.kron(one, e[:, None]) for e in np.eye(3)]
     motions += [np.cross(e, points).reshape(-1, 1) for e in np.eye(3)]
@@ -149,7 +149,7 @@ def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
     assert np.linalg.matrix_rank(moved, tol=1e-9 * np.linalg.norm(moved)) == 7
     codes = np.arange(60) // 15
     y = rng.normal(size=(60, 3))
-    sums, _ = Rows(arm, theta, y, np.ones(60), codes).sums(terms)
+    sums = Rows(arm, theta, y, np.ones(60), codes).sums(columns_of(arm, terms))
     assert_allclose(sums.gram @ out, 0, atol=1e-12 * sums.gram.max())
     assert_allclose(sums.moment @ out, 0, atol=1e-12 * np.abs(sums.moment).max())
     assert_allclose(out.T @ sums.cross, 0, atol=1e-12 * np.abs(sums.cross).max())

@@ -15,7 +15,6 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import unseen_variance
 
 ARM = Arm.from_name("aacmm6")
 LONG = ARM.replace(probe=(20.0, -10.0, 350.0))
@@ -158,7 +157,7 @@ def test_what_positions_do_not_show_is_the_rest_of_the_covariance(cones, std_sca
     both, shown = (
         linear.joint_covariance(X, with_unseen=some).diagonal() for some in (True, False)
     )
-    found = unseen_variance(linear, X)
+    found = linear.unseen_variance(X)
     assert_allclose(found.ravel(), np.maximum(both - shown, 0), atol=1e-9 * both.max())
     assert found.max() > 0.1 * both.max()
 

@@ -6,10 +6,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import Fading, Terms, term_columns
-from sklearn_raacmm.error_model._fading import find_fading
-from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
-from sklearn_raacmm.error_model._left_out import _blocks, leave_out
+from sklearn_raacmm.error_model import Fading, Terms
+from sklearn_raacmm.error_model._columns import columns_of
+from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._left_out import _blocks, find_fading, leave_out
+from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.utils import centred
 
 LOUD = Terms(np.array([(1, 1), (2, 1), (3, 2)]), False, True, False)
@@ -19,7 +20,7 @@ def draw(seed, n_positions=16, n_poses=15):
     """An arm, its poses, and errors of which the model holds all causes; two thirds to train."""
     test = make_single_point(n_positions, n_poses, machine="none", random_state=seed)
     rng = np.random.default_rng(seed)
-    columns = term_columns(test.arm, test.data, LOUD)
+    columns = columns_of(test.arm, LOUD).at(test.data)
     w = rng.normal(0, 4, columns.shape[2])
     w[:6] = rng.choice([-1, 1], 6) * rng.uniform(8, 16, 6)
     truth = columns @ w
@@ -77,8 +78,8 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
     weights = np.random.default_rng(0).uniform(0.5, 2, len(y))
     rows = Rows(test.arm, test.data, y, weights, test.groups if single_point else None)
     terms = Terms(np.empty((0, 2), int), False, True, False)
-    fitted = fit_linear_model(rows, terms, with_field=False)
-    correction, doubt, deviations = leave_out(fitted, terms, test.groups, weights)
+    fitted = fit_linear_model(rows, columns_of(test.arm, terms), with_field=False)
+    correction, doubt, deviations = leave_out(fitted, test.groups, weights)
     model = fitted.model
     blocks = _blocks(test.arm.forward(test.data), test.groups, weights)
     assert len(np.unique(blocks)) == 10

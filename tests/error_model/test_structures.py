@@ -3,22 +3,18 @@
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import Terms
-from sklearn_raacmm.error_model._columns import ARCSEC
-from sklearn_raacmm.error_model._fit import Rows, fit_linear_model
-from sklearn_raacmm.error_model._structures import offered_harmonics
+from sklearn_raacmm.error_model._columns import ARCSEC, columns_of
+from sklearn_raacmm.error_model._fit import fit_linear_model, offered_harmonics
+from sklearn_raacmm.error_model._sums import Rows
 
-ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
-
-
-def draw_angles(n, seed=0, width=2.0):
-    return np.random.default_rng(seed).uniform(-width, width, (n, ARM.n_joints))
+from ._arms import ARM, draw_angles
 
 
 def test_offered_orders():
-    theta = draw_angles(30)
+    theta = draw_angles(ARM, 30)
     theta[:, 2] = np.arange(30) % 4
     offered = offered_harmonics(theta, 50)
     assert [np.count_nonzero(offered[:, 0] == j) for j in range(6)] == [30, 30, 4, 30, 30, 30]
@@ -49,7 +45,7 @@ def test_orders_are_checked(params, message):
 
 def with_gears(n, gears, seed=0, amplitude=4.0, noise=0.01):
     """Poses and residuals of an arm whose joints err by harmonics of these orders."""
-    theta = draw_angles(n, seed)
+    theta = draw_angles(ARM, n, seed)
     rng = np.random.default_rng(seed + 100)
     error = np.zeros_like(theta)
     for joint, order in gears:
@@ -83,9 +79,9 @@ def test_evidence_does_not_run_away(n_rows, offsets):
     """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""
     d = make_single_point(n_positions=n_rows // 30, n_poses=30, random_state=0)
     y = d.target if offsets else d.points - d.simulation.true_points
-    terms = Terms(offered_harmonics(d.data, 4), True, True, True)
+    columns = columns_of(d.arm, Terms(offered_harmonics(d.data, 4), True, True, True))
     rows = Rows(d.arm, d.data, y, np.ones(len(y)), d.groups if offsets else None)
-    model = fit_linear_model(rows, terms, with_field=True).model
+    model = fit_linear_model(rows, columns, with_field=True).model
     assert 2 < model.prior_sd["kinematics"] < 30
     assert 30 < model.prior_sd["gravity"] < 300
     assert model.prior_sd["wobble"] < 5
@@ -104,9 +100,9 @@ def test_a_model_is_not_sure_of_angles_where_it_has_no_poses():
     in_gap = np.any((theta > 0.4) & (theta < 0.9), axis=1)  # of any joint
     near = np.flatnonzero(~in_gap)[:80]
     train = np.setdiff1d(np.flatnonzero(~in_gap), near)
-    terms = Terms(offered_harmonics(theta[train], 48), False, False, False)
+    columns = columns_of(ARM, Terms(offered_harmonics(theta[train], 48), False, False, False))
     rows = Rows(ARM, theta[train], y[train], np.ones(len(train)), None)
-    model = fit_linear_model(rows, terms, with_field=True).model
+    model = fit_linear_model(rows, columns, with_field=True).model
     assert model.prior_sd["smooth"] > 1
     z = {}
     for name, rows in (("near", near), ("gap", np.flatnonzero(in_gap))):

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.error_model import LOAD, SHIFT, Terms, column_table, term_columns
+from sklearn_raacmm.error_model import LOAD, SHIFT, Terms
+from sklearn_raacmm.error_model._columns import columns_of
 
 from ._chains import ways_out
 
@@ -17,7 +18,7 @@ def fitted(request):
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (150, arm.n_joints))
     waves = Terms(np.array([[0, 400], [2, 1], [2, 399], [5, 397]]), False, False, False)
-    y = term_columns(arm, X, waves) @ [30.0, -20, 25, 15, -40, 10, 200, 150]
+    y = columns_of(arm, waves).at(X) @ [30.0, -20, 25, 15, -40, 10, 200, 150]
     y += 0.001 * rng.normal(size=y.shape)
     causes = ["gravity", "kinematics"]
     model = ArmResidualRegressor(arm, orders=[1, 397, 399, 400], causes=causes, fade=0)
@@ -55,7 +56,7 @@ def in_50_digits(model, row):
     probe = (frames[-1] * mpmath.matrix([*linear.arm.probe, 1]))[:3, 0]
     places = [frame[:3, 3] for frame in frames] + [probe]
     total = mpmath.matrix(3, 1)
-    table = column_table(linear.arm, linear.terms)
+    table = linear.layout.table
     names = ["kind", "frame", "axis", "unit", "joint", "order", "load"]
     for coef, column in zip(linear.coef, table[names].tolist(), strict=True):
         kind, frame, axis, unit, joint, order, load = column

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, update_correction
-from sklearn_raacmm.error_model import Terms, term_columns
+from sklearn_raacmm.error_model import Terms
+from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import run
@@ -76,7 +77,7 @@ def with_extra(data):
     ]  # fmt: skip
     X = np.column_stack([X, *values])
     terms = Terms(np.empty((0, 2), int), False, False, False, with_references(EXTRA, X[:, 6:]))
-    columns = term_columns(ARM, X, terms)
+    columns = columns_of(ARM, terms).at(X)
     return X, y + columns @ rng.normal(0, 5, columns.shape[2])
 
 

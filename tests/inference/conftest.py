@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.inference import GramRows, Problem, Structures, Sums, columns_of
+from sklearn_raacmm.inference import GramRows, Problem, Structures, Sums
+from sklearn_raacmm.inference._linear import columns_of
 
 
 def sums_of(A, H, y):

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_raacmm.inference import (
-    Problem,
-    beside_field,
-    columns_of,
-    net_evidence,
-    search,
-    search_at,
-)
-from sklearn_raacmm.inference._search import _Leftover
+from sklearn_raacmm.inference import Problem, beside_field, search, search_at
+from sklearn_raacmm.inference._linear import columns_of
+from sklearn_raacmm.inference._search import _Leftover, net_evidence
 
 
 def test_a_line_raises_the_evidence_by_more_than_its_price(toys):

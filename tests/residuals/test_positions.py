@@ -21,8 +21,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability, within_position_r2_score
-from sklearn_raacmm.residuals import positions_of
-from sklearn_raacmm.residuals._point_correction import score_within
+from sklearn_raacmm.residuals._point_correction import positions_of, score_within
 from sklearn_raacmm.utils import centred
 
 

@@ -86,18 +86,16 @@ def test_rows_of_weight_zero_do_not_move_the_mean():
 
 
 @pytest.mark.parametrize(
-    ("groups", "message"),
-    [(["A", "A", "B", "C"], r"2 of 3 positions .*'B', 'C'"), (None, "got None")],
+    ("groups", "weights", "message"),
+    [
+        (["A", "A", "B", "C"], None, r"2 of 3 positions .*'B', 'C'"),
+        (None, None, "got None"),
+        (["A", "A", "B", "B"], [1, 1, 1, 0], r"1 of 2 positions .* non-zero weight: 'B'"),
+    ],
 )
-def test_position_residuals_refuses_groups(groups, message):
+def test_position_residuals_refuses_groups(groups, weights, message):
     with pytest.raises(ValueError, match=message):
-        position_residuals(np.ones((4, 3)), groups)
-
-
-def test_position_residuals_refuses_positions_without_weight():
-    points, groups = np.ones((4, 3)), ["A", "A", "B", "B"]
-    with pytest.raises(ValueError, match=r"1 of 2 positions .* non-zero weight: 'B'"):
-        position_residuals(points, groups, sample_weight=[1, 1, 1, 0])
+        position_residuals(np.ones((4, 3)), groups, weights)
 
 
 # -- the two frames -------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-r"""Sums over poses for the harmonics of every joint, many orders at once.
+r"""Rows of a fit, and sums over them for the harmonics of every joint, many orders at once.
 
 The columns of a harmonic of joint j are :math:`T_j \cos k\theta_j` and :math:`T_j \sin k\theta_j`,
 with :math:`T_j` the joint's column of the Jacobian. All orders share :math:`T_j`, so that the inner
@@ -12,6 +12,10 @@ transform [1]_). The time then hardly depends on the number of orders.
 Of the Gram matrix of all candidates only the 2 x 2 blocks on its diagonal are summed up beforehand,
 and the rows of those candidates that the choice asks for.
 
+A single-point test compares poses that reach one point. It shows nothing of a motion of the base,
+or of a common scale of all lengths: sums are without these, and known lengths between positions
+show a part of it.
+
 References
 ----------
 .. [1] A. H. Barnett, J. Magland, L. af Klinteberg, "A parallel nonuniform fast Fourier transform
@@ -23,18 +27,22 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.error_model._columns import term_columns
-from sklearn_raacmm.inference import GramRows, Sums
-from sklearn_raacmm.utils import chunk_size, chunks
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model._columns import BASE_MOTIONS
+from sklearn_raacmm.inference import Extra, GramRows, Sums, combined
+from sklearn_raacmm.utils import chunk_size, chunks, group_means
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
+# Where less than this share of the poses is concerned, sums over them cost less than new ones
+# (``benchmarks/bench_fit.py``).
+_FEW_POSES = 0.4
 # Gram rows summed up at a time, at most: 40 MB of grids for 400 orders of six joints.
 _LARGEST_BATCH = 192
 # Divides the sums of positions without weight.
@@ -43,46 +51,99 @@ _TINY = 1e-300
 # as long without it.
 _MANY_ORDERS, _MANY_POSES = 128, 256
 # Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
-# beside the sharpest that the grid allows (``tests/error_model/test_waves.py``).
+# beside the sharpest that the grid allows (``tests/error_model/test_sums.py``).
 _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
 # Nodes of the integral that is the kernel's own transform: to the last digit with half of them.
 _NODES = 64
 
 
-def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
+class Rows(NamedTuple):
+    """What a model is fitted to."""
+
+    arm: Arm
+    X: np.ndarray  # (n, n_joints + n_extra) angles in rad, extra columns, perhaps probes (n, 3)
+    y: np.ndarray  # (n, 3) residuals in mm
+    weights: np.ndarray  # (n,)
+    codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
+    lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
+    known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
+
+    def at(self, which):
+        """Some of the rows, with positions counted from 0 and the lengths that are left."""
+        codes, lengths = self.codes, self.lengths
+        if codes is not None:
+            present, codes = np.unique(codes[which], return_inverse=True)
+            codes = codes.ravel()
+            place = {code: i for i, code in enumerate(present.tolist())}
+            lengths = [
+                (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
+            ]
+        X, y, weights = self.X[which], self.y[which], self.weights[which]
+        return self._replace(X=X, y=y, weights=weights, codes=codes, lengths=tuple(lengths))
+
+    def weighted(self, factor):
+        """The rows with their weights times a factor, without those of no weight."""
+        rows = self._replace(weights=self.weights * factor)
+        kept = rows.weights > 0
+        return rows if kept.all() else rows.at(kept)
+
+    def sums(self, columns):
+        """`Sums` over the rows, the harmonics of the columns being the candidates."""
+        sums = candidate_sums(self, columns)
+        if self.codes is None or self.known:
+            return sums
+        sums = without_motions(sums, columns)
+        return sums._replace(extra=length_equations(self, columns)) if self.lengths else sums
+
+    def sums_after(self, sums, old, new, columns):
+        """The `sums` at the factors `new`, from those at `old`: few rows are summed up again."""
+        touched = old != new
+        if not touched.any():
+            return sums
+        if self.codes is not None:
+            touched = np.isin(self.codes, self.codes[touched])
+        # Rows that all had no weight, or all lose it, have no sums of their own.
+        empty = any(not np.any(factor[touched]) for factor in (old, new))
+        if self.lengths or empty or touched.mean() > _FEW_POSES:
+            return self.weighted(new).sums(columns)
+        rows = self.at(touched)
+        less, more = (rows.weighted(factor[touched]).sums(columns) for factor in (old, new))
+        return combined((sums, less, more), (1, -1, 1))
+
+
+def candidate_sums(rows, columns):
     """Sum up what the choice of harmonics needs, as `Sums`.
 
-    `offered` (n_pairs, 2) are the candidates, joint from 0 and order, sorted by joint; the first
-    column of a pair is the cosine. `terms` are the columns that are always in. Offsets of the
-    positions `codes` are taken out exactly, by deviations from weighted means (Frisch-Waugh
-    theorem); `known`, the noise variance over that of the offsets, draws them to 0 as rows of this
-    weight would. Without offsets `weights` may be negative changes.
+    The harmonics of the columns, sorted by joint, are the candidates; the others are always in.
+    Offsets of positions are taken out exactly, by deviations from weighted means (Frisch-Waugh
+    theorem); what is `known` of them draws them to 0 as rows of this weight would.
     """
+    angles, y, weights, codes, known = rows.X, rows.y, rows.weights, rows.codes, rows.known
     if codes is None:
-        parts: Any = [(rows, None) for rows in chunks(len(angles), _CHUNK)]
+        parts: Any = [(part, None) for part in chunks(len(angles), _CHUNK)]
     else:
         order = np.argsort(codes, kind="stable")
         parts = _parts_of_positions(codes[order])
         angles, y, weights = angles[order], y[order], weights[order]
+    offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
     spans = _joint_spans(offered)
-    n_joints = len(arm.a)
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
-    terms = terms._replace(harmonics=every_turn)
+    with_turns = columns.with_harmonics(every_turn)
     turns = np.empty((*y.shape, n_joints))
     own = np.zeros((3, len(offered)))
     gram: Any = 0.0
     cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
-    for rows, starts in parts:
-        columns = term_columns(arm, angles[rows], terms)
-        turns[rows] = columns[:, :, : 2 * n_joints : 2]  # the cosines of order 0
-        columns = np.concatenate([columns[:, :, 2 * n_joints :], y[rows, :, None]], axis=2)
-        weighted = _weighted_deviations(columns, weights[rows], starts, known)
-        flat = columns.reshape(-1, columns.shape[2])
+    for part, starts in parts:
+        always = with_turns.at(angles[part])
+        turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
+        always = np.concatenate([always[:, :, 2 * n_joints :], y[part, :, None]], axis=2)
+        weighted = _weighted_deviations(always, weights[part], starts, known)
+        flat = always.reshape(-1, always.shape[2])
         gram = gram + flat.T @ weighted.reshape(flat.shape)
         for sums, (joint, _, _) in zip(cross, spans, strict=True):
-            share = np.einsum("ncm,nc->nm", weighted, turns[rows, :, joint])
-            sums.add(angles[rows, joint], share)
-        own += _own_blocks(turns[rows], angles[rows], weights[rows], starts, spans, known)
+            share = np.einsum("ncm,nc->nm", weighted, turns[part, :, joint])
+            sums.add(angles[part, joint], share)
+        own += _own_blocks(turns[part], angles[part], weights[part], starts, spans, known)
     # Inner products of the columns with all candidates, of which there may be none.
     products = [np.empty((len(gram), 0)), *(joint_sums.result() for joint_sums in cross)]
     cross = np.concatenate(products, axis=1)
@@ -94,16 +155,64 @@ def candidate_sums(arm, angles, y, weights, codes, offered, terms, known=0.0):
         return np.concatenate([_gram_rows(*poses, spans, batch) for batch in batches])
 
     n_taken = 0 if known or codes is None else len(np.unique(codes))
-    n_observations = float(y.shape[1]) * (weights.sum() - n_taken)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
         cross[:-1],
         own,
         cross[-1],
-        float(gram[-1, -1] if codes is None else max(gram[-1, -1], 0.0)),
-        n_observations if codes is None else max(n_observations, 0.0),
+        max(float(gram[-1, -1]), 0.0),
+        max(float(y.shape[1]) * (weights.sum() - n_taken), 0.0),
         GramRows(rows_of, 2 * len(offered)),
+    )
+
+
+def without_motions(sums, columns):
+    """Sums that know nothing of a motion of the base and of a common scale of all lengths.
+
+    To first order in the errors a single-point test shows neither. Of its deviations, which a scale
+    multiplies, the evidence would prefer an arm of no size.
+    """
+    if not columns.terms.kinematics:
+        return sums
+    keep = _beside_motions(columns.alone)
+    return sums._replace(
+        gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
+    )
+
+
+@lru_cache(maxsize=64)
+def _beside_motions(columns):
+    """Projection (m, m) of coefficients to what is no motion of the base and no scale."""
+    # What comes before the first joint in the modified convention moves the arm, too.
+    before = ["a1", "alpha1", "beta1"] * (columns.arm.convention == "modified")
+    moving = [columns.names.index(name) for name in [*BASE_MOTIONS, *before]]
+    unit = np.eye(len(columns.names))
+    motions = np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
+    return unit - motions @ motions.T
+
+
+def length_equations(rows, columns):
+    """Known lengths between positions as rows of the linear model, an `Extra`.
+
+    The difference of the corrections of two positions along the line between them is what the
+    measured length is too long.
+    """
+    first, second, length, sd = (np.array(part) for part in zip(*rows.lengths, strict=True))
+    used, ends = np.unique([first, second], return_inverse=True)
+    ends = ends.reshape(2, -1)
+    rows = rows._replace(lengths=()).at(np.isin(rows.codes, used))
+    total = np.bincount(rows.codes, rows.weights)
+    points = group_means(columns.points(rows.X), rows.codes, rows.weights)
+    means = columns.means(rows.X, rows.codes, rows.weights)
+    line = points[ends[1]] - points[ends[0]]
+    measured = np.linalg.norm(line, axis=1)
+    line /= measured[:, None]
+    return Extra(
+        np.einsum("lc,lcp->lp", line, means[ends[1]] - means[ends[0]]),
+        measured - length,
+        np.square(sd),
+        1 / total[ends[0]] + 1 / total[ends[1]],
     )
 
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm as normal
 from scipy.stats import t as student
 
-from sklearn_raacmm.inference import interval_scales
+from sklearn_raacmm.error_model import interval_scales
 
 
 @pytest.mark.parametrize("freedom", [3, 100])

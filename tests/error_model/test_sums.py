@@ -5,28 +5,25 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.error_model import Terms, _waves, term_columns
-from sklearn_raacmm.error_model._fit import Rows
-from sklearn_raacmm.error_model._gauge import without_motions
-from sklearn_raacmm.error_model._waves import (
+from sklearn_raacmm.error_model import _sums
+from sklearn_raacmm.error_model._columns import Terms, columns_of
+from sklearn_raacmm.error_model._sums import (
+    Rows,
     _sums_of_doubles,
     _WaveSums,
     candidate_sums,
     waves,
+    without_motions,
 )
 from sklearn_raacmm.inference import Sums, combined
 
-ARM = Arm.from_name("aacmm6", joint_signs=[1, -1, 1, 1, -1, 1])
-
-
-def draw_angles(n, seed=0, width=2.0):
-    return np.random.default_rng(seed).uniform(-width, width, (n, ARM.n_joints))
+from ._arms import ARM, draw_angles
 
 
 def explicit_sums(theta, y, weights, codes, offered, terms):
     """Gram matrix and moments from all columns, offsets taken out by dummies."""
-    always = term_columns(ARM, theta, terms._replace(harmonics=np.empty((0, 2), int)))
-    waves = term_columns(ARM, theta, Terms(offered, False, False, False))
+    always = columns_of(ARM, terms._replace(harmonics=np.empty((0, 2), int))).at(theta)
+    waves = columns_of(ARM, Terms(offered, False, False, False)).at(theta)
     A = np.concatenate([always, waves, y[:, :, None]], axis=2)
     if codes is not None:
         dummies = np.sqrt(weights)[:, None] * (codes[:, None] == np.unique(codes))
@@ -44,16 +41,16 @@ def explicit_sums(theta, y, weights, codes, offered, terms):
 @pytest.mark.parametrize("with_offsets", [False, True])
 @pytest.mark.parametrize("some_orders", [False, True])
 def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeypatch):
-    monkeypatch.setattr(_waves, "_CHUNK", chunk)
+    monkeypatch.setattr(_sums, "_CHUNK", chunk)
     rng = np.random.default_rng(3)
     n = 60
-    theta, y, weights = draw_angles(n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
+    theta, y, weights = draw_angles(ARM, n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
     codes = rng.permutation(np.arange(n) % 6) if with_offsets else None
     orders = [2, 5, 300] if some_orders else range(1, 12)
     offered = np.array([(j, k) for j in (0, 2, 5) for k in orders])
     # Without kinematics nothing is taken out.
     terms = Terms(offered, True, False, True)
-    found = candidate_sums(ARM, theta, y, weights, codes, offered, terms)
+    found = candidate_sums(Rows(ARM, theta, y, weights, codes), columns_of(ARM, terms))
     gram, m = explicit_sums(theta, y, weights, codes, offered, terms)
     size = np.sqrt(gram.diagonal())
     size = np.where(size > 1e-9, size, 1.0)
@@ -83,27 +80,26 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeyp
 def test_sums_follow_weights_that_change(with_offsets):
     """Sums over the poses concerned are added and taken off: as summed up from the start."""
     rng = np.random.default_rng(6)
-    theta, y = draw_angles(80), rng.normal(size=(80, 3))
+    theta, y = draw_angles(ARM, 80), rng.normal(size=(80, 3))
     codes = np.arange(80) // 10
     old = np.ones(80)
     new = np.where(codes < 3, rng.uniform(0, 2, 80), old)
     new[:10] = 0  # a whole position is lost
     offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
-    terms = Terms(offered, True, True, True)
+    columns = columns_of(ARM, Terms(offered, True, True, True))
     rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 80), codes if with_offsets else None)
-    found, lengths = rows.sums_after(rows.sums(terms), old, new, terms)
-    assert lengths is None
+    found = rows.sums_after(rows.sums(columns), old, new, columns)
     kept = new > 0
     own = np.unique(codes[kept], return_inverse=True)[1] if with_offsets else None
-    poses = theta[kept], y[kept], (rows.weights * new)[kept]
-    expected = candidate_sums(ARM, *poses, own, offered, terms)
+    poses = Rows(ARM, theta[kept], y[kept], (rows.weights * new)[kept], own)
+    expected = candidate_sums(poses, columns)
     if with_offsets:
-        expected = without_motions(expected, ARM, terms)
+        expected = without_motions(expected, columns)
     close_sums(found, expected)
 
 
 def close_sums(found, expected):
-    for name in Sums._fields[:-1]:
+    for name in Sums._fields[:7]:
         value = getattr(expected, name)
         atol = 1e-10 * np.abs(value).max()
         assert_allclose(getattr(found, name), value, atol=atol, err_msg=name)
@@ -142,11 +138,12 @@ def test_sums_of_candidates_are_the_same_on_the_grid(with_offsets, monkeypatch):
     )
     codes = np.arange(300) // 10 if with_offsets else None
     offered = np.array([(j, k) for j in (1, 4) for k in range(1, 201)] + [(5, 3), (5, 9)])
-    terms = Terms(offered, True, True, False)
-    grid = candidate_sums(arm, theta, y, weights, codes, offered, terms)
+    columns = columns_of(arm, Terms(offered, True, True, False))
+    rows = Rows(arm, theta, y, weights, codes)
+    grid = candidate_sums(rows, columns)
     of_grid = grid.rows([3, 250, 401])
-    monkeypatch.setattr(_waves, "_MANY_POSES", 1000)
-    plain = candidate_sums(arm, theta, y, weights, codes, offered, terms)
+    monkeypatch.setattr(_sums, "_MANY_POSES", 1000)
+    plain = candidate_sums(rows, columns)
     for name in ("cross", "own", "candidate_moment"):
         value = getattr(plain, name)
         assert_allclose(getattr(grid, name), value, atol=1e-12 * np.abs(value).max(), rtol=0)
@@ -155,20 +152,21 @@ def test_sums_of_candidates_are_the_same_on_the_grid(with_offsets, monkeypatch):
 
 def test_sums_of_all_blocks_less_one_are_those_of_the_others():
     rng = np.random.default_rng(5)
-    theta, y, weights = draw_angles(80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
+    theta, y, weights = draw_angles(ARM, 80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
     codes, block = np.arange(80) // 10, np.arange(80) // 30
     offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
-    rows, terms = Rows(ARM, theta, y, weights, codes), Terms(offered, True, True, True)
-    parts = [rows.at(block == i).sums(terms)[0] for i in range(3)]
+    columns = columns_of(ARM, Terms(offered, True, True, True))
+    rows = Rows(ARM, theta, y, weights, codes)
+    parts = [rows.at(block == i).sums(columns) for i in range(3)]
     whole = combined(parts, np.ones(3))
     for number, part in enumerate(parts):
-        others = rows.at(block != number).sums(terms)[0]
+        others = rows.at(block != number).sums(columns)
         close_sums(combined((whole, part), (1, -1)), others)
 
 
 def test_high_orders_are_exact():
     """Waves by doubling against cosines and sines, at the highest order of all."""
-    theta = draw_angles(500, width=6.0)[:, 0]
+    theta = draw_angles(ARM, 500, width=6.0)[:, 0]
     found = waves(theta, np.arange(1, 1001))
     phase = np.arange(1, 1001) * theta[:, None]
     assert np.abs(found - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12
