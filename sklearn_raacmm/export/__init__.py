@@ -4,11 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.correction import TRUSTED_TYPES
-from sklearn_raacmm.export._export import (
-    export_c,
-    fingerprint,
-    to_onnx,
-)
+from sklearn_raacmm.export._export import export_c, fingerprint, to_onnx
 from sklearn_raacmm.export._load_c import CompiledModel, load_c
 from sklearn_raacmm.export._model_card import ModelCard, describe
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.export._c_files import make_test, sources
-from sklearn_raacmm.export._c_text import check_name
+from sklearn_raacmm.export._c_files import check_name, make_test, sources
 from sklearn_raacmm.export._load_c import answers_in_c, check_fade
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import build_program, compare_shares

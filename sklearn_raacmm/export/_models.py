@@ -7,6 +7,7 @@ One function for each kind of step: it adds the step's operations to those befor
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
+from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
@@ -143,7 +144,8 @@ def _read(chain, steps, x):
             _needs_angles(chain, path, x)
             x = pose_features(chain, step)
         elif isinstance(step, StandardScaler):
-            x = scaler(chain.p, step, x)
+            x = chain.p("sub", x, step.mean_) if step.with_mean else x
+            x = chain.p("div", x, step.scale_) if step.with_std else x
         elif isinstance(step, REGRESSORS):
             return _regressor(chain, path, step, x)
         else:
@@ -249,13 +251,6 @@ def pose_angles(chain, angles):
     return p("join", used, elevation)
 
 
-def scaler(p, step, x):
-    """scikit-learn's StandardScaler."""
-    if step.with_mean:
-        x = p("sub", x, step.mean_)
-    return p("div", x, step.scale_) if step.with_std else x
-
-
 # -- the arm's own error model --------------------------------------------------------------------
 
 
@@ -314,10 +309,11 @@ def linear_model(chain, linear, fading):
         return y, v, None
     found = _small_doubt(chain, linear, fading) if small else None
     if found is not None:
-        doubt = p.sum(variances(found.root[order], less=found.less))
-        if len(found.joints):
-            doubt = p("add", doubt, _of_joints(chain, found, vectors))
-        doubt = p("max", p("add", doubt, found.constant), 0.0)
+        root, less, constant, waves = found
+        doubt = p.sum(variances(root[order], less=less))
+        if len(waves[0]):
+            doubt = p("add", doubt, _of_joints(chain, vectors, *waves))
+        doubt = p("max", p("add", doubt, constant), 0.0)
     else:
         same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
         doubt = p.sum(v if same else variances(triangle(linear.fading_half)))
@@ -351,24 +347,21 @@ def compare_shares(model, exact, program):
     )
 
 
-def _of_joints(chain, small, vectors):
+def _of_joints(chain, vectors, joints, about, series, means):
     """What the waves of joints add to the squared doubt, by the series of each."""
-    p, (n, q) = chain.p, small.series.shape
+    p, (n, q) = chain.p, series.shape
     axes = p.size(vectors) // 3
-    at = small.vectors[:, None] + axes * np.arange(3)
+    at = about[:, None] + axes * np.arange(3)
     turns = p.take(vectors, at.ravel())
     squares = p.affine(p("mul", turns, turns), np.kron(np.eye(n), np.ones((1, 3))))
     orders = np.arange(1, q // 2 + 1)
     waves = p(
         "waves",
         chain.angles(),
-        joint=np.repeat(small.joints, q),
+        joint=np.repeat(joints, q),
         order=np.tile(np.concatenate([orders, -orders]), n),
     )
-    matrix = np.zeros((n, n * q))
-    for i, row in enumerate(small.series):
-        matrix[i, i * q : (i + 1) * q] = row
-    return p("dots", squares, p.affine(waves, matrix, small.means))
+    return p("dots", squares, p.affine(waves, block_diag(*series), means))
 
 
 def _vectors(chain):

@@ -11,8 +11,6 @@ positive and negative, in the metric of columns at poses from far to near.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
-
 import numpy as np
 
 from sklearn_raacmm.error_model import SHIFT, TURN
@@ -30,18 +28,6 @@ _NOTHING = 0.01
 _POSES, _STEPS = 150, 16
 # Angles at which a joint's periodic function is evaluated for its series.
 _ANGLES = 4096
-
-
-class SmallDoubt(NamedTuple):
-    """What stands for the covariance that a correction fades by."""
-
-    root: np.ndarray  # (m, r): squared lengths of ``root' columns`` are added
-    less: int  # but those of so many last columns are taken off
-    joints: np.ndarray  # (n_series,), from 0
-    vectors: np.ndarray  # (n_series,): which axis each turns about
-    series: np.ndarray  # (n_series, 2 * _ORDERS): cosines, then sines, of order 1 and up
-    means: np.ndarray  # (n_series,)
-    constant: float  # mm^2
 
 
 def axis_numbers(table, n_joints):
@@ -75,7 +61,10 @@ def poses_from_far_to_near(model, doubt, n=_POSES, seed=0):
 def small_doubt(linear, fading, angles):
     """The smallest that is as good at poses (angles in rad and extra columns), or None.
 
-    None where it would have no fewer numbers than the whole.
+    None where it would have no fewer numbers than the whole. Squared lengths of ``root' columns``,
+    root (m, r), are added, but those of its `less` last columns taken off; a constant in mm^2; and
+    of each series of a joint's waves which joint, from 0, which axis it turns about, cosines and
+    then sines of order 1 and up, (2 * _ORDERS,), and the mean.
     """
     table = linear.layout.table
     covariance = linear.fading_half @ linear.fading_half.T
@@ -98,7 +87,8 @@ def small_doubt(linear, fading, angles):
     values, turned = np.linalg.eigh(half @ between @ half)
     order = np.argsort(-np.abs(values))
     values, directions = values[order], inverse @ turned[:, order]
-    joints = table["joint"][[block[0] for block in blocks]] if blocks else np.zeros(0, dtype=int)
+    firsts = np.array([block[0] for block in blocks], dtype=int)
+    joints = table["joint"][firsts]
     parts = [_series(table, block, covariance) for block in blocks]
     means = np.array([mean for mean, _ in parts])
     series = np.reshape([row for _, row in parts], (len(blocks), 2 * _ORDERS))
@@ -124,10 +114,8 @@ def small_doubt(linear, fading, angles):
     ascending = np.argsort(sizes)
     little = np.cumsum(np.square(sizes[ascending])) < (_NOTHING * fading.size_mm) ** 2
     root[ascending[little]] = 0.0
-    vectors = of_axis[[block[0] for block in blocks]] if blocks else np.zeros(0, dtype=int)
-    constant = float(constants[rank - 1])
     less = int(np.count_nonzero(values[:rank] < 0))
-    return SmallDoubt(root, less, joints, vectors, series, means, constant)
+    return root, less, float(constants[rank - 1]), (joints, of_axis[firsts], series, means)
 
 
 def _over_axes(values):
@@ -144,15 +132,11 @@ def _blocks(table, of_axis):
     return [block for block in found if len(block) >= _MANY]
 
 
-def _waves(order, unit, angles):
-    phase = np.outer(angles, np.abs(order))
-    return np.where(order > 0, np.cos(phase), np.sin(phase)) * unit
-
-
 def _series(table, block, covariance):
     """Mean, cosines and sines of what a joint's waves add at its angles, per rad^2 of a turn."""
-    angles = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
-    waves = _waves(table["order"][block], table["unit"][block], angles)
+    angles, order = 2 * np.pi * np.arange(_ANGLES) / _ANGLES, table["order"][block]
+    phase = np.outer(angles, np.abs(order))
+    waves = np.where(order > 0, np.cos(phase), np.sin(phase)) * table["unit"][block]
     values = ((waves @ covariance[np.ix_(block, block)]) * waves).sum(axis=1)
     found = np.fft.rfft(values) / _ANGLES
     low = 2 * found[1 : _ORDERS + 1]

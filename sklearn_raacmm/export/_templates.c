@@ -1,4 +1,4 @@
-C99 source with places for names and sizes: `Tables.c` in _c_text.py fills them.
+C99 source with places for names and sizes: `Tables.c` in _c_files.py fills them.
 
 //// max
 static inline $real larger($real a, $real b)

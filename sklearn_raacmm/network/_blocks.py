@@ -40,11 +40,28 @@ class ArrayChunks:
 
 
 class DaskChunks:
-    """Chunks of dask arrays with the same chunks of rows, each worked on where it is."""
+    """Chunks of a dask array, and of targets and weights that may be arrays in memory.
 
-    def __init__(self, X, Y, weights):
-        self.rows = X.chunks[0]
-        arrays = (X.rechunk({1: -1}), Y.rechunk({0: self.rows, 1: -1}), weights.rechunk(self.rows))
+    Each is worked on where it is.
+    """
+
+    def __init__(self, X, y, sample_weight):
+        import dask.array as da
+
+        if X.ndim != 2 or X.shape[1] == 0 or not np.all(np.isfinite(X.shape)):
+            raise ValueError(
+                "X must be of shape (n_samples, n_features) with chunks of known size; got "
+                f"{X.shape}. X.compute_chunk_sizes() finds them."
+            )
+        n, self.rows = X.shape[0], X.chunks[0]
+        sample_weight = da.ones(n, chunks=self.rows) if sample_weight is None else sample_weight
+        arrays = [X.rechunk({1: -1})]
+        for name, given, dimensions in (("y", y, (1, 2)), ("sample_weight", sample_weight, (1,))):
+            array = da.asarray(given)
+            if array.ndim not in dimensions or array.shape[0] != n:
+                raise ValueError(f"{name} has shape {array.shape}, but X has {n} rows.")
+            array = array[:, None] if name == "y" and array.ndim == 1 else array
+            arrays.append(array.rechunk((self.rows, -1)[: array.ndim]))
         self.parts = list(zip(*(a.to_delayed().ravel() for a in arrays), strict=True))
 
     def __len__(self):
@@ -95,27 +112,6 @@ def is_dask(X):
     return type(X).__module__.startswith("dask.array") and hasattr(X, "to_delayed")
 
 
-def dask_chunks(X, y, sample_weight):
-    """Chunks of a dask array, and of targets and weights that may be arrays in memory."""
-    import dask.array as da
-
-    if X.ndim != 2 or X.shape[1] == 0 or not np.all(np.isfinite(X.shape)):
-        raise ValueError(
-            f"X must be of shape (n_samples, n_features) with chunks of known size; got {X.shape}. "
-            "X.compute_chunk_sizes() finds them."
-        )
-    n, rows = X.shape[0], X.chunks[0]
-    sample_weight = da.ones(n, chunks=rows) if sample_weight is None else sample_weight
-    arrays = []
-    for name, given, dimensions in (("y", y, (1, 2)), ("sample_weight", sample_weight, (1,))):
-        array = da.asarray(given)
-        if array.ndim not in dimensions or array.shape[0] != n:
-            raise ValueError(f"{name} has shape {array.shape}, but X has {n} rows.")
-        arrays.append(array)
-    y, sample_weight = arrays
-    return DaskChunks(X, y[:, None] if y.ndim == 1 else y, sample_weight)
-
-
 def _hash(X, seed):
     """A number for each row that depends on its content only (the finaliser of splitmix64)."""
     h = np.full(len(X), seed, dtype=np.uint64)
@@ -162,9 +158,8 @@ def extend(sample, chunks, n_rows, weight, outputs):
     """The problem of all rows, of which a sample has its polynomial, and its ridge, already."""
     p, q = sample.n_tail, len(outputs)
     whole = sample._replace(
-        unit=weight / n_rows, n_total=n_rows, within=np.zeros(q), chunks=chunks,
-        n_elsewhere=n_rows, outputs=outputs,
-    )  # fmt: skip
+        unit=weight / n_rows, n_total=n_rows, within=np.zeros(q), chunks=chunks, outputs=outputs
+    )
     R = whole.triangle(lambda block: np.hstack([block.tail, block.targets]), p + q)
     basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
     spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / n_rows)
@@ -174,6 +169,5 @@ def extend(sample, chunks, n_rows, weight, outputs):
         projection=R[:p, p:],
         spread=spread,
         basis_rows=basis_rows,
-        tail_dof=p - np.square(basis_rows).sum(),
         tail_root=R[:p, :p],
     )

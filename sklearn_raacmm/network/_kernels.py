@@ -69,7 +69,7 @@ KERNELS: dict[str, Callable[..., Any]] = {
 }
 
 
-def squared_distances(A, B, out=None):
+def squared_distances(A, B):
     """Squared distances (n, m) of rows as one product, ``[-2a, |a|^2, 1] . [b, 1, |b|^2]``."""
     left = np.empty((len(A), A.shape[1] + 2))
     np.multiply(A, -2.0, out=left[:, :-2])
@@ -79,18 +79,12 @@ def squared_distances(A, B, out=None):
     right[:, :-2] = B
     right[:, -2] = 1.0
     right[:, -1] = np.einsum("ij,ij->i", B, B)
-    return np.matmul(left, right.T, out=out)
+    return left @ right.T
 
 
-def kernel_matrix(
-    A: np.ndarray, B: np.ndarray, kernel: str, out: np.ndarray | None = None
-) -> np.ndarray:
-    """Kernel values (n, m) between scaled rows A (n, d) and B (m, d); in `out`, if it is given."""
-    values = KERNELS[kernel](squared_distances(A, B, out))
-    if out is None or values is out:
-        return values
-    out[:] = values
-    return out
+def kernel_matrix(A: np.ndarray, B: np.ndarray, kernel: str) -> np.ndarray:
+    """Kernel values (n, m) between scaled rows A (n, d) and B (m, d)."""
+    return KERNELS[kernel](squared_distances(A, B))
 
 
 def rounding(Z):
@@ -110,7 +104,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
     the pivots (rank,); the largest diagonal entry of what is left; and whether that is little.
     """
     n = len(Z)
-    max_rank = n if max_rank is None else min(n, max_rank)
+    max_rank = min(n, max_rank or n)
     diagonal = np.ones(n)
     # The factor is kept transposed, one pivot a row, so that new pivots are appended without moving
     # the old ones.
@@ -125,7 +119,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
     while rank < max_rank:
         if resolve is not None and rank >= resolve:
             tol, resolve = min(aim, max(1e-5 * diagonal.max(), least)), None
-        top = _largest(diagonal, min(n, block_size))
+        top = np.argsort(-diagonal, kind="stable")[:block_size]
         top = top[diagonal[top] > tol]
         if not len(top):
             break
@@ -144,7 +138,7 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
             # In place where the system can move pages: no copy, and not two factors at once.
             factor.resize((min(max_rank, max(need, len(factor) * 5 // 4)), n), refcheck=False)
         new = factor[rank:need]
-        kernel_matrix(Z[top], Z, kernel, out=new)
+        new[:] = kernel_matrix(Z[top], Z, kernel)
         # Transposed, for BLAS to work in place. The pivots of a round are alike in size, so that
         # the inverse of their root loses no digits; a product with it is faster than to solve.
         if rank:
@@ -158,15 +152,6 @@ def pivoted_cholesky(Z, kernel, *, tol=1e-6, max_rank=None, resolve=None, block_
         rank = need
     residual = float(max(diagonal.max(), 0.0))
     return factor[:rank].T, pivots[:rank].copy(), residual, residual <= tol
-
-
-def _largest(values, size):
-    """Indices of the `size` largest values, largest first, the lower index first among equals."""
-    if size == 0:
-        return np.empty(0, dtype=int)
-    kth = np.partition(values, len(values) - size)[len(values) - size]
-    above = np.flatnonzero(values >= kth)
-    return above[np.argsort(-values[above], kind="stable")][:size]
 
 
 def psd_root(K):

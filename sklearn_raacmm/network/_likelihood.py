@@ -1,85 +1,49 @@
-r"""Marginal likelihood of a Gaussian process, and its gradient by widths, ridge and constants.
+r"""What kernel, widths and ridge are found by: the marginal likelihood less the price of features.
 
 With kernel matrix K, weights w and ridge :math:`\alpha` (noise variance over signal variance) the
 targets of an output have the covariance :math:`s^2 (K + \alpha (W^{-1} + r G))`, where G is 1
 within a group of rows whose targets have a common constant (`_rows`). The signal variance
 :math:`s^2` of every output is set to its optimum, so that outputs of any scale count alike
 (Rasmussen and Williams, sections 5.4 and 8.3).
+
+With few or noisy rows the likelihood alone finds narrow widths in features that do not matter. So
+every feature pays for being used, the more the more of them there are. With
+:math:`\rho` the inverse width in units of the feature's spread, :math:`s^2` the signal variance and
+n the number of observations, the penalty is
+
+.. math:: A\, q / (q + \kappa^2 / n) + \log(1 + d (\rho / 1.5)^2), \qquad q = s^2 \rho^2,
+
+where :math:`A = 0.9 \log(1 + d)` for d features and q is the variance of the function's slope. A
+slope whose square is far above :math:`\kappa^2 / n`, its error from n observations, costs A,
+however steep it is; one that cannot be told from 0 costs nothing.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
+from scipy.optimize import minimize
 
 from sklearn_raacmm.network._kernels import KERNELS, squared_distances
+from sklearn_raacmm.network._linear import DOUBT, SILENT
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
 LEAST_RIDGE = 1e-9
+ALPHA_BOUNDS = (LEAST_RIDGE, 1e6)
+# In spreads of a feature: below, every sample is alone; above, a function is as good as linear.
+WIDTH_BOUNDS = (1e-2, 1e3)
+# Variance of groups' constants over that of an observation's noise: below, they are none; above,
+# nothing is left of a group's mean. Where the search for it starts.
+RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
+# The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
+# inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised. A
+# price that grows with the rows gave up a weak interaction (``benchmarks/bench_noise.py``).
+PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 TINY = np.finfo(float).tiny
-
-
-class Data(NamedTuple):
-    """Rows and targets of a likelihood."""
-
-    X: np.ndarray  # (n, d)
-    Y: np.ndarray  # (n, q) without their polynomial
-    weights: np.ndarray  # (n,)
-    within: np.ndarray  # (q,) sum of squares that merging repeated rows took out of Y
-    codes: np.ndarray | None = None  # (n,) group of each row, sorted, where groups have constants
-
-    @property
-    def n_total(self):
-        """Number of observations."""
-        return self.weights.sum()
-
-    @property
-    def targets(self):
-        """Targets times the root of the weights."""
-        return np.sqrt(self.weights)[:, None] * self.Y
-
-    def rows(self, rows):
-        """Some of them; what merging took out is shared in proportion."""
-        X, Y, weights, codes = self.X[rows], self.Y[rows], self.weights[rows], self.codes
-        if codes is not None:
-            codes = np.unique(codes[rows], return_inverse=True)[1]
-        share = weights.sum() / self.weights.sum()
-        return Data(X, Y, weights, self.within * share, codes)
-
-    def draw(self, size, random_state):
-        """About `size` rows drawn at random, sorted, groups as a whole; all where no more."""
-        n = len(self.X)
-        if n <= size:
-            return np.arange(n)
-        if self.codes is None:
-            return np.sort(random_state.permutation(n)[:size])
-        order = random_state.permutation(self.codes.max() + 1)
-        ends = np.cumsum(np.bincount(self.codes)[order])
-        # Of the last group a part: data of a few large groups would otherwise be one of them.
-        rows = [np.flatnonzero(self.codes == g) for g in order[: np.searchsorted(ends, size) + 1]]
-        rows[-1] = random_state.permutation(rows[-1])[: size - sum(map(len, rows[:-1]))]
-        return np.sort(np.concatenate(rows))
-
-    def noise(self, ratio):
-        """Covariance (n, n) of the noise, times root weights: 1, and r within groups."""
-        matrix = np.eye(len(self.X))
-        if self.codes is not None and ratio:
-            root = np.sqrt(ratio * self.weights)
-            for rows in self.groups:
-                matrix[rows, rows] += np.outer(root[rows], root[rows])
-        return matrix
-
-    @property
-    def groups(self):
-        """Slices of the rows that are left out together."""
-        codes = np.arange(len(self.X)) if self.codes is None else self.codes
-        ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
-        return [slice(*pair) for pair in pairwise(ends)]
 
 
 def log_likelihood(data, value):
@@ -92,7 +56,7 @@ def log_likelihood(data, value):
 def of_noise(data):
     """Negative log likelihood where all is noise, and what `left_out` gives there."""
     square = np.square(data.targets)
-    total = square.sum(axis=0) + data.within
+    total = square.sum(axis=0) + data.lost
     value = 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
     variance = np.maximum(total / data.n_total, 1e-300)
     return value, 0.5 * (np.sum(square / variance) + len(square) * np.sum(np.log(variance)))
@@ -115,13 +79,13 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     groups' constants to the noise, (d + q + 1,); the signal variance (q,); and its gradient.
     """
     (n, d), q = data.X.shape, len(log_alpha)
-    n_total, Y, noise = data.n_total, data.targets, data.noise(ratio)
+    n_total, Y, lost, noise = data.n_total, data.targets, data.lost, data.noise(ratio)
     K, slope, Xs = covariance(data, kernel, log_width)
     value, gradient, signal = 0.0, np.zeros(d + q + 1), np.empty(q)
     by_theta = np.zeros((q, d + q + 1))
     for i, alpha in enumerate(np.exp(log_alpha)):
         solved, log_det, half = solve_and_invert(K + alpha * noise, Y[:, i])
-        of_noise = data.within[i] / alpha
+        of_noise = lost[i] / alpha
         quadratic = max(Y[:, i] @ solved + of_noise, TINY)
         value += log_det + (n_total - n) * log_alpha[i] + n_total * np.log(quadratic)
         # Traces of the inverse, which is the half and its transpose, times parts of the noise.
@@ -158,7 +122,7 @@ def left_out(data, K, alphas, ratio=0.0):
     In closed form (section 5.4.2 of Rasmussen and Williams), up to a constant.
     """
     density, n, noise = 0.0, len(K), data.noise(ratio)
-    for y, within, alpha in zip(data.targets.T, data.within, alphas, strict=True):
+    for y, within, alpha in zip(data.targets.T, data.lost, alphas, strict=True):
         solved, _, half = solve_and_invert(K + alpha * noise, y)
         signal = max((y @ solved + within / alpha) / data.n_total, TINY)
         if data.codes is None:
@@ -187,3 +151,113 @@ def rank_one_gradient(slope, a, A):
     aA = a[:, None] * A
     along = slope @ np.column_stack([a, aA])
     return -2 * (2 * (a * along[:, 0]) @ (A * A) - 2 * np.einsum("ik,ik->k", aA, along[:, 1:]))
+
+
+class Task(NamedTuple):
+    """What is searched for: theta, the logarithms of what is free, and what is given.
+
+    Free are widths, in units of the spread, ridges, and the ratio of groups' constants to noise.
+    """
+
+    spread: np.ndarray  # (d,) unit of every width
+    used: np.ndarray  # (d,) mask of the features; the width of the others is infinite
+    n_outputs: int
+    isotropic: bool = False  # one width, in units of each feature's spread
+    length_scale: np.ndarray | None = None  # (d,) given widths
+    alpha: np.ndarray | None = None  # (q,) given ridges
+    constants: bool = False  # whether groups have constants
+
+    @property
+    def n_widths(self):
+        """Number of free widths."""
+        if self.length_scale is not None:
+            return 0
+        return 1 if self.isotropic else int(self.used.sum())
+
+    @property
+    def n_alphas(self):
+        """Number of free ridges."""
+        return self.n_outputs if self.alpha is None else 0
+
+    @property
+    def bounds(self):
+        """Of theta, (n, 2)."""
+        bounds = [WIDTH_BOUNDS] * self.n_widths + [ALPHA_BOUNDS] * self.n_alphas
+        return np.log(np.reshape(bounds + [RATIO_BOUNDS] * self.constants, (-1, 2)))
+
+    def start(self, width, alpha):
+        """Theta of one width, in units of sqrt(d) spreads, and one ridge for all."""
+        widths = [width * np.sqrt(self.used.sum())] * self.n_widths
+        return np.log(widths + [alpha] * self.n_alphas + [START_RATIO] * self.constants)
+
+    def unpack(self, theta):
+        """Logarithms of all widths (d,) and ridges (q,), and the ratio."""
+        if self.length_scale is None:
+            log_width = np.full(len(self.spread), np.inf)
+            log_width[self.used] = np.log(self.spread[self.used]) + theta[: self.n_widths]
+        else:
+            log_width = np.log(self.length_scale)
+        ratio = float(np.exp(theta[-1])) if self.constants else 0.0
+        if self.alpha is None:
+            return log_width, theta[self.n_widths :][: self.n_outputs], ratio
+        return log_width, np.log(np.maximum(self.alpha, ALPHA_BOUNDS[0])), ratio
+
+    def reduce(self, gradient):
+        """From derivatives by all widths, ridges and the ratio to those by theta."""
+        d = len(self.spread)
+        by_width = gradient[:d][self.used]
+        if self.isotropic:
+            by_width = [by_width.sum()]
+        by_alpha, by_ratio = gradient[d:][: self.n_alphas], gradient[-1:][: int(self.constants)]
+        return np.concatenate([by_width[: self.n_widths], by_alpha, by_ratio])
+
+
+def objective(task, theta, data, kernel, kappa=KAPPA):
+    """Negative log likelihood with the penalty, in nats, and its gradient by theta."""
+    log_width, log_alpha, ratio = task.unpack(theta)
+    try:
+        value, gradient, signals, of_signals = exact_likelihood(
+            data, kernel, log_width, log_alpha, ratio
+        )
+    except LinAlgError:
+        return np.inf, np.zeros(len(theta))
+    gradient = task.reduce(gradient)
+    of_signals = np.array([task.reduce(row) for row in of_signals])
+    # The signal variance in units of an output's variance, on average over outputs.
+    rho2, floor = np.exp(-2 * theta[: task.n_widths]), kappa**2 / data.n_total
+    price, slope = PRICE * np.log1p(len(rho2)), signals.mean() * rho2
+    used = slope / (slope + floor)  # of every feature, between 0 and 1
+    narrow = rho2 / (NARROW / np.sqrt(task.used.sum())) ** 2
+    value += price * used.sum() + np.log1p(narrow).sum()
+    by_slope = price * floor / (slope + floor) ** 2
+    of_penalty = (by_slope @ rho2) * of_signals.mean(axis=0)
+    of_penalty[: len(rho2)] -= 2 * by_slope * slope + 2 * narrow / (1 + narrow)
+    gradient += of_penalty
+    if task.n_alphas:
+        # Noise below a part of the targets' variance has to be shown.
+        noise = signals * np.exp(log_alpha)
+        of_log_noise = of_signals / signals[:, None]
+        of_log_noise[:, task.n_widths :][:, : task.n_alphas] += np.eye(task.n_alphas)
+        value += DOUBT * np.log1p(SILENT / noise).sum()
+        gradient -= DOUBT * (SILENT / (SILENT + noise)) @ of_log_noise
+    return value, gradient
+
+
+def minimise(task, theta, data, kernel, steps, kappa=KAPPA):
+    """Search from a start; returns where it ends, never worse."""
+    unit = data.n_total * data.Y.shape[1]
+    # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
+    # cost of a step allows.
+    nats = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
+
+    def per_observation(theta):
+        value, gradient = objective(task, theta, data, kernel, kappa)
+        return value / unit, gradient / unit
+
+    theta = np.clip(theta, *task.bounds.T)
+    if not len(theta):
+        return theta
+    options = {"maxiter": steps, "ftol": nats / unit}
+    return minimize(
+        per_observation, theta, method="L-BFGS-B", jac=True, bounds=task.bounds, options=options
+    ).x

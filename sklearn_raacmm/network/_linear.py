@@ -1,4 +1,4 @@
-"""What of a network is linear: groups' constants, the polynomial, and the evidence for it."""
+"""What of a network is linear: least squares, groups' constants, the polynomial, its evidence."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,10 +6,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg import lapack, qr, solve_triangular
 
 from sklearn_raacmm.utils import group_means
 
+# Columns that a triangular factorisation works on together; 16 and 64 were slower by a tenth.
+_PANEL = 32
 # Ridges that are tried: powers of 2, whose choice no rounding changes.
 RIDGES = 2.0 ** np.arange(-40, 41)
 # The prior of the noise variance: below this share of an output's variance each power of e costs so
@@ -76,7 +78,7 @@ def linear_evidence(columns, targets, within, n_free, n_total):
     Of columns (n, d), centred and in units of their spread, and targets (n, q), times root weights.
     Coefficients have normal priors of one variance, the noise variance over the ridge (MacKay,
     Neural Comput. 4, 1992). Returns the ridge, 0 where there is nothing to be found; the objective
-    as `_objective` has it, without the price; and the negative log likelihood. The ridge is found
+    as `_likelihood` has it, without the price; and the negative log likelihood. The ridge is found
     by `n_free` observations, without the mean: as many features as rows would else have none.
     """
     nothing = 0.0, np.inf, np.inf
@@ -101,3 +103,77 @@ def linear_evidence(columns, targets, within, n_free, n_total):
     ridge = min(RIDGES, key=lambda ridge: sum(likelihood(ridge, n_free)))
     value, doubt = likelihood(ridge, n_total)
     return ridge, value + doubt, value
+
+
+def triangular_factor(rows):
+    """R of the QR factorisation, upper triangular or trapezoidal; its signs are arbitrary."""
+    m, k = rows.shape
+    if m < k or not k:
+        return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][:k]
+    return _stacked(np.zeros((k, k), order="F"), np.array(rows, order="F"), 0)
+
+
+def _stacked(upper, lower, n_triangular):
+    """R of the square triangle `upper` with rows below, the last a triangle; overwrites both.
+
+    Twice as fast as the plain routine, whose blocks do not stay in the cache.
+    """
+    block = min(_PANEL, len(upper))
+    return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
+
+
+def stack_triangles(upper, lower):
+    """The triangular factor of two blocks of rows from those of each."""
+    k = upper.shape[1]
+    if len(upper) < k or not k:
+        return triangular_factor(np.vstack([upper, lower]))
+    triangular = not np.any(np.tril(lower, -1))
+    upper, lower = np.array(upper, order="F"), np.array(lower, order="F")
+    return _stacked(upper, lower, len(lower) if triangular else 0)
+
+
+def nested_least_squares(R, n_tail, penalty_root, alphas, within):
+    """Solve every nested subset, with no use of the running figures of the selection.
+
+    R (<= p + k + q, p + k + q) is the triangular factor of the tail, the k members in order and the
+    q targets; ``penalty_root.T @ penalty_root`` times `alphas` (q,) the members' penalty. Returns
+    of the first 0, 1, ... k members the sum of squared residuals, and the same with the penalty,
+    (k + 1, q); and for `first_weights` the rotated targets and triangles.
+    """
+    q, p, k = len(alphas), n_tail, penalty_root.shape[1]
+    columns, targets = R[: p + k, : p + k], R[: p + k, p + k :]
+    beyond = np.square(R[p + k :, p + k :]).sum(axis=0)
+    rss, objective, rotated = np.empty((k + 1, q)), np.empty((k + 1, q)), np.empty((p + k, q))
+    triangles = {}
+    for alpha in np.unique(alphas):
+        of = np.flatnonzero(alphas == alpha)
+        Q, triangle = penalise(columns, p, penalty_root, alpha)
+        Q = Q[: len(columns)]
+        rotated[:, of] = Q.T @ targets[:, of]
+        triangles |= dict.fromkeys(of, triangle)
+        # Residuals of all sizes at once: what each further direction takes away.
+        taken = np.cumsum(Q[:, None, :] * rotated[:, of].T, axis=2)
+        left = targets[:, of, None] - np.pad(taken, ((0, 0), (0, 0), (1, 0)))
+        rss[:, of] = np.square(left[:, :, p:]).sum(axis=0).T + beyond[of]
+        gained = np.cumsum(np.square(rotated[p:, of]), axis=0)
+        objective[:, of] = rss[0, of] - np.pad(gained, ((1, 0), (0, 0)))
+    # A difference of large numbers: the objective is never below its own first part.
+    objective = np.maximum(objective, rss)
+    return rss + within, objective + within, rotated, triangles
+
+
+def first_weights(rotated, triangles, size):
+    """Weights (size, q) of the first columns, the tail's and some members', see above."""
+    solution = rotated[:size].copy()
+    for i, R in triangles.items() if size else ():
+        solution[:, i] = solve_triangular(R[:size, :size], solution[:, i], check_finite=False)
+    return solution
+
+
+def penalise(rows, n_tail, penalty_root, alpha):
+    """Q and R (p + k, p + k) of the rows' triangle with the penalty of its members below it."""
+    penalty = np.sqrt(alpha) * penalty_root if alpha > 0 else penalty_root[:0]
+    stacked = np.vstack([rows, np.pad(penalty, ((0, 0), (n_tail, 0)))])
+    if not rows.shape[1]:
+        return stacked, stacked[:0]
+    return qr(stacked, mode="economic", check_finite=False)

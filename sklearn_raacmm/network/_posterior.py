@@ -17,8 +17,12 @@ from sklearn_raacmm.network._kernels import (
     psd_root,
     squared_distances,
 )
-from sklearn_raacmm.network._least_squares import penalise, triangular_factor
-from sklearn_raacmm.network._linear import ridge_rows, without_constants
+from sklearn_raacmm.network._linear import (
+    penalise,
+    ridge_rows,
+    triangular_factor,
+    without_constants,
+)
 from sklearn_raacmm.utils import check_shapes, chunks, one_blas_thread
 
 # Kernel values held at a time while predicting: they stay in a core's cache. For the standard
@@ -78,12 +82,8 @@ class Network:
         shapes = dict(_SHAPES)
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
         shapes |= {} if self.codes is None else {"codes": ("k",)}
-        check_shapes("Network", state, shapes, {}, ("length_scale", "noise_variance"))
-        if len(self.polynomial) != 1 + len(self.length_scale):
-            raise ValueError(
-                f"The file is damaged: polynomial of Network has {len(self.polynomial)} "
-                f"rows, where {1 + len(self.length_scale)} would fit the other arrays."
-            )
+        sizes = {"d1": 1 + np.size(state.get("length_scale"))}
+        check_shapes("Network", state, shapes, sizes, ("length_scale", "noise_variance"))
 
     @property
     def all_rows(self) -> bool:

@@ -3,22 +3,19 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from numbers import Integral, Real
 from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.network._fit import fit_outputs
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
-from sklearn_raacmm.network._read import (
-    check_alpha,
-    check_kernel,
-    check_length_scale,
-    read_rows,
-)
+from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_data
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.utils import (
     Floats,
@@ -34,8 +31,14 @@ from sklearn_raacmm.utils import (
     whole_fit,
 )
 
+Interval, StrOptions = param_checks.Interval, param_checks.StrOptions
 # Attributes that not every fit has.
 _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
+
+
+def _each_output(find: Callable[[Network], np.ndarray]) -> Any:
+    """An attribute: what a function of each network gives, in the order of the outputs."""
+    return property(lambda self: self._shaped([find(network) for network in self.networks_]))
 
 
 class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
@@ -170,28 +173,21 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     _parameter_constraints: dict = {
         "n_centers": [
-            param_checks.Interval(Integral, 1, None, closed="left"),
-            param_checks.Interval(Real, 0, 1, closed="neither"),
-            param_checks.StrOptions({"auto"}),
+            Interval(Integral, 1, None, closed="left"),
+            Interval(Real, 0, 1, closed="neither"),
+            StrOptions({"auto"}),
         ],
-        "kernel": [param_checks.StrOptions({"auto", *KERNELS}), "array-like"],
+        "kernel": [StrOptions({"auto", *KERNELS}), "array-like"],
         "length_scale": [
-            param_checks.Interval(Real, 0, None, closed="neither"),
-            param_checks.StrOptions({"auto", "isotropic"}),
+            Interval(Real, 0, None, closed="neither"),
+            StrOptions({"auto", "isotropic"}),
             "array-like",
         ],
-        "alpha": [
-            param_checks.Interval(Real, 0, None, closed="left"),
-            param_checks.StrOptions({"auto"}),
-            "array-like",
-        ],
-        "degree": [
-            param_checks.Interval(Integral, -1, 1, closed="both"),
-            param_checks.StrOptions({"auto"}),
-        ],
-        "max_centers": [param_checks.Interval(Integral, 1, None, closed="left"), None],
+        "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
+        "degree": [Interval(Integral, -1, 1, closed="both"), StrOptions({"auto"})],
+        "max_centers": [Interval(Integral, 1, None, closed="left"), None],
         "shared": ["boolean"],
-        "loss": [param_checks.StrOptions({"auto", "squared", "tukey"})],
+        "loss": [StrOptions({"auto", "squared", "tukey"})],
         "random_state": ["random_state"],
     }
 
@@ -273,31 +269,23 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         """
         for name in _SOMETIMES:
             self.__dict__.pop(name, None)
-        labelled = self._fit_weighted(X, y, sample_weight, groups)
+        blocks, codes = read_data(self, X, y, sample_weight, groups)
+        self._fit_weighted(blocks, codes)
         if self.loss != "squared":
-            reweigh(self, X, y, sample_weight, groups if labelled else None)
+            reweigh(self, blocks, codes)
         return self
 
-    def _fit_weighted(self, X, y, sample_weight, groups, labelled=None):
-        """Fit by least squares with given weights; return whether groups have constants."""
+    def _fit_weighted(self, blocks, codes):
+        """Fit by least squares with given weights."""
         rng = check_random_state(self.random_state)
-        rows, elsewhere = read_rows(self, X, y, sample_weight, groups, labelled, rng)
+        rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
         q = rows.Y.shape[1]
-        alpha = check_alpha(self.alpha, q)
-        widths = check_length_scale(self.length_scale, rows.X, q, alpha, self.shared)
-        if self.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
-            raise ValueError(
-                'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
-                f"or the share of variance they may leave; got a least alpha of {alpha.min():g}."
-            )
-        kernels = check_kernel(self.kernel, widths, q)
-        parts = [np.arange(q)] if self.shared else [np.array([i]) for i in range(q)]
+        kernels, widths, alpha = check_parameters(self, rows.X, q)
         state, found = rng.get_state(), []
-        for of in parts:  # each as if it were alone
-            rng.set_state(state)
-            width = widths if widths is None or widths.ndim == 1 else widths[of[0]]
-            ridge = None if alpha is None else alpha[of]
-            given = kernels[of[0]], width, ridge
+        for of in [np.arange(q)] if self.shared else np.arange(q)[:, None]:
+            rng.set_state(state)  # each as if it were alone
+            width = None if widths is None else widths[of[0]]
+            given = kernels[of[0]], width, None if alpha is None else alpha[of]
             found.append(fit_outputs(self, rows, elsewhere, of, *given, rng))
         fits, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
@@ -309,7 +297,6 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
         self.criterion_path_: np.ndarray = np.concatenate(paths)
         self.stop_reason_ = ", ".join(reasons)
         self.n_iter_: int = sum(max(map(len, pair)) for pair in zip(centers, paths, strict=True))
-        return rows.codes is not None
 
     @overload
     def predict(self, X: ArrayLike, return_std: Literal[False] = False) -> Floats: ...
@@ -476,38 +463,18 @@ class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
 
     @property
     def coef_(self) -> np.ndarray:
-        sizes = [len(network.centers) for network in self.networks_]
-        starts = np.cumsum([0, *sizes])
-        parts = [
-            np.pad(network.coef, ((start, starts[-1] - start - size), (0, 0)))
-            for network, start, size in zip(self.networks_, starts[:-1], sizes, strict=True)
-        ]
-        return self._shaped(parts).T
+        coef = block_diag(*(network.coef for network in self.networks_))
+        return self._shaped([coef]).T
 
-    @property
-    def intercept_(self) -> np.ndarray:
-        return self._shaped([network.polynomial[0] for network in self.networks_])
+    intercept_ = _each_output(lambda network: network.polynomial[0])
+    alpha_ = _each_output(lambda network: network.alpha * network.weight_unit)
+    noise_variance_ = _each_output(lambda network: network.noise_variance)
+    signal_variance_ = _each_output(lambda network: network.signal_variance)
+    group_std_ = _each_output(lambda network: np.sqrt(network.ratio * network.noise_variance))
 
     @property
     def linear_coef_(self) -> np.ndarray:
         return self._shaped([network.polynomial[1:] for network in self.networks_]).T
-
-    @property
-    def alpha_(self) -> np.ndarray:
-        return self._shaped([network.alpha * network.weight_unit for network in self.networks_])
-
-    @property
-    def noise_variance_(self) -> np.ndarray:
-        return self._shaped([network.noise_variance for network in self.networks_])
-
-    @property
-    def signal_variance_(self) -> np.ndarray:
-        return self._shaped([network.signal_variance for network in self.networks_])
-
-    @property
-    def group_std_(self) -> np.ndarray:
-        parts = [np.sqrt(network.ratio * network.noise_variance) for network in self.networks_]
-        return self._shaped(parts)
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what `predict` keeps from one call to the next.

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from sklearn_raacmm.network._blocks import ArrayChunks, dask_chunks, draw_rows, is_dask
+from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows, is_dask
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
@@ -25,42 +25,39 @@ _MAX_RANGE = 1e6
 _MAX_WIDTH = 1e7
 
 
-def read_rows(estimator, X, y, sample_weight, groups, labelled, rng):
-    """The data, checked, as distinct rows, and None; or a sample of them, and what all rows are.
+def read_data(estimator, X, y, sample_weight, groups):
+    """The data, checked, as blocks of rows, and the code of each row's group.
 
-    Of a sample the chunks of all rows, their number and weight. `labelled` says whether groups have
-    constants; None: where their mean targets are small.
+    Codes are None where groups have no constants: where their mean targets are not small.
     """
+    blocks = DaskChunks(X, y, sample_weight) if is_dask(X) else None
+    # Robust weights need the residuals of all rows.
+    if blocks is None or len(blocks) <= IN_MEMORY_ROWS or estimator.loss == "tukey":
+        if blocks is not None:
+            X, y = X.compute(), np.asarray(y)
+            sample_weight = None if sample_weight is None else np.asarray(sample_weight)
+        X, y = check_data(estimator, X, y)
+        _refuse_tiny("X", X)
+        _refuse_tiny("y", y)
+        blocks = ArrayChunks(X, y.reshape(len(y), -1), check_weights(sample_weight, X))
+    estimator.n_features_in_, estimator._flat = X.shape[1], np.ndim(y) == 1
+    if groups is None:
+        return blocks, None
+    if len(blocks) > IN_MEMORY_ROWS:
+        raise ValueError(
+            f"groups are for at most {IN_MEMORY_ROWS} rows, which are held in memory; there are "
+            f"{len(blocks)}."
+        )
+    codes = encode_groups(groups, len(blocks))[1]
+    return blocks, codes if are_deviations(blocks.Y, codes, blocks.weights) else None
 
-    def in_blocks(chunks, n_features):
-        if groups is not None:
-            raise ValueError(
-                f"groups are for at most {IN_MEMORY_ROWS} rows, which are held in memory; there "
-                f"are {len(chunks)}."
-            )
-        n, weight, sample, complete = draw_rows(chunks, n_features, HELD_ROWS, rng.randint(2**31))
-        return sample, None if complete else (chunks, n, weight)
 
-    if is_dask(X):
-        chunks = dask_chunks(X, y, sample_weight)
-        if len(chunks) > IN_MEMORY_ROWS:
-            estimator.n_features_in_ = X.shape[1]
-            estimator._flat = y.ndim == 1
-            return in_blocks(chunks, X.shape[1])
-        X, y = X.compute(), np.asarray(y)
-        sample_weight = None if sample_weight is None else np.asarray(sample_weight)
-    X, y = check_data(estimator, X, y)
-    _refuse_tiny("X", X)
-    _refuse_tiny("y", y)
-    weights = check_weights(sample_weight, X)
-    estimator._flat = y.ndim == 1
-    Y = y.reshape(len(y), -1).astype(np.float64, copy=False)
-    if len(X) > IN_MEMORY_ROWS:
-        return in_blocks(ArrayChunks(X, Y, weights), X.shape[1])
-    codes = None if groups is None else encode_groups(groups, len(X))[1]
-    if labelled is None and codes is not None:
-        labelled = are_deviations(Y, codes, weights)
-    return merge(X, Y, weights, codes=codes if labelled else None), None
+def distinct_rows(blocks, n_features, codes, rng):
+    """Distinct rows, and None; or a sample of them, and all rows, their number and weight."""
+    if len(blocks) <= IN_MEMORY_ROWS:
+        return merge(blocks.X, blocks.Y, blocks.weights, codes=codes), None
+    n, weight, sample, complete = draw_rows(blocks, n_features, HELD_ROWS, rng.randint(2**31))
+    return sample, None if complete else (blocks, n, weight)
 
 
 def _refuse_tiny(name, array):
@@ -76,7 +73,31 @@ def _refuse_tiny(name, array):
         )
 
 
-def check_kernel(kernel, length_scale, n_outputs):
+def check_parameters(estimator, X, n_outputs):
+    """Kernel of every output, widths (q, d) and ridges (q,); None where they are to be found."""
+    alpha = estimator.alpha
+    if isinstance(alpha, str):
+        alpha = None
+    else:
+        alpha = floats("alpha", alpha)
+        if alpha.ndim > 1 or (alpha.ndim == 1 and len(alpha) != n_outputs):
+            raise ValueError(
+                f"alpha has shape {alpha.shape}; it must be a number or have one entry for each of "
+                f"the {n_outputs} outputs."
+            )
+        if not np.all((alpha >= 0) & np.isfinite(alpha)):
+            raise ValueError(f"alpha must be finite and not negative; got {estimator.alpha!r:.60}.")
+        alpha = np.broadcast_to(alpha, n_outputs).copy()
+    widths = _check_length_scale(estimator.length_scale, X, n_outputs, alpha, estimator.shared)
+    if estimator.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
+        raise ValueError(
+            'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
+            f"or the share of variance they may leave; got a least alpha of {alpha.min():g}."
+        )
+    return _check_kernel(estimator.kernel, estimator.length_scale, n_outputs), widths, alpha
+
+
+def _check_kernel(kernel, length_scale, n_outputs):
     """Kernel of every output as a list, which given widths have to go with."""
     if isinstance(kernel, str):
         return [kernel] * n_outputs
@@ -93,8 +114,8 @@ def check_kernel(kernel, length_scale, n_outputs):
     return names.tolist()
 
 
-def check_length_scale(length_scale, X, n_outputs, alpha, shared):
-    """Widths of every feature, (d,), or of every output (q, d); None where they are to be found."""
+def _check_length_scale(length_scale, X, n_outputs, alpha, shared):
+    """Widths of every feature for every output (q, d); None where they are to be found."""
     if isinstance(length_scale, str):
         return None
     width, d = floats("length_scale", length_scale), X.shape[1]
@@ -109,33 +130,19 @@ def check_length_scale(length_scale, X, n_outputs, alpha, shared):
         raise ValueError(
             f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r:.60}."
         )
-    width = width if width.ndim == 2 else np.broadcast_to(width, d).copy()
+    width = np.broadcast_to(width, (n_outputs, d)).copy()
     ranges = np.ptp(X, axis=0)
-    for row in np.atleast_2d(width) if len(X) else ():
-        i = int(np.argmax(ranges / row))
-        if ranges[i] > _MAX_RANGE * row[i]:
-            raise ValueError(
-                f"length_scale is {row[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
-                f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
-            )
-        if alpha is not None and alpha.min() == 0 and 0 < ranges[i] * _MAX_WIDTH < row[i]:
-            raise ValueError(
-                f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
-                "alpha=0 double precision does not tell the radial functions from a constant."
-            )
-    return width
-
-
-def check_alpha(alpha, n_outputs):
-    """Ridge of every output (q,); None where it is to be found."""
-    if isinstance(alpha, str):
-        return None
-    values = floats("alpha", alpha)
-    if values.ndim > 1 or (values.ndim == 1 and len(values) != n_outputs):
+    widths_in_range = ranges / width
+    row, i = np.unravel_index(np.argmax(widths_in_range), width.shape)
+    if widths_in_range[row, i] > _MAX_RANGE:
         raise ValueError(
-            f"alpha has shape {values.shape}; it must be a number or have one entry for each of "
-            f"the {n_outputs} outputs."
+            f"length_scale is {width[row, i]:g} for feature {i}, whose range is {ranges[i]:g}: "
+            f"more than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
         )
-    if not np.all((values >= 0) & np.isfinite(values)):
-        raise ValueError(f"alpha must be finite and not negative; got {alpha!r:.60}.")
-    return np.broadcast_to(values, n_outputs).copy()
+    most = widths_in_range.max(axis=1)
+    if alpha is not None and alpha.min() == 0 and np.any((most > 0) & (most * _MAX_WIDTH < 1)):
+        raise ValueError(
+            f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
+            "alpha=0 double precision does not tell the radial functions from a constant."
+        )
+    return width

@@ -5,10 +5,11 @@
 
 import numpy as np
 
-from sklearn_raacmm.network._blocks import is_dask
-from sklearn_raacmm.network._read import IN_MEMORY_ROWS
+from sklearn_raacmm.network import _read
+from sklearn_raacmm.network._blocks import ArrayChunks
+from sklearn_raacmm.network._posterior import pack, predict_mean
 from sklearn_raacmm.network._search import EXACT_ROWS
-from sklearn_raacmm.utils import check_weights, encode_groups, many_without_weight, report_findings
+from sklearn_raacmm.utils import many_without_weight, report_findings
 
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
 # rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.
@@ -46,33 +47,26 @@ def biweights(residuals, weights, codes=None):
     return np.square(np.maximum(1 - np.square(far / CUT), 0.0))
 
 
-def reweigh(estimator, X, y, sample_weight, groups):
+def reweigh(estimator, blocks, codes):
     """Fit again with weights by the residuals, until these settle; "auto" if evidence is for it."""
     auto, first = estimator.loss == "auto", dict(vars(estimator))
-    if auto and (is_dask(X) or "log_marginal_likelihood_value_" not in first):
+    large = len(blocks) > _read.IN_MEMORY_ROWS
+    if auto and (large or "log_marginal_likelihood_value_" not in first):
         return
-    if is_dask(X):
-        X, y = X.compute(), np.asarray(y)
-    given = check_weights(sample_weight, X)
-    if auto and len(given) > IN_MEMORY_ROWS:
-        return
-    targets = np.asarray(y, dtype=np.float64).reshape(len(given), -1)
-    codes = None if groups is None else encode_groups(groups)[1]
+    X, Y, given = blocks.X, blocks.Y, blocks.weights
     factor, counted = np.ones(len(given)), given > 0
     for i in range(MAX_FITS):
-        residuals = targets - estimator.predict(X).reshape(targets.shape)
+        residuals = Y - predict_mean(pack(estimator.networks_), X)
         last, factor = factor, biweights(residuals, given, codes)
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):
             break
-        estimator._fit_weighted(X, y, given * factor, groups, True)
+        estimator._fit_weighted(ArrayChunks(X, Y, given * factor), codes)
         if auto and i == 0:
             n, far = counted.sum(), residuals[(factor == 0) & counted]
-            plain, robust = (
-                fit["log_marginal_likelihood_value_"] for fit in (first, vars(estimator))
-            )
-            lead = evidence(robust, n, far) - evidence(plain, n, far[:0])
-            if lead < LEAD * n * targets.shape[1]:
+            lead = evidence(estimator.log_marginal_likelihood_value_, n, far)
+            lead -= evidence(first["log_marginal_likelihood_value_"], n, far[:0])
+            if lead < LEAD * n * Y.shape[1]:
                 estimator.__dict__ = first
                 return
     if auto and np.sum(factor[counted] == 0) > MOST_FAR * counted.sum():

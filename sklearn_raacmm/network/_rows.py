@@ -13,20 +13,22 @@ have independent noise of unit variance: that is done to all columns and targets
 
 from collections.abc import Callable, Iterator
 from functools import partial, reduce
+from itertools import chain, pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from sklearn_raacmm.network._least_squares import stack_triangles, triangular_factor
 from sklearn_raacmm.network._linear import (
     Polynomial,
     linear_evidence,
     polynomial_of,
     ridge_rows,
+    stack_triangles,
+    triangular_factor,
     without_constants,
 )
-from sklearn_raacmm.utils import chunk_size, chunks
+from sklearn_raacmm.utils import chunks
 
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
@@ -36,7 +38,7 @@ SMALL_BLOCK, BLOCK = 2**19, 2**23
 def block_rows(width):
     """Rows of a block that holds `width` numbers a row."""
     width = max(1, width)
-    return chunk_size(max(SMALL_BLOCK // width, min(4 * width, BLOCK // width)))
+    return max(SMALL_BLOCK // width, min(4 * width, BLOCK // width))
 
 
 class Rows(NamedTuple):
@@ -50,17 +52,61 @@ class Rows(NamedTuple):
     observed: np.ndarray  # (n,) observations: rows of the same X that differ in Y
     codes: np.ndarray | None = None  # (n,) group of each row, from 0, where groups have constants
 
+    @property
+    def n_total(self):
+        """Number of observations, where a weight of 1 is one."""
+        return self.weights.sum()
+
+    @property
+    def targets(self):
+        """Targets times the root of the weights."""
+        return np.sqrt(self.weights)[:, None] * self.Y
+
+    @property
+    def lost(self):
+        """Sum of squares (q,) that merging took out of the targets."""
+        return self.within.sum(axis=0)
+
     def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        kept_arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
-        return self._replace(**kept_arrays, codes=codes)
+        return type(self)(*(array[kept] for array in self[:6]), codes)
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
         # In the order of memory that they have where these outputs are all there are.
         Y, within = (np.ascontiguousarray(a[:, outputs]) for a in (self.Y, self.within))
         return self._replace(Y=Y, within=within)
+
+    def draw(self, size, random_state):
+        """About `size` rows drawn at random, sorted, groups as a whole; all where no more."""
+        n = len(self.X)
+        if n <= size:
+            return np.arange(n)
+        if self.codes is None:
+            return np.sort(random_state.permutation(n)[:size])
+        order = random_state.permutation(self.codes.max() + 1)
+        ends = np.cumsum(np.bincount(self.codes)[order])
+        # Of the last group a part: data of a few large groups would otherwise be one of them.
+        rows = [np.flatnonzero(self.codes == g) for g in order[: np.searchsorted(ends, size) + 1]]
+        rows[-1] = random_state.permutation(rows[-1])[: size - sum(map(len, rows[:-1]))]
+        return np.sort(np.concatenate(rows))
+
+    def noise(self, ratio):
+        """Covariance (n, n) of the noise, times root weights: 1, and r within groups."""
+        matrix = np.eye(len(self.X))
+        if self.codes is not None and ratio:
+            root = np.sqrt(ratio * self.weights)
+            for rows in self.groups:
+                matrix[rows, rows] += np.outer(root[rows], root[rows])
+        return matrix
+
+    @property
+    def groups(self):
+        """Slices of the rows that are left out together."""
+        codes = np.arange(len(self.X)) if self.codes is None else self.codes
+        ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
+        return [slice(*pair) for pair in pairwise(ends)]
 
 
 class Problem(NamedTuple):
@@ -80,18 +126,16 @@ class Problem(NamedTuple):
     spread: np.ndarray  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis, if any
-    tail_dof: float  # effective number of the tail's columns
-    # Where not all rows are held, of which those above are a sample: all of them, their number,
-    # which of their targets these are, and the triangular factor of the polynomial on them.
+    # Where not all rows are held, of which those above are a sample: all of them, which of their
+    # targets these are, and the triangular factor of the polynomial on them.
     chunks: Any = None
-    n_elsewhere: int = 0
     outputs: np.ndarray | None = None
     tail_root: np.ndarray | None = None
     part: slice | None = None  # which of a larger problem's rows these are
 
     @property
     def n_rows(self) -> int:
-        return len(self.root) if self.chunks is None else self.n_elsewhere
+        return len(self.root) if self.chunks is None else int(self.n_total)
 
     @property
     def n_tail(self) -> int:
@@ -108,15 +152,14 @@ class Problem(NamedTuple):
         return np.flatnonzero(self.spread > 0)
 
     @property
-    def left_within(self) -> np.ndarray:
-        """What no model can explain of the targets that vary, in squares of their spreads."""
-        return self.within[self.varying] / self.spread[self.varying] ** 2
-
-    @property
     def about_tail(self) -> np.ndarray:
         """Targets that vary, about the polynomial and in units of their spread."""
         of = self.varying
         return (self.targets[:, of] - self.basis @ self.projection[:, of]) / self.spread[of]
+
+    def scaled(self, length_scale: np.ndarray) -> np.ndarray:
+        """Rows about their middle in units of widths (d,)."""
+        return (self.rows.X - self.rows.X.mean(axis=0)) / length_scale
 
     def weigh(self, columns: np.ndarray) -> np.ndarray:
         """Columns at these rows, less groups' constants, times root; may overwrite them."""
@@ -133,14 +176,14 @@ class Problem(NamedTuple):
         for part in parts:
             arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
             yield self._of(self.rows.some(part), *arrays, part)
-        yield from self._ridge()
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
         if self.chunks is None:
-            return reduce(combine, map(function, self.parts(width)))
-        found = self.chunks.reduce(partial(self._on_block, function), combine, width)
-        return reduce(combine, map(function, self._ridge()), found)
+            found = map(function, self.parts(width))
+        else:
+            found = [self.chunks.reduce(partial(self._on_block, function), combine, width)]
+        return reduce(combine, chain(found, map(function, self._ridge())))
 
     def triangle(self, columns: Callable, width: int) -> np.ndarray:
         """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
@@ -239,8 +282,7 @@ def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -
         basis, basis_rows = basis[: len(tail)], basis[len(tail) :]
     projection = basis.T @ targets
     left = np.square(targets - basis @ projection).sum(axis=0) + within
-    if ridge:
-        left += np.square(basis_rows @ projection).sum(axis=0)
+    left += np.square(basis_rows @ projection).sum(axis=0)
     spread = np.sqrt(left / n_total)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * np.abs(rows.Y).max(axis=0)] = 0.0
@@ -259,5 +301,4 @@ def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -
         spread,
         ridge,
         basis_rows,
-        float(np.square(basis).sum()) if ridge else tail.shape[1],
     )

@@ -10,9 +10,9 @@ import pytest
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.export import _networks, export_c
 
-from ._chains import COMPILERS, in_c
+from ._chains import COMPILERS, in_c, needs_compiler
 
-pytestmark = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
+pytestmark = needs_compiler
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,7 @@ import pytest
 from sklearn_raacmm import CylindricalResidualTarget, RBFNetRegressor
 from sklearn_raacmm.export import _load_c, export_c
 
-from ._chains import COMPILERS, STRICT, form_b, network, of_arm
-
-needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
+from ._chains import COMPILERS, STRICT, form_b, needs_compiler, network, of_arm
 
 
 @pytest.fixture(scope="module")

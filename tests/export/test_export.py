@@ -30,6 +30,7 @@ from ._chains import (
     form_a,
     form_b,
     library,
+    needs_compiler,
     network,
     no_azimuth,
     of_arm,
@@ -38,9 +39,6 @@ from ._chains import (
 
 C99 = ["-std=c99", "-O1", *STRICT]
 AACMM = Arm.from_name("aacmm6")
-
-
-needs_compiler = pytest.mark.skipif(not COMPILERS, reason="neither gcc nor clang is on PATH")
 
 
 def compiled(model, X, std=False, dtype="double"):

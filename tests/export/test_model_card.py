@@ -10,25 +10,17 @@ from scipy.spatial import Delaunay
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVR
 
-from sklearn_raacmm import (
-    Arm,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import Arm, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.export import ModelCard, describe, export_c, fingerprint
+
+from ._chains import form_b
 
 
 @pytest.fixture(scope="module")
 def model(data):
-    network = RBFNetRegressor(12, length_scale=1.5, alpha=0.01)
-    return make_pipeline(
-        PoseFeatures(data.arm, append_azimuth=True),
-        CylindricalResidualTarget(make_pipeline(StandardScaler(), network)),
-    ).fit(data.data, data.target)
+    return form_b(data.arm).fit(data.data, data.target)
 
 
 def test_facts(model, data):

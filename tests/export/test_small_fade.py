@@ -11,9 +11,7 @@ from sklearn_raacmm.export import _small_doubt, export_c, fingerprint, load_c, t
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import run
 
-from ._chains import COMPILERS, angles_everywhere, of_arm
-
-needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler found")
+from ._chains import COMPILERS, angles_everywhere, needs_compiler, of_arm
 
 
 def fitted(mix, **params):

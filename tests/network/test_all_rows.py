@@ -5,8 +5,6 @@ import pickle
 import numpy as np
 import pytest
 from mpmath import mp, mpf
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import Network, _fit
@@ -26,32 +24,6 @@ def rough(n=120, d=3, seed=0):
 GIVEN = {"length_scale": [0.4, 0.5, 0.6], "alpha": 0.02}
 X, Y, _ = rough()
 T = np.random.default_rng(1).uniform(-1.5, 1.5, (15, 3))
-
-
-def test_posterior_is_that_of_the_gaussian_process():
-    model = RBFNetRegressor(**GIVEN, degree=-1).fit(X, Y)
-    assert model.stop_reason_ == "all rows"
-    assert model.networks_[0].all_rows
-    np.testing.assert_array_equal(model.centers_, X[model.center_indices_])
-    assert len(model.centers_) == model.n_iter_ == len(X)
-    assert model.error_reduction_.shape == model.criterion_path_.shape == (0,)
-    signal = model.signal_variance_
-    assert model.noise_variance_ == pytest.approx(0.02 * signal)
-    kernel = ConstantKernel(signal) * RBF(GIVEN["length_scale"]) + WhiteKernel(signal * 0.02)
-    process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, Y)
-    # The variance at which the likelihood of that process is largest.
-    assert signal == pytest.approx(Y @ process.alpha_ * signal / len(X), rel=1e-9)
-    mean, covariance = model.predict(T, return_cov=True)
-    mean_ref, covariance_ref = process.predict(T, return_cov=True)
-    np.testing.assert_allclose(mean, mean_ref, atol=1e-10)
-    np.testing.assert_allclose(covariance, covariance_ref, atol=1e-10 * signal)
-    for with_noise in (True, False):
-        _, std = model.predict(T, return_std=True, with_noise=with_noise)
-        variance = covariance_ref.diagonal() - (0 if with_noise else signal * 0.02)
-        np.testing.assert_allclose(std**2, variance, atol=1e-10 * signal)
-    draws = model.sample_y(T[:3], 4000, random_state=0)
-    error = np.sqrt(covariance[:3, :3].diagonal() / 4000)
-    assert np.all(np.abs(draws.mean(axis=1) - mean[:3]) < 4 * error)
 
 
 def test_weights_repeats_outputs_and_tail_against_extended_precision():

@@ -7,7 +7,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _fit
+from sklearn_raacmm.network import _centers, _fit
 
 
 def rough(n=500, d=4, seed=0):
@@ -25,7 +25,7 @@ def test_a_cut_factor_does_not_end_the_choice(monkeypatch):
     # What the factor leaves out says nothing of the candidates within its span: with a rank of 200
     # of 500 the choice used to end after a few dozen, as if the others depended on them.
     X, y, _ = rough()
-    monkeypatch.setattr(_fit, "MAX_RANK", 200)
+    monkeypatch.setattr(_centers, "MAX_RANK", 200)
     with pytest.warns(ConvergenceWarning, match="lies outside the 200 dimensions"):
         model = RBFNetRegressor(**GIVEN, max_centers=130).fit(X, y)
     assert model.stop_reason_ == "max_centers"
@@ -37,8 +37,8 @@ def test_a_cut_factor_does_not_end_the_choice(monkeypatch):
 
 def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
     X, y, _ = rough(300)
-    monkeypatch.setattr(_fit, "MAX_RANK", 100)
-    monkeypatch.setattr(_fit, "RANK_PER_CENTER", 0.1)
+    monkeypatch.setattr(_centers, "MAX_RANK", 100)
+    monkeypatch.setattr(_centers, "RANK_PER_CENTER", 0.1)
     with pytest.warns(ConvergenceWarning, match="of the prior variance at the candidates"):
         RBFNetRegressor(**GIVEN, max_centers=300).fit(X, y)
     # This has no goal that rounding might reach one centre earlier.
@@ -50,8 +50,8 @@ def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
 
 def test_more_centres_on_demand_raise_the_rank(monkeypatch):
     X, y, _ = rough(500)
-    monkeypatch.setattr(_fit, "MAX_RANK", 100)
-    monkeypatch.setattr(_fit, "MAX_CENTERS", 60)
+    monkeypatch.setattr(_centers, "MAX_RANK", 100)
+    monkeypatch.setattr(_centers, "MAX_CENTERS", 60)
     monkeypatch.setattr(_fit, "takes_all_rows", lambda *args: False)
     T, _, truth = rough(400, seed=1)
     with pytest.warns(ConvergenceWarning) as record:

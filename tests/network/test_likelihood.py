@@ -6,20 +6,16 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
-from sklearn_raacmm.network._likelihood import (
-    Data,
-    covariance,
-    exact_likelihood,
-    left_out,
-    of_noise,
-)
+from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out, of_noise
+from sklearn_raacmm.network._rows import Rows
 
 
-def some_data(n=40, q=2, seed=0):
+def some_data(n=40, q=2, within=(0.1, 0.2), seed=0):
     rng = np.random.default_rng(seed)
     Y = rng.standard_normal((n, q)).cumsum(axis=0)
     weights = rng.uniform(0.5, 2, n)
-    return Data(rng.standard_normal((n, 3)), Y, weights, np.array([0.1, 0.2])[:q])
+    lost = np.full((n, q), np.divide(within, n)[:q])
+    return Rows(rng.standard_normal((n, 3)), Y, np.arange(n), weights, lost, np.ones(n))
 
 
 THETA = np.array([0.1, 0.4, -0.2, -1.0, -3.0])
@@ -53,7 +49,7 @@ def covariance_of(data, alpha, ratio, kernel="matern52"):
 
 
 def test_value_with_constants_is_the_density_of_a_normal_variable():
-    data = some_data(q=1)._replace(codes=np.sort(np.arange(40) % 6), within=np.zeros(1))
+    data = some_data(q=1, within=(0.0,))._replace(codes=np.sort(np.arange(40) % 6))
     values, densities = [], []
     for ratio in (0.0, 0.01, 1.0, 50.0):
         C = covariance_of(data, 0.3, ratio)
@@ -81,7 +77,7 @@ def test_a_large_ridge_is_noise_alone():
 @pytest.mark.parametrize("ratio", [None, 0.0, 3.0])
 def test_what_is_left_out_by_leaving_it_out(ratio):
     """Row by row, or groups as a whole, whose rows have a common constant."""
-    data = some_data(25)._replace(within=np.zeros(2))
+    data = some_data(25, within=(0.0, 0.0))
     codes = np.arange(25) if ratio is None else np.sort(np.arange(25) % 4)
     alphas, density = np.array([0.1, 0.5]), 0.0
     for y, alpha in zip(data.Y.T, alphas, strict=True):
@@ -101,13 +97,13 @@ def test_what_is_left_out_by_leaving_it_out(ratio):
 
 
 def test_many_outputs_are_as_likely_as_each_alone():
-    data, q = some_data(q=2), 3
-    data = data._replace(Y=np.resize(data.Y.T, (q, 40)).T, within=np.resize(data.within, q))
+    q = 3
+    data = some_data(q=q, within=(0.1, 0.2, 0.1))
     theta = np.append(THETA[:3], np.linspace(-1, -3, q))
     together = exact_likelihood(data, "matern52", theta[:3], theta[3:])
     alone = []
     for i in range(q):
-        own = data._replace(Y=data.Y[:, [i]], within=data.within[[i]])
+        own = data.of_outputs(np.array([i]))
         alone.append(exact_likelihood(own, "matern52", theta[:3], theta[3 + i : 4 + i]))
     assert together[0] == pytest.approx(sum(one[0] for one in alone), rel=1e-9)
     np.testing.assert_allclose(together[2], [one[2][0] for one in alone], rtol=1e-8)
@@ -116,13 +112,10 @@ def test_many_outputs_are_as_likely_as_each_alone():
 
 
 def test_weights_and_repeats_have_one_likelihood():
-    rng = np.random.default_rng(1)
-    X, Y = rng.standard_normal((20, 2)), rng.standard_normal((20, 1))
-    counts = rng.integers(1, 4, 20)
-    R = np.repeat(np.arange(20), counts)
-    once = Data(X, Y, counts.astype(float), np.zeros(1))
-    often = Data(X[R], Y[R], np.ones(len(R)), np.zeros(1))
-    theta = "matern52", np.zeros(2), np.array([-2.0])
+    data, counts = some_data(20, q=1, within=(0.0,)), np.random.default_rng(1).integers(1, 4, 20)
+    often = data.some(np.repeat(np.arange(20), counts))
+    once, often = data._replace(weights=counts + 0.0), often._replace(weights=np.ones(counts.sum()))
+    theta = "matern52", np.zeros(3), np.array([-2.0])
     one, two = exact_likelihood(once, *theta), exact_likelihood(often, *theta)
     assert one[0] == pytest.approx(two[0], rel=1e-10)
     np.testing.assert_allclose(one[1], two[1], rtol=1e-7, atol=1e-10)

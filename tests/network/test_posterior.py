@@ -16,18 +16,31 @@ Y += RNG.standard_normal(Y.shape) * [0.1, 30]
 T = np.random.default_rng(4).uniform(-2.5, 2.5, (20, 2)) * [1, 50]
 
 
-def test_covariance_and_draws_are_those_of_the_gaussian_process():
+@pytest.mark.parametrize(("n_centers", "digits"), [(60, 1e-6), ("auto", 1e-10)])
+def test_covariance_and_draws_are_those_of_the_gaussian_process(n_centers, digits):
+    """With all rows as centres, chosen one by one, or because the function is so rough."""
     alpha, width, y = 0.03, np.array([0.3, 10.0]), Y[:, 0]
-    model = RBFNetRegressor(60, length_scale=width, alpha=alpha, degree=-1).fit(X, y)
+    model = RBFNetRegressor(n_centers, length_scale=width, alpha=alpha, degree=-1).fit(X, y)
+    if n_centers == "auto":
+        assert model.stop_reason_ == "all rows"
+        assert model.networks_[0].all_rows
+        assert model.error_reduction_.shape == model.criterion_path_.shape == (0,)
+    np.testing.assert_array_equal(model.centers_, X[model.center_indices_])
+    assert len(model.centers_) == model.n_iter_ == len(X)
     signal = model.signal_variance_
+    assert model.noise_variance_ == pytest.approx(alpha * signal)
     C = RBF(width)(X) + alpha * np.eye(60)
-    assert signal == pytest.approx(y @ np.linalg.solve(C, y) / 60, rel=1e-5)
+    assert signal == pytest.approx(y @ np.linalg.solve(C, y) / 60, rel=digits)
     kernel = ConstantKernel(signal) * RBF(width) + WhiteKernel(signal * alpha)
     process = GaussianProcessRegressor(kernel, optimizer=None, alpha=0).fit(X, y)
     mean, covariance = model.predict(T, return_cov=True)
     mean_ref, covariance_ref = process.predict(T, return_cov=True)
-    np.testing.assert_allclose(mean, mean_ref, atol=1e-6)
-    np.testing.assert_allclose(covariance, covariance_ref, atol=1e-6 * signal)
+    np.testing.assert_allclose(mean, mean_ref, atol=digits)
+    np.testing.assert_allclose(covariance, covariance_ref, atol=digits * signal)
+    for with_noise in (True, False):
+        _, std = model.predict(T, return_std=True, with_noise=with_noise)
+        variance = covariance_ref.diagonal() - (0 if with_noise else signal * alpha)
+        np.testing.assert_allclose(std**2, variance, atol=digits * signal)
     _, of_mean = model.predict(T, return_cov=True, with_noise=False)
     np.testing.assert_allclose(
         covariance - of_mean, signal * alpha * np.eye(20), atol=1e-12 * signal

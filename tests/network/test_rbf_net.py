@@ -84,6 +84,9 @@ def test_given_widths_and_ridge_are_respected():
     assert RBFNetRegressor(alpha=0.02).fit(X, y).alpha_ == 0.02
     Y = np.column_stack([y, -y])
     np.testing.assert_array_equal(RBFNetRegressor(alpha=[0.02, 1]).fit(X, Y).alpha_, [0.02, 1])
+    # As a search over np.arange gives it.
+    model = RBFNetRegressor(np.int64(5), length_scale=0.8, alpha=0.01).fit(X, y)
+    assert len(model.centers_) == 5
 
 
 @pytest.mark.parametrize("share", [0.5, 0.1, 0.03])
@@ -144,19 +147,26 @@ def test_a_ridge_bounds_predictions_everywhere(seed):
     ("params", "match"),
     [
         ({"n_centers": None}, "'n_centers' parameter"),
-        ({"alpha": [0.1, 0.2]}, r"alpha has shape \(2,\).*1 outputs"),
-        ({"alpha": [-0.1]}, "alpha must be finite and not negative"),
+        ({"alpha": [0.1, 0.2, 1]}, r"alpha has shape \(3,\).*2 outputs"),
+        ({"alpha": [-0.1, 1]}, "alpha must be finite and not negative"),
         ({"alpha": 0.0, "length_scale": 1e9}, "more than 1e.07 times the range of every feature"),
         ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
         ({"length_scale": [1.0, -2.0]}, "must be positive"),
         ({"length_scale": [1.0, np.nan]}, "must be positive"),
         ({"alpha": 0.0}, 'n_centers="auto" needs alpha > 0.*least alpha of 0'),
+        ({"length_scale": np.ones((3, 2))}, r"shape \(3, 2\).*2 features.*each of the 2 outputs"),
+        ({"kernel": ["gaussian", "matern52"]}, "needs length_scale of shape"),
+        ({"kernel": ["gaussian"], "length_scale": np.ones((2, 2))}, "for each of the 2 outputs"),
+        ({"kernel": ["auto", "gaussian"], "length_scale": np.ones((2, 2))}, "must be a name"),
+        ({"length_scale": [[1.0, 1.0], [1.0, 0.0]]}, "length_scale must be positive"),
+        ({"length_scale": [[1.0, 1.0], [1.0, 1e-9]]}, "does not resolve"),
+        ({"length_scale": np.ones((2, 2)), "shared": True}, "which shared=True rules out"),
     ],
 )
 def test_bad_parameters(params, match):
     X, y, _ = smooth(30)
     with pytest.raises(ValueError, match=match):
-        RBFNetRegressor(**params).fit(X, y)
+        RBFNetRegressor(**params).fit(X, np.column_stack([y, y]))
 
 
 def test_feature_that_never_varied_is_ignored():

@@ -10,18 +10,14 @@ from sklearn.linear_model import RidgeCV
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
-from sklearn_raacmm.network._likelihood import Data
-from sklearn_raacmm.network._objective import (
-    Task,
-    minimise,
-    objective,
-)
+from sklearn_raacmm.network._likelihood import Task, minimise, objective
+from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.network._search import robust_spread, search
 
 
 def data_of(X, y):
     Y = np.reshape(y - np.mean(y, axis=0), (len(X), -1))
-    return Data(X, Y / Y.std(axis=0), np.ones(len(X)), np.zeros(Y.shape[1]))
+    return merge(X, Y / Y.std(axis=0), np.ones(len(X)))
 
 
 def waves(n, seed=0, noise=0.1):
@@ -61,7 +57,9 @@ def test_never_ends_worse_than_it_started(name, isotropic):
     data = data_of(X, y)
     task = task_of(data, isotropic=isotropic)
     start = task.start(0.5, 0.1)
-    assert minimise(task, start, data, name, 5)[1] <= objective(task, start, data, name)[0]
+    end = minimise(task, start, data, name, 5)
+    values = [objective(task, theta, data, name)[0] for theta in (end, start)]
+    assert values[0] <= values[1]
     length_scale = "isotropic" if isotropic else "auto"
     model = RBFNetRegressor(kernel=name, length_scale=length_scale, random_state=0).fit(X, y)
     if isotropic:
@@ -154,7 +152,7 @@ def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
 
 
 def test_a_width_at_its_bound_is_said(monkeypatch):
-    monkeypatch.setattr("sklearn_raacmm.network._objective.WIDTH_BOUNDS", (0.8, 1e3))
+    monkeypatch.setattr("sklearn_raacmm.network._likelihood.WIDTH_BOUNDS", (0.8, 1e3))
     monkeypatch.setattr(_search, "WIDTH_BOUNDS", (0.8, 1e3))
     X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
     with pytest.warns(
@@ -174,9 +172,9 @@ def test_a_rough_and_a_smooth_start_and_the_better_end(monkeypatch):
 
     def watched(task, theta, *args):
         starts.append(np.exp(theta[0]))
-        theta, value = minimise(task, theta, *args)
+        theta = minimise(task, theta, *args)
         ends.append(np.exp(task.unpack(theta)[0]))
-        return theta, value
+        return theta
 
     monkeypatch.setattr(_search, "minimise", watched)
     found = search(data, ("gaussian",), random_state=np.random.RandomState(0))

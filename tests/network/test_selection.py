@@ -1,4 +1,4 @@
-"""The forward selection against fits of every candidate, fastcan, and extended precision."""
+"""The forward selection and its algebra against refits, fastcan, and extended precision."""
 
 from functools import reduce
 
@@ -9,19 +9,14 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._kernels import (
-    KERNELS,
-    kernel_matrix,
-    pivoted_cholesky,
-    psd_root,
-)
-from sklearn_raacmm.network._least_squares import (
+from sklearn_raacmm.network._centers import forward_selection
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky, psd_root
+from sklearn_raacmm.network._linear import (
     first_weights,
     nested_least_squares,
     stack_triangles,
     triangular_factor,
 )
-from sklearn_raacmm.network._selection import forward_selection
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -248,20 +243,18 @@ def test_path_is_that_of_separate_fits(alphas):
     rows = np.hstack([tail, root * K, root * Y])
     # In blocks, some shorter than wide.
     R = reduce(stack_triangles, map(triangular_factor, (rows[:5], rows[5:40], rows[40:])))
-    rss, objective, dof, *solved = nested_least_squares(R, 1, U, np.array(alphas), within)
+    rss, objective, *solved = nested_least_squares(R, 1, U, np.array(alphas), within)
     for m in (0, 1, 4, 9):
         A = np.hstack([tail, root * K[:, :m]])
         for i in range(2):
             R = np.zeros((m + 1, m + 1))
             R[1:, 1:] = alphas[i] * K[:m, :m]
             b = root[:, 0] * Y[:, i]
-            inverse = np.linalg.inv(A.T @ A + R)
-            w = inverse @ A.T @ b
+            w = np.linalg.inv(A.T @ A + R) @ A.T @ b
             left = np.sum((b - A @ w) ** 2)
             np.testing.assert_allclose(first_weights(*solved, 1 + m)[:, i], w, rtol=1e-8, atol=1e-8)
             assert rss[m, i] == pytest.approx(left + within[i])
             assert objective[m, i] == pytest.approx(left + w @ R @ w + within[i])
-            assert dof[m, i] == pytest.approx(np.trace(A @ inverse @ A.T))
 
 
 @pytest.mark.parametrize("length_scale", [0.1, 0.4, 5.0])  # sound, nearly singular, singular
@@ -277,3 +270,30 @@ def test_root_of_a_kernel_matrix(length_scale):
 def test_far_rows_have_a_kernel_of_nothing():
     far = np.array([[0.0], [1e3], [1e8]])
     np.testing.assert_allclose(kernel_matrix(far, far, "gaussian"), np.eye(3), atol=1e-300)
+
+
+def magnitudes(rows):
+    return np.abs(np.linalg.qr(rows, mode="r"))
+
+
+@pytest.mark.parametrize("sizes", [(50, 7), (7, 7), (3, 7), (200, 80), (0, 5)])
+@pytest.mark.parametrize("further", [3, 7, 90])
+def test_factors_of_two_blocks_are_those_of_all_rows(sizes, further):
+    rng = np.random.default_rng(0)
+    upper, lower = rng.normal(size=sizes), rng.normal(size=(further, sizes[1]))
+    expected = magnitudes(np.vstack([upper, lower]))
+    R = triangular_factor(upper.copy())
+    # Rows that are a triangle themselves, and rows that are none, as those of a ridge.
+    for below in (triangular_factor(lower.copy()), lower):
+        found = stack_triangles(R, below)
+        assert not np.any(np.tril(found, -1))
+        np.testing.assert_allclose(np.abs(found), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_small_columns_keep_their_digits():
+    # A Gram matrix would lose columns below 1e-8 of the largest.
+    rng = np.random.default_rng(1)
+    scale = 10.0 ** -np.arange(14)
+    rows = rng.normal(size=(300, 14))
+    found = triangular_factor(rows * scale) / scale
+    np.testing.assert_allclose(np.abs(found), magnitudes(rows), rtol=1e-9, atol=1e-13)
