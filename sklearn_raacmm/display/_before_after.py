@@ -3,18 +3,17 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.display._drawing import (
+    AFTER,
+    BEFORE,
     FittedDisplay,
     axes_grid,
-    draw_sides,
-    name_places,
-    space_for_legend,
     subtract,
     unit_of,
 )
@@ -27,6 +26,9 @@ from sklearn_raacmm.metrics import (
 from sklearn_raacmm.utils import floats
 
 _NAMES = {"2s": "2S", "max": "largest deviation", "mean": "mean deviation"}
+_FLOOR = {"color": "0.2", "marker": "_", "linestyle": "", "markersize": 10}
+# How far before and after stand to the left and right of their place, so that neither hides.
+_SHIFT = 0.12
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -83,9 +85,6 @@ class RepeatabilityDisplay(FittedDisplay):
     before_interval: np.ndarray | None = None
     after_interval: np.ndarray | None = None
     name: str = "after"
-    ax_: Any = field(init=False)
-    figure_: Any = field(init=False)
-    unit_: str = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -129,22 +128,17 @@ class RepeatabilityDisplay(FittedDisplay):
             is not between 0 and 1.
         """
         points = floats("points", points, 3)
-        options: dict = {"statistic": statistic, "aggregate": None}
-
-        def spread(points):
-            return single_point_repeatability(points, groups, **options)
-
-        corrected = {"before": points, "after": subtract(points, y_pred)}
-        values = {side: spread(some) for side, some in corrected.items()}
-        floor = None if perfect is None else spread(subtract(points, perfect))
+        sides = {"before": points, "after": subtract(points, y_pred)}
+        if perfect is not None:
+            sides["floor"] = subtract(points, perfect)
+        options: dict = {"groups": groups, "statistic": statistic, "aggregate": None}
+        values = {side: single_point_repeatability(some, **options) for side, some in sides.items()}
         if interval is not None and statistic != "max":
-            options["probability"] = interval
-            for side, some in corrected.items():
-                values[f"{side}_interval"] = repeatability_interval(some, groups, **options)
-        positions = np.unique(groups)
-        return cls(positions=positions, floor=floor, statistic=statistic, name=name, **values).plot(
-            ax
-        )
+            for side in ("before", "after"):
+                ends = repeatability_interval(sides[side], probability=interval, **options)
+                values[f"{side}_interval"] = ends
+        display = cls(positions=np.unique(groups), statistic=statistic, name=name, **values)
+        return display.plot(ax)
 
     def plot(self, ax: Any = None) -> Self:
         """Draw the figure.
@@ -160,16 +154,13 @@ class RepeatabilityDisplay(FittedDisplay):
             The display, with `ax_` and `figure_`.
         """
         ax = axes_grid(ax, (1, 1), figsize=(7, 3.6))[0, 0]
-        place = np.arange(1, len(self.before) + 1)
-        unit = unit_of([self.before, self.after])
-        intervals = (self.before_interval, self.after_interval)
-        draw_sides(self, ax, slice(None), unit, intervals)
-        name_places(ax, place, place if self.positions is None else self.positions)
-        ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({unit[1]})")
-        shown = (self.before, self.after, self.floor, *intervals)
+        shown = (self.before, self.after, self.floor, self.before_interval, self.after_interval)
         largest = max(np.max(values) for values in shown if values is not None)
-        space_for_legend(ax, 0.0, unit[0] * largest, 0.35, "mean")
-        self.ax_, self.figure_, self.unit_ = ax, ax.figure, unit[1]
+        labels = np.arange(1, len(self.before) + 1) if self.positions is None else self.positions
+        _draw_sides(self, ax, slice(None), labels, (0.0, 1.35 * largest), "mean")
+        statistic = _NAMES[self.statistic]
+        ax.set(xlabel="position", ylabel=f"repeatability, {statistic} ({self.unit_})")
+        self.ax_, self.figure_ = ax, ax.figure
         return self
 
 
@@ -220,9 +211,6 @@ class LengthErrorDisplay(FittedDisplay):
     lengths: np.ndarray
     floor: np.ndarray | None = None
     name: str = "after"
-    axes_: Any = field(init=False)
-    figure_: Any = field(init=False)
-    unit_: str = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -304,15 +292,46 @@ class LengthErrorDisplay(FittedDisplay):
         sizes = np.unique(self.lengths)
         axes = axes_grid(axes, (1, len(sizes)), figsize=(4.2 * len(sizes), 3.8), sharey=True)[0]
         drawn = [self.before, self.after] + ([] if self.floor is None else [self.floor])
-        unit = unit_of([self.before, self.after])
-        low, high = unit[0] * np.min(drawn), unit[0] * np.max(drawn)
+        low, high = np.min(drawn), np.max(drawn)
+        span = low - 0.05 * (high - low), high + 0.5 * 1.05 * (high - low)
         for ax, size in zip(axes, sizes, strict=True):
             rows = np.flatnonzero(self.lengths == size)
             ax.axhline(0, color="0.8", linewidth=1, zorder=0)
-            draw_sides(self, ax, rows, unit)
-            name_places(ax, *2 * [np.arange(1, len(rows) + 1)])
+            _draw_sides(self, ax, rows, np.arange(1, len(rows) + 1), span, "mean |error|")
             ax.set(xlabel="placement", title=f"{size:g} mm")
-            space_for_legend(ax, low - 0.05 * (high - low), high, 0.5, "mean |error|")
-        axes[0].set_ylabel(f"measured - calibrated ({unit[1]})")
-        self.axes_, self.figure_, self.unit_ = axes, axes[0].figure, unit[1]
+        axes[0].set_ylabel(f"measured - calibrated ({self.unit_})")
+        self.axes_, self.figure_ = axes, axes[0].figure
         return self
+
+
+def _draw_sides(display, ax, rows, labels, span, title):
+    """Draw rows of a display's values before and after, and of the floor where it is known.
+
+    Over the labels of their places, with a legend above them; `span` are the ends of the vertical
+    axis in mm. Sets the display's unit.
+    """
+    factor, display.unit_ = unit_of([display.before, display.after])
+    digits = ".1f" if display.unit_ == "µm" else ".3f"
+    for side, label, style, shift in (
+        ("before", "before", BEFORE, -_SHIFT),
+        ("after", display.name, AFTER, _SHIFT),
+        ("floor", "noise floor", _FLOOR, 0.0),
+    ):
+        if getattr(display, side) is None:
+            continue
+        shown = factor * np.asarray(getattr(display, side))[rows]
+        place = np.arange(1, len(shown) + 1) + shift
+        size = f"{np.mean(np.abs(shown)):{digits}} {display.unit_}"
+        ax.plot(place, shown, label=f"{label}: {size}", **style)
+        interval = getattr(display, f"{side}_interval", None)
+        if interval is not None:
+            ax.vlines(place, *factor * np.transpose(interval), color=style["color"], linewidth=1.2)
+    labels = [str(label) for label in labels]
+    step = -(-len(labels) // 20)  # about twenty names at most
+    turn = 45 * (max(map(len, labels)) > 4)
+    ax.set_xticks(np.arange(1, len(labels) + 1)[::step], labels[::step], rotation=turn)
+    for label in ax.get_xticklabels():
+        label.set_parse_math(False)  # a dollar sign in a label is one
+    if span[1] > span[0]:
+        ax.set_ylim(factor * span[0], factor * span[1])
+    ax.legend(fontsize="small", loc="upper left", title=title, title_fontsize="small")

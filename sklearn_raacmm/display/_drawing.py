@@ -15,9 +15,6 @@ from sklearn_raacmm.utils import deviations_by_group, floats
 # have no order, so that no line joins them.
 BEFORE = {"color": "#D55E00", "marker": "o", "linestyle": "", "markersize": 5}
 AFTER = {"color": "#0072B2", "marker": "D", "linestyle": "", "markersize": 5}
-FLOOR = {"color": "0.2", "marker": "_", "linestyle": "", "markersize": 10}
-# How far before and after stand to the left and right of their place, so that neither hides.
-_SHIFT = 0.12
 # Mean size of the values up to which a figure is in micrometres, mm. The mean, because one outlier
 # says nothing of the size of the others.
 _MICROMETRES_UP_TO = 0.1
@@ -27,6 +24,10 @@ class FittedDisplay:
     """What a correction does, drawn of given predictions or of those of a fitted model."""
 
     name: str
+    ax_: Any
+    axes_: Any
+    figure_: Any
+    unit_: str
     # Whether `from_predictions` takes the joint angles beside the points or residuals.
     _draws_poses = False
 
@@ -111,42 +112,3 @@ def unit_of(values):
     """One unit for a figure: how many of it a mm has, and its name."""
     size = np.mean(np.abs(values)) if np.size(values) else 0.0
     return (1000.0, "µm") if size < _MICROMETRES_UP_TO else (1.0, "mm")
-
-
-def draw_sides(display, ax, rows, unit, intervals=(None, None)):
-    """Draw these rows of a display's values (mm): before, after and, where it is known, the floor.
-
-    Where `intervals` (n, 2) of before and after are given, as vertical lines.
-    """
-    factor, name = unit
-    digits = ".1f" if name == "µm" else ".3f"
-    for values, label, style, interval, shift in (
-        (display.before, "before", BEFORE, intervals[0], -_SHIFT),
-        (display.after, display.name, AFTER, intervals[1], _SHIFT),
-        (display.floor, "noise floor", FLOOR, None, 0.0),
-    ):
-        if values is None:
-            continue
-        shown = factor * np.asarray(values)[rows]
-        place = np.arange(1, len(shown) + 1) + shift
-        label = f"{label}: {np.mean(np.abs(shown)):{digits}} {name}"
-        ax.plot(place, shown, label=label, **style)
-        if interval is not None:
-            low, high = factor * np.asarray(interval)[rows].T
-            ax.vlines(place, low, high, color=style["color"], linewidth=1.2)
-
-
-def name_places(ax, place, labels):
-    """Name every place, or about twenty of them where they are more."""
-    step = -(-len(place) // 20)
-    long = max(len(str(label)) for label in labels) > 4
-    ax.set_xticks(place[::step], [str(label) for label in labels][::step], rotation=45 * long)
-    for label in ax.get_xticklabels():
-        label.set_parse_math(False)  # a dollar sign in a label is one
-
-
-def space_for_legend(ax, low, high, share, title):
-    """A legend above the values, in this share of the vertical range."""
-    if high > low:
-        ax.set_ylim(low, high + share * (high - low))
-    ax.legend(fontsize="small", loc="upper left", title=title, title_fontsize="small")

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, Self
 
@@ -12,17 +12,9 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_scalar
 
 from sklearn_raacmm.arm import Arm, arm_or_built_in
-from sklearn_raacmm.display._drawing import (
-    AFTER,
-    BEFORE,
-    FittedDisplay,
-    before_and_after,
-    pyplot,
-)
+from sklearn_raacmm.display._drawing import AFTER, BEFORE, FittedDisplay, before_and_after, pyplot
 
 _STICKS = {"color": "0.75", "linewidth": 1.5, "marker": "o", "markersize": 2.5, "markevery": 1}
-_BEFORE = {"color": BEFORE["color"], "linewidth": 1.0}
-_AFTER = {"color": AFTER["color"], "linewidth": 1.0}
 # The longest residual is drawn as long as this share of the arm, or a little shorter.
 _LONGEST = 0.3
 # Matplotlib leaves space around a box in space for any view; the usual ones need less.
@@ -78,9 +70,6 @@ class ArmPosesDisplay(FittedDisplay):
     before: np.ndarray
     after: np.ndarray | None = None
     name: str = "after"
-    ax_: Any = field(init=False)
-    figure_: Any = field(init=False)
-    magnification_: Any = field(init=False)
 
     @classmethod
     def from_predictions(
@@ -148,32 +137,28 @@ class ArmPosesDisplay(FittedDisplay):
         if ax is not None and not hasattr(ax, "get_zlim"):
             raise ValueError('The axes are flat; make them with projection="3d".')
         check_scalar(max_poses, "max_poses", Integral, min_val=1)
-        if isinstance(magnification, str):
-            fits = magnification == "auto"
-        else:
-            fits = isinstance(magnification, Real) and 0 < magnification < np.inf
-        if not fits:
+        if isinstance(magnification, str) and magnification == "auto":
+            magnification = self._magnification()
+        if not (isinstance(magnification, Real) and 0 < magnification < np.inf):
             raise ValueError(
                 f'magnification must be "auto" or positive, got {magnification!r:.60}.'
             )
+        self.magnification_ = float(magnification)
         if ax is None:
             ax = pyplot().figure(figsize=(6.5, 6)).add_subplot(projection="3d")
         tips = self.chains[:, -1]
-        self.magnification_ = self._magnification() if magnification == "auto" else magnification
         shown = np.unique(np.linspace(0, len(tips) - 1, min(max_poses, len(tips))).astype(int))
         for chain in self.chains[shown]:
             ax.plot(*chain.T, **_STICKS)
-        for residuals, label, style in (
-            (self.before, "before", _BEFORE),
-            (self.after, self.name, _AFTER),
-        ):
-            if residuals is not None:
-                # One line goes from every tip along its residual, NaN between them.
-                lines = np.full((len(tips), 3, 3), np.nan)
-                lines[:, 0] = tips
-                lines[:, 1] = tips + self.magnification_ * residuals
-                ax.plot(*lines.reshape(-1, 3).T, label=label, **style)
         ends = tips + self.magnification_ * self.before
+        sides = [(ends, "before", BEFORE["color"])]
+        if self.after is not None:
+            left = tips + self.magnification_ * self.after
+            sides.append((left, self.name, AFTER["color"]))
+        for each, label, color in sides:
+            # One line goes from every tip along its residual, NaN between them.
+            lines = np.stack([tips, each, np.full_like(tips, np.nan)], axis=1)
+            ax.plot(*lines.reshape(-1, 3).T, label=label, color=color, linewidth=1.0)
         corners = np.vstack([self.chains[shown].reshape(-1, 3), [[0, 0, 0]], ends])
         ax.plot(*np.array([[0, 0, 0], [0, 0, 1e-9]]).T, "s", color="0.4", markersize=6)
         ax.set(
@@ -213,9 +198,7 @@ def arm_chains(arm, angles, angle_unit="rad"):
     origins = frames[..., 3]
     corners = np.empty((len(frames), 2 * arm.n_joints + 2, 3))
     corners[:, 0:-1:2] = origins
-    if arm.convention == "standard":
-        corners[:, 1:-1:2] = origins[:, :-1] + arm.d[:, None] * frames[:, :-1, :, 2]
-    else:
-        corners[:, 1:-1:2] = origins[:, :-1] + arm.a[:, None] * frames[:, :-1, :, 0]
+    lengths, axis = (arm.d, 2) if arm.convention == "standard" else (arm.a, 0)
+    corners[:, 1:-1:2] = origins[:, :-1] + lengths[:, None] * frames[:, :-1, :, axis]
     corners[:, -1] = arm.forward(angles, angle_unit=angle_unit)
     return corners

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -76,9 +76,6 @@ class ResidualDisplay(FittedDisplay):
     after: np.ndarray | None = None
     feature_names: Sequence[Any] = ("theta3", "theta4", "theta_dis")
     name: str = "after"
-    axes_: Any = field(init=False)
-    figure_: Any = field(init=False)
-    unit_: str = field(init=False)
 
     @classmethod
     def from_predictions(
