@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 from functools import cached_property
+from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,7 +20,7 @@ from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import frame_poses, parameter_jacobian, points_of
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
-from sklearn_raacmm.utils import Floats, check_option, check_places, html_table, write_whole
+from sklearn_raacmm.utils import Floats, check_option, check_places, write_whole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,9 +149,6 @@ class Arm:
     def __hash__(self) -> int:
         return self._hash
 
-    def __copy__(self) -> Self:
-        return self
-
     def __deepcopy__(self, memo: Any) -> Self:
         return self
 
@@ -175,11 +173,8 @@ class Arm:
     def __str__(self) -> str:
         header = "joint  sign      a/mm   alpha/deg      d/mm  offset/deg"
         widths = (5, 6, 10, 12, 10, 12)
-        rows = (
-            "".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
-            for row in self._cells()
-        )
-        return "\n".join([repr(self), header, *rows])
+        rows = (map(str.rjust, row, widths) for row in self._cells())
+        return "\n".join([repr(self), header, *map("".join, rows)])
 
     def _cells(self):
         """Number, sign, a, alpha, d and theta offset of each joint as text; mm and degrees."""
@@ -190,7 +185,10 @@ class Arm:
 
     def _repr_html_(self):
         header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
-        return html_table(repr(self), header, self._cells())
+        rows = [("th", header), *(("td", row) for row in self._cells())]
+        lines = ("".join(f"<{tag}>{cell}</{tag}>" for cell in row) for tag, row in rows)
+        table = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<div><p>{escape(repr(self))}</p><table>{table}</table></div>"
 
     @property
     def n_joints(self) -> int:
@@ -274,8 +272,7 @@ class Arm:
         >>> Arm.from_name("aacmm6")
         <Arm 'aacmm6': 6 joints, standard DH, probe (0, 0, 97.811) mm>
         """
-        if not (isinstance(name, str) and name in BUILT_IN):
-            raise ValueError(f"name must be one of {sorted(BUILT_IN)}, got {name!r}.")
+        check_option("name", name, BUILT_IN)
         return cls.from_degrees(name=name, **BUILT_IN[name]).replace(**changes)
 
     @classmethod
@@ -325,8 +322,7 @@ class Arm:
         >>> Arm.from_lengths("2-2-2", 375, 750, 500, 100)
         <Arm '2-2-2 arm': 6 joints, standard DH, probe (0, 0, 100) mm>
         """
-        if not (isinstance(layout, str) and layout in TWISTS):
-            raise ValueError(f"layout must be one of {sorted(TWISTS)}, got {layout!r}.")
+        check_option("layout", layout, TWISTS)
         twists = TWISTS[layout]
         rest = [0.0] * (len(twists) - 6)
         return cls.from_degrees(

@@ -164,33 +164,37 @@ def _joint(element, where):
         )
     if element.find("mimic") is not None:
         raise ValueError(f"{where}: joint {name!r} mimics another; the arm has no such joints.")
-    xyz, rpy = (
-        _numbers(element.find("origin"), key, (0.0, 0.0, 0.0), name, where)
-        for key in ("xyz", "rpy")
-    )
-    origin = element.find("origin")
+    origin, zero = element.find("origin"), (0.0, 0.0, 0.0)
+    xyz = _numbers(origin, "xyz", zero, name, where)
+    rpy = _numbers(origin, "rpy", zero, name, where)
     written = "" if origin is None else origin.get("rpy", "")
     off = (abs(float(text) - angle) for text, angle in zip(written.split(), rpy, strict=False))
-    behind = element.find("child").get("link"), max(off, default=0.0)
-    if kind == "fixed":
-        return Joint(name, pose(xyz, rpy), None, (), *behind)
-    axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), name, where))
-    if not np.linalg.norm(axis) > 0:
-        raise ValueError(f"{where}: the axis of joint {name!r} has no direction.")
-    limit, ends = element.find("limit"), (-np.inf, np.inf)
+    axis, ends = None, (-np.inf, np.inf)
+    if kind != "fixed":
+        axis = np.array(_numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), name, where))
+        if not np.linalg.norm(axis) > 0:
+            raise ValueError(f"{where}: the axis of joint {name!r} has no direction.")
+        axis = axis / np.linalg.norm(axis)
+    limit = element.find("limit")
     if kind == "revolute" and limit is not None:
         try:
             ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
-    return Joint(name, pose(xyz, rpy), axis / np.linalg.norm(axis), ends, *behind)
+    place, child = _pose(MM_PER_M * np.array(xyz), rpy), element.find("child").get("link")
+    return Joint(name, place, axis, ends, child, max(off, default=0.0))
 
 
-def pose(xyz, rpy):
-    """Origin of a joint, from m and rad."""
+def rigid(turn, shift):
+    """Pose (4, 4) of a rotation (3, 3) and a shift, mm."""
     result = np.eye(4)
-    result[:3, :3], result[:3, 3] = _from_rpy(*rpy), MM_PER_M * np.array(xyz)
+    result[:3, :3], result[:3, 3] = turn, shift
     return result
+
+
+def _pose(xyz, rpy):
+    """Origin of a joint, from mm and rad."""
+    return rigid(_from_rpy(*rpy), xyz)
 
 
 def _ur_joints(text, where):
@@ -206,7 +210,8 @@ def _ur_joints(text, where):
             raise ValueError(
                 f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
             ) from None
-        joints.append(Joint(name, pose(six[:3], six[3:]), np.eye(3)[2], (-np.inf, np.inf)))
+        place = _pose(MM_PER_M * np.array(six[:3]), six[3:])
+        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf)))
     return joints
 
 
@@ -338,27 +343,21 @@ def _xyz_rpy(origin):
 
 def urdf_text(arm):
     """Text of an arm as URDF; see `Arm.to_urdf`."""
-    rows = []
-    before = np.eye(4)
+    rows, before = [], np.eye(4)
     for i in range(arm.n_joints):
-        link = _along(arm.a[i], arm.alpha[i])
-        spin = _about(arm.theta_offset[i], 0.0)
-        rise = _about(0.0, arm.d[i])
+        link = _pose((arm.a[i], 0, 0), (arm.alpha[i], 0, 0))
         if arm.convention == "standard":
-            origin, before = before @ spin, rise @ link
-        else:
-            # A rotation about z and a shift along it change places.
-            origin, before = link @ spin @ rise, np.eye(4)
+            origin = before @ _pose((0, 0, 0), (0, 0, arm.theta_offset[i]))
+            before = _pose((0, 0, arm.d[i]), (0, 0, 0)) @ link
+        else:  # a rotation about z and a shift along it change places
+            origin = link @ _pose((0, 0, arm.d[i]), (0, 0, arm.theta_offset[i]))
         limits = arm.limits[i] if arm.limits is not None else (-np.inf, np.inf)
         name = arm.names[i] if arm.names else f"joint{i + 1}"
         rows.append((name, origin, arm.joint_signs[i], limits))
-    last = before.copy()
-    last[:3, 3] += last[:3, :3] @ arm.probe
-    rows.append(("probe_joint", last, None, ()))
+    rows.append(("probe_joint", before @ rigid(np.eye(3), arm.probe), None, ()))
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
     if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
-        mount = np.eye(4)
-        mount[:3, :3] = turn_between(arm.up, [0.0, 0.0, 1.0])
+        mount = rigid(turn_between(arm.up, [0.0, 0.0, 1.0]), 0.0)
         rows, links = [("mount", mount, None, ()), *rows], ["world", *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
@@ -382,7 +381,8 @@ def urdf_text(arm):
 
 
 def turn_between(first, second):
-    """Shortest rotation that takes one unit vector to another."""
+    """Shortest rotation (3, 3) that takes one unit vector to another."""
+    # `Rotation.align_vectors` is off by a tenth where they are all but opposite.
     v, u = np.asarray(first), np.asarray(second)
     if u @ v < _OPPOSITE:  # half a turn on the way: about any axis across
         across = np.cross(v, np.eye(3)[np.argmin(np.abs(v))])
@@ -391,18 +391,6 @@ def turn_between(first, second):
     x, y, z = np.cross(v, u)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + u @ v)
-
-
-def _along(length, angle):
-    """Shift along x and rotation about it."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1, 0, 0, length], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
-
-
-def _about(angle, length):
-    """Rotation about z and shift along it."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, length], [0, 0, 0, 1.0]])
 
 
 def _to_rpy(rotation):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, floats, report_findings
+from sklearn_raacmm.utils import Finding, check_option, floats, report_findings
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -42,10 +42,7 @@ def check_fields(arm: Any) -> dict[str, Any]:
     }
     if np.any(np.abs(checked["joint_signs"]) != 1):
         raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
-    if not (isinstance(arm.convention, str) and arm.convention in ("standard", "modified")):
-        raise ValueError(
-            f"convention must be 'standard' or 'modified', got {arm.convention!r:.60}."
-        )
+    check_option("convention", arm.convention, ("standard", "modified"))
     if not is_name(arm.name):
         raise ValueError(f"name must be a string of whole characters, got {arm.name!r:.60}.")
     if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
@@ -70,8 +67,7 @@ def check_numbers(name, value, size, unit, bound, broadcast=False):
         hint = ", or are they degrees? See Arm.from_degrees" if unit == "rad" else ""
         raise ValueError(
             f"{name}[{i}] = {array[i]:g} is out of bounds: it must be finite and at most "
-            f"{bound:g} {unit}".rstrip()
-            + f"{hint}."
+            f"{bound:g}{unit and ' '}{unit}{hint}."
         )
     array = array + 0.0  # a copy of our own, in which -0.0 is 0.0: they are the same arm
     array.flags.writeable = False
@@ -127,23 +123,18 @@ def check_limits(limits: Any, n: int) -> Any:
 
 def check_pair(name, value, low, high):
     """Two different whole numbers."""
-    pair = ()
-    try:
-        pair = tuple(value)
-        whole = all(not isinstance(v, bool | str) and int(v) == v for v in pair)
-    except (TypeError, ValueError, OverflowError):
-        whole = False
-    if not whole or len(pair) != 2 or not all(low <= v <= high for v in pair) or len({*pair}) < 2:
+    pair = floats(name, value)
+    fits = (pair == np.round(pair)) & (low <= pair) & (pair <= high)
+    if pair.shape != (2,) or not fits.all() or pair[0] == pair[1]:
         raise ValueError(
             f"{name} must be two different whole numbers from {low} to {high}, got {value!r:.60}."
         )
-    return tuple(int(v) for v in pair)
+    return tuple(pair.astype(int).tolist())
 
 
 def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another."""
-    if not (isinstance(angle_unit, str) and angle_unit in ("rad", "deg")):
-        raise ValueError(f"angle_unit must be 'rad' or 'deg', got {angle_unit!r:.60}.")
+    check_option("angle_unit", angle_unit, ("rad", "deg"))
     angles = floats("angles", angles)
     if angles.ndim != 2 or angles.shape[1] != n_joints:
         raise ValueError(
@@ -163,30 +154,18 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
             f"angles hold {len(bad)} NaN or infinite values; the first is "
             f"{angles[row, column]} in row {row}, joint {column + 1}."
         )
-    joint = int(largest.argmax()) + 1
-    reach = f"{largest.max():g}"
-    if angle_unit == "rad":  # more than two turns
-        _say(
-            f"angles reach {reach} rad (joint {joint}), more than two turns:",
-            'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).',
-            joints=(joint,),
-        )
-        return angles
-    if largest.max() > _ABSURD_DEG:
-        _say(
-            f"angles reach {reach} degrees (joint {joint}), more than ten turns:",
-            "are they counts of the encoders? Convert them to degrees.",
-            "repair",
-            joints=(joint,),
-        )
-    if largest.max() < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
-        _say(
-            f"angles in degrees reach {reach} only (joint {joint}):",
-            'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).',
-            joints=(joint,),
-        )
-    return np.deg2rad(angles)
-
-
-def _say(text, advice, weight: Any = "doubt", joints=()):
-    report_findings([Finding("angle-unit", text, advice, weight, joints=joints)])
+    most, joint = float(largest.max()), int(largest.argmax()) + 1
+    at, weight = f"(joint {joint})", "doubt"
+    if angle_unit == "rad":
+        text = f"angles reach {most:g} rad {at}, more than two turns:"
+        advice = 'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).'
+    elif most > _ABSURD_DEG:
+        text = f"angles reach {most:g} degrees {at}, more than ten turns:"
+        advice, weight = "are they counts of the encoders? Convert them to degrees.", "repair"
+    elif most < _WARN_DEG and np.sum(largest > _STANDS_STILL_DEG) > 1:
+        text = f"angles in degrees reach {most:g} only {at}:"
+        advice = 'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).'
+    else:
+        return np.deg2rad(angles)
+    report_findings([Finding("angle-unit", text, advice, weight, joints=(joint,))])
+    return angles if angle_unit == "rad" else np.deg2rad(angles)

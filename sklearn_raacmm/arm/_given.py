@@ -22,10 +22,8 @@ def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
     if arm is not None:
         check_arm(arm)
         return arm
-    text = (
-        f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are not "
-        "those of your arm."
-    )
+    text = f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are "
+    text += "not those of your arm."
     advice = f'Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
     report_findings([Finding("built-in-arm", text, advice)])
     return Arm.from_name(_BUILT_IN)
@@ -34,14 +32,10 @@ def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
 def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm:
     """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
     arm = arm_or_built_in(arm, owner)
-    if extra and n_columns != arm.n_joints + len(extra):
-        raise ValueError(
-            f"X has {n_columns} columns, but {arm.n_joints + len(extra)} are needed: the angles of "
-            f"{arm.n_joints} joints, then {', '.join(map(repr, extra))}."
-        )
-    if not extra and n_columns != arm.n_joints:
-        raise ValueError(
-            f"X has {n_columns} columns, but the arm {arm!r} has {arm.n_joints} joints: one column "
-            "of joint angles each is needed."
-        )
+    needed = f"the arm {arm!r} has {arm.n_joints} joints: one column of joint angles each is needed"
+    if extra:
+        needed = f"{arm.n_joints + len(extra)} are needed: the angles of {arm.n_joints} joints, "
+        needed += f"then {', '.join(map(repr, extra))}"
+    if n_columns != arm.n_joints + len(extra):
+        raise ValueError(f"X has {n_columns} columns, but {needed}.")
     return arm

@@ -40,11 +40,8 @@ def angles_for(
             f"start has {len(start)} poses for {len(points)} points: give one, or one each."
         )
     rng, shape = np.random.default_rng(0), (len(points), arm.n_joints)
-    angles, off, open_ = (
-        np.full(shape, np.nan),
-        np.full((len(points), 2), np.inf),
-        np.arange(shape[0]),
-    )
+    angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
+    open_ = np.arange(len(points))
     for again in range(_STARTS if start is None else _TRIES):
         if start is None:
             own = rng.uniform(np.maximum(low, -np.pi), np.minimum(high, np.pi)) * (again > 0)

@@ -4,12 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import math
+from functools import reduce
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._chain import Joint, edited, read_chain, turn_between, with_probe
+from sklearn_raacmm.arm._chain import edited, read_chain, rigid, turn_between, with_probe
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.utils import Finding, report_findings, warn_user
 
@@ -18,7 +20,6 @@ _PARALLEL = 1e-12
 # Feet of a common normal farther than so many lengths of the arm make no sense of two axes that
 # somebody meant to be parallel.
 _FARTHEST_FOOT = 10.0
-_NO_JOINT = Joint("", np.eye(4), None, ())
 # The arm's base frame is the file's where the first axis is so near to what the table can say, mm.
 _SAME_MM = 1e-10
 # Angles that are taken as right ones are warned of from here on, mm at the probe.
@@ -46,7 +47,8 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
     limits = np.array([joint.limits for _, joint in moving])
     # The first link of a file stands upright: its z axis is the vertical.
-    up = placed[:3, :3].T @ _frames([*mount, _NO_JOINT])[-1][2, :3]
+    upright = reduce(np.matmul, (joint.origin for joint in mount), np.eye(4))
+    up = placed[:3, :3].T @ upright[2, :3]
     arm = cls(
         **table, probe=probe, convention="modified", name=name,
         **usual_pose(n, parallel, "modified"), names=tuple(joint.name for _, joint in moving),
@@ -76,27 +78,25 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
             f"is {arm!r}: only an arm that was read from this file can be written back into "
             "it."
         )
-    files = _frames(joints)
     old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
+    axes = iter(zip(old, new, strict=True))
     point = (new[-1] @ [*arm.probe, 1.0])[:3]
-    moving = [k for k, joint in enumerate(joints) if joint.axis is not None]
     before, origins = np.eye(4), {}
-    for k, joint in enumerate(joints):
+    for joint, file in zip(joints, _frames(joints), strict=True):
         if joint.axis is None:
             before = before @ joint.origin
             continue
-        i = moving.index(k)
-        if np.linalg.norm(np.cross(old[i][:3, 2], new[i][:3, 2])) > _SAME_ARM:
+        was, now = next(axes)
+        if np.linalg.norm(np.cross(was[:3, 2], now[:3, 2])) > _SAME_ARM:
             raise ValueError(
                 f"{where}: the axis of joint {joint.name!r} is another one in the arm, which "
                 "was not read from this file, or from another base."
             )
         # The file's frame goes where the table's frame has gone, exactly onto the new axis.
-        frame = new[i] @ np.linalg.inv(old[i]) @ files[k]
-        along = new[i][:3, 2] * np.sign(new[i][:3, 2] @ frame[:3, :3] @ joint.axis)
+        frame = now @ np.linalg.inv(was) @ file
+        along = now[:3, 2] * np.sign(now[:3, 2] @ frame[:3, :3] @ joint.axis)
         frame[:3, :3] = turn_between(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
-        at = point if k == len(joints) - 1 else frame[:3, 3]
-        foot = new[i][:3, 3]
+        at, foot = point if joint is joints[-1] else frame[:3, 3], now[:3, 3]
         frame[:3, 3] = foot + ((at - foot) @ along) * along
         origins[joint.name] = np.linalg.inv(before) @ frame
         before = frame
@@ -106,18 +106,16 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         origins[last.name] = last.origin.copy()
         origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
     elif str(text).lstrip().startswith("<") and off_mm > _SAME_MM:
-        parent = np.eye(4)
-        parent[:3, 3] = (np.linalg.inv(before) @ [*point, 1.0])[:3]
-        text, name = with_probe(text, last.child, parent)
+        place = rigid(np.eye(3), (np.linalg.inv(before) @ [*point, 1.0])[:3])
+        text, name = with_probe(text, last.child, place)
         warn_user(
             f"{where}: the probe is {off_mm:.4g} mm beside the last axis: the link {name!r} was "
             f"added, fixed to {last.child!r}. Read the file with tip={name!r}."
         )
     if np.abs(arm.up - nominal.up).max() > _SAME_MM:
         if mount:
-            turn = np.eye(4)
-            turn[:3, :3] = turn_between(placed[:3, :3] @ arm.up, placed[:3, :3] @ nominal.up)
-            origins[mount[-1].name] = mount[-1].origin @ turn
+            turn = turn_between(placed[:3, :3] @ arm.up, placed[:3, :3] @ nominal.up)
+            origins[mount[-1].name] = mount[-1].origin @ rigid(turn, 0.0)
         else:
             warn_user(
                 f"{where}: no fixed joint above the base could say that up is "
@@ -135,11 +133,7 @@ def _axis_frames(arm):
 
 def _frames(joints):
     """Frames of all joints at zero angles in the base frame, mm."""
-    frame, frames = np.eye(4), []
-    for joint in joints:
-        frame = frame @ joint.origin
-        frames.append(frame)
-    return frames
+    return list(accumulate((joint.origin for joint in joints), np.matmul))
 
 
 def _straighten(directions, points, tip):
@@ -173,8 +167,7 @@ def _straighten(directions, points, tip):
 def _table(directions, points, tip):
     """Modified table of these axes, the probe in the last frame, and the pose of the base."""
     x, z, origin = _base_frame(directions[0], points[0])
-    placed = np.eye(4)
-    placed[:3] = np.column_stack([x, np.cross(z, x), z, origin])
+    placed = rigid(np.column_stack([x, np.cross(z, x), z]), origin)
     n = len(directions)
     a, alpha, d, offset = np.zeros((4, n))
     for i, (u, point) in enumerate(zip(directions, points, strict=True)):

@@ -52,7 +52,6 @@ from sklearn_raacmm.utils._groups import (
     natural_order,
     share_of_means,
 )
-from sklearn_raacmm.utils._html import html_table
 from sklearn_raacmm.utils._matrices import align
 from sklearn_raacmm.utils._robust import (
     TUKEY_CUT,
