@@ -155,7 +155,8 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
             f"{angles[row, column]} in row {row}, joint {column + 1}."
         )
     most, joint = float(largest.max()), int(largest.argmax()) + 1
-    at, weight = f"(joint {joint})", "doubt"
+    at = f"(joint {joint})"
+    weight: Any = "doubt"
     if angle_unit == "rad":
         text = f"angles reach {most:g} rad {at}, more than two turns:"
         advice = 'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).'

@@ -32,10 +32,7 @@ from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import (
     Floats,
-    MultiOutputMixin,
     Pair,
-    RegressorMixin,
-    VersionedEstimator,
     check_flags,
     listed,
     many_without_weight,
@@ -46,9 +43,7 @@ from sklearn_raacmm.utils import (
 )
 
 
-class ArmResidualRegressor(
-    PointCorrectionMixin, MultiOutputMixin, RegressorMixin, VersionedEstimator
-):
+class ArmResidualRegressor(PointCorrectionMixin):
     r"""Linear model of what the arm itself does to its probe, with guards against doing harm.
 
     An encoder's error is a periodic function of its own angle,

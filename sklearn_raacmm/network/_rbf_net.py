@@ -19,10 +19,8 @@ from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_d
 from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.utils import (
     Floats,
-    MultiOutputMixin,
     Pair,
-    RegressorMixin,
-    VersionedEstimator,
+    VersionedRegressor,
     check_features,
     check_flags,
     check_shapes,
@@ -41,7 +39,7 @@ def _each_output(find: Callable[[Network], np.ndarray]) -> Any:
     return property(lambda self: self._shaped([find(network) for network in self.networks_]))
 
 
-class RBFNetRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+class RBFNetRegressor(VersionedRegressor):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
     A smooth function of a few features, from up to a million noisy rows, with its standard

@@ -13,7 +13,7 @@ from sklearn_raacmm.utils import (
     Finding,
     Floats,
     Pair,
-    RegressorMixin,
+    VersionedRegressor,
     are_deviations,
     centred,
     check_weights,
@@ -27,7 +27,7 @@ from sklearn_raacmm.utils import (
 _DIGITS, _OFF_THE_DIGITS, _POSE_DIGITS = 3, 0.3137, 6
 
 
-class PointCorrectionMixin(RegressorMixin):
+class PointCorrectionMixin(VersionedRegressor):
     """`correct` and `score` of a regressor that predicts residuals of an arm's points.
 
     The estimator has `_points_of`, the arm's points at X or None, and `_knows_deviations_only`:

@@ -40,8 +40,6 @@ from sklearn_raacmm.residuals._positions import (
 from sklearn_raacmm.utils import (
     Floats,
     Pair,
-    RegressorMixin,
-    VersionedEstimator,
     are_deviations,
     check_weights,
     encode_groups,
@@ -55,7 +53,7 @@ from sklearn_raacmm.utils import (
 )
 
 
-class CylindricalResidualTarget(PointCorrectionMixin, RegressorMixin, VersionedEstimator):
+class CylindricalResidualTarget(PointCorrectionMixin):
     """Meta-estimator to regress on residuals in the cylindrical frame of the probe.
 
     The Cartesian residual of the probe point, measured minus reference, is turned into radial,

@@ -63,15 +63,17 @@ from sklearn_raacmm.utils._robust import (
 from sklearn_raacmm.utils._shapes import check_shapes
 from sklearn_raacmm.utils._sklearn import (
     Floats,
-    MultiOutputMixin,
     Pair,
-    RegressorMixin,
     TransformerMixin,
     one_blas_thread,
     param_checks,
     validate_params,
 )
-from sklearn_raacmm.utils._versioned import InconsistentPackageVersionWarning, VersionedEstimator
+from sklearn_raacmm.utils._versioned import (
+    InconsistentPackageVersionWarning,
+    VersionedEstimator,
+    VersionedRegressor,
+)
 from sklearn_raacmm.utils._warn_user import warn_user
 from sklearn_raacmm.utils._whole_fit import stage, whole_fit
 

@@ -8,7 +8,7 @@ from typing import Any
 from sklearn.exceptions import InconsistentVersionWarning
 
 from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
-from sklearn_raacmm.utils._sklearn import BaseEstimator
+from sklearn_raacmm.utils._sklearn import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn_raacmm.utils._warn_user import warn_user
 
 _KEY = "_sklearn_raacmm_version"
@@ -56,3 +56,7 @@ class VersionedEstimator(BaseEstimator):
                 )
             )
         super().__setstate__(state)
+
+
+class VersionedRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):
+    """The same for regressors of one target or of several."""
