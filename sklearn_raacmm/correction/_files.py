@@ -19,7 +19,6 @@ from sklearn_raacmm.utils import (
     Finding,
     digest_of,
     locked,
-    remove_left_over,
     whole_file,
     write_whole,
 )
@@ -98,7 +97,6 @@ def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -
     paths = {folder / name: content for name, content in contents.items()}
     with locked(folder):
         write_whole(paths)
-        remove_left_over(folder)
     return list(paths)
 
 

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
-from functools import lru_cache
+from functools import lru_cache, partial
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, overload
 
@@ -313,52 +313,50 @@ def _measure(machine, cones, poses, rng):
 def draw_cones(machine, n, n_poses, rng):
     """Cones spread evenly over the radial reach, and poses that reach them."""
     low, high = _SHARE_OF_REACH
-    cones, poses = [], []
-    for stratum in range(n):
 
-        def draw(stratum=stratum):
-            share = low + (high - low) * (stratum + rng.uniform()) / n
-            return [_in_direction(machine, share, rng)]
+    def draw(stratum):
+        share = low + (high - low) * (stratum + rng.uniform()) / n
+        return [_in_direction(machine, share, rng)]
 
-        found = _reachable(machine, n_poses, rng, draw, 100, f"cone {stratum + 1} of {n}")
-        cones += found[0]
-        poses += found[1]
-    return np.array(cones), poses
+    draws = [(partial(draw, i), f"cone {i + 1} of {n}") for i in range(n)]
+    return _reachable(machine, n_poses, rng, draws, 100)
 
 
 def draw_gauges(machine, lengths, n_poses, rng):
     """Place the gauges: their ends, two rows each, and poses that reach them."""
-    ends, poses = [], []
-    for length in lengths:
 
-        def draw(length=length):
-            middle = _in_direction(machine, rng.uniform(*_SHARE_OF_REACH), rng)
-            direction = rng.normal(size=3)
-            half = length / 2 * direction / np.linalg.norm(direction)
-            return [middle - half, middle + half]
+    def draw(length):
+        middle = _in_direction(machine, rng.uniform(*_SHARE_OF_REACH), rng)
+        direction = rng.normal(size=3)
+        half = length / 2 * direction / np.linalg.norm(direction)
+        return [middle - half, middle + half]
 
-        found = _reachable(machine, n_poses, rng, draw, 1000, f"a gauge of {length:g} mm")
-        ends += found[0]
-        poses += found[1]
-    return np.array(ends), poses
+    draws = [(partial(draw, length), f"a gauge of {length:g} mm") for length in lengths]
+    return _reachable(machine, n_poses, rng, draws, 1000)
 
 
-def _reachable(machine, n_poses, rng, draw, n_tries, name):
-    """Points, drawn again until there are poses that reach each of them, and these poses."""
-    for _ in range(n_tries):
-        points = draw()
-        poses = []
-        for point in points:
-            share = np.linalg.norm(point - machine.shoulder) / machine.reach
-            if not _SHARE_OF_REACH[0] <= share <= _SHARE_OF_REACH[1] or point[2] < 0:
-                break  # out of the shell, or below the table
+def _reachable(machine, n_poses, rng, draws, n_tries):
+    """Points, each drawn again until there are poses that reach it, and these poses."""
+    places, reached = [], []
+    for draw, name in draws:
+        for _ in range(n_tries):
+            points, poses = draw(), []
+            shares = [np.linalg.norm(at - machine.shoulder) / machine.reach for at in points]
+            low, high = _SHARE_OF_REACH
             try:
-                poses.append(machine.find_poses(point, n_poses, rng))
+                for point, share in zip(points, shares, strict=True):
+                    if not low <= share <= high or point[2] < 0:
+                        break  # out of the shell, or below the table
+                    poses.append(machine.find_poses(point, n_poses, rng))
             except ValueError:
+                continue
+            if len(poses) == len(points):
                 break
         else:
-            return points, poses
-    raise ValueError(f"No place for {name} was found.")
+            raise ValueError(f"No place for {name} was found.")
+        places += points
+        reached += poses
+    return np.array(places), reached
 
 
 def _in_direction(machine, share, rng):

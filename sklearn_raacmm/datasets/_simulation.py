@@ -24,11 +24,10 @@ _WRIST_WEIGHT_N = 5.9
 # Thermal expansion, 1/K: carbon-fibre tubes, and aluminium for everything else.
 _TUBE_EXPANSION = 0.5e-6
 _BODY_EXPANSION = 23e-6
-# The probe cannot lean further from a cone's axis than this, nor the wrist fold further.
+# The probe cannot lean further from a cone's axis than this.
 _MAX_LEAN = np.deg2rad(60)
-_MAX_SWING = np.deg2rad(110)
-_MAX_WRIST = np.deg2rad(110)
-_ELBOW_RANGE = np.deg2rad([8, 165])
+# Range of joints 3 to 6: the swing, the elbow, any turn of the forearm, and the fold of the wrist.
+_LOW, _HIGH = np.deg2rad([[-110, 8, -180, -110], [110, 165, 180, 110]])
 
 
 class SimulatedArm:
@@ -180,7 +179,10 @@ class SimulatedArm:
         if directions is not None:
             lag = -self._play / 2 * _points("directions", directions, angles.shape)
         softening = np.zeros(angles.shape)
-        softening[:, 3] = errors.softening_arcsec * _ARCSEC * self._load_of_elbow(torques) ** 3
+        _, _, forearm, wrist = self._loads()
+        # Torque about the elbow over that of the horizontal forearm.
+        load = torques[:, 3] / ((forearm / 2 + wrist) * self.nominal_arm.d[4] / 1e3)
+        softening[:, 3] = errors.softening_arcsec * _ARCSEC * load**3
         return {
             "eccentricity": turned(eccentricity),
             "torsion": turned(compliance * torques),
@@ -213,11 +215,6 @@ class SimulatedArm:
         """Weights of the upper tube, the elbow, the forearm tube and the wrist, N."""
         upper, forearm = (_TUBE_WEIGHT_N_PER_M * self.nominal_arm.d[[2, 4]] / 1e3).tolist()
         return upper, _ELBOW_WEIGHT_N, forearm, _WRIST_WEIGHT_N
-
-    def _load_of_elbow(self, torques):
-        """Torque about the elbow over that of the horizontal forearm."""
-        _, _, forearm, wrist = self._loads()
-        return torques[:, 3] / ((forearm / 2 + wrist) * self.nominal_arm.d[4] / 1e3)
 
     def _torques(self, axes, origin):
         upper, elbow, forearm, wrist = self._loads()
@@ -371,16 +368,9 @@ class SimulatedArm:
 
     def _candidates(self, point, n, rng):
         """Rough poses towards a point: swing, elbow and wrist at random, the rest to match."""
-        angles = np.column_stack(
-            [
-                np.zeros(n),
-                np.full(n, -np.pi / 2),  # upper arm horizontal
-                rng.uniform(-_MAX_SWING, _MAX_SWING, n),
-                rng.uniform(*_ELBOW_RANGE, n),
-                rng.uniform(-np.pi, np.pi, n),
-                rng.uniform(-_MAX_WRIST, _MAX_WRIST, n),
-            ]
-        )
+        angles = np.zeros((n, 6))
+        angles[:, 1] = -np.pi / 2  # upper arm horizontal
+        angles[:, 2:] = rng.uniform(_LOW[:, None], _HIGH[:, None], (4, n)).T
         here = self.nominal_arm.forward(angles) - self.shoulder
         there = point - self.shoulder
         # Turn the shoulder until the probe's height is right, then the base.
@@ -395,14 +385,12 @@ class SimulatedArm:
         probe = frames[:, -1, :, :3] @ self.nominal_arm.probe
         lean = -probe[:, 2] / np.linalg.norm(probe, axis=1)
         heights = frames[:, 3:6, 2, 3]
+        handy = (angles[:, 2:] >= _LOW) & (angles[:, 2:] <= _HIGH)
         return (
             (np.linalg.norm(frames[:, -1, :, 3] + probe - point, axis=1) < 1e-6)
             & (lean > np.cos(_MAX_LEAN))
             & (heights > point[2]).all(axis=1)
-            & (np.abs(angles[:, 2]) <= _MAX_SWING)
-            & (angles[:, 3] >= _ELBOW_RANGE[0])
-            & (angles[:, 3] <= _ELBOW_RANGE[1])
-            & (np.abs(angles[:, 5]) <= _MAX_WRIST)
+            & handy.all(axis=1)
         )
 
 

@@ -26,7 +26,6 @@ from sklearn_raacmm.utils import (
     floats,
     listed,
     report_findings,
-    share_of_means,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -134,7 +133,7 @@ def _have_offsets(offsets, y, weights, positions):
         return False
     if offsets != "auto":
         return offsets
-    return share_of_means(y, positions, weights) < _NO_MEANS
+    return are_deviations(y, positions, weights, _NO_MEANS)
 
 
 def poses_of(rows, extra):

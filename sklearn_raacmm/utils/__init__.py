@@ -22,7 +22,6 @@ from sklearn_raacmm.utils._files import (
     check_places,
     digest_of,
     locked,
-    remove_left_over,
     whole_file,
     write_whole,
 )
@@ -50,7 +49,6 @@ from sklearn_raacmm.utils._groups import (
     group_means,
     group_sums,
     natural_order,
-    share_of_means,
 )
 from sklearn_raacmm.utils._matrices import align
 from sklearn_raacmm.utils._robust import (

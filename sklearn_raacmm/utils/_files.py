@@ -118,25 +118,22 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
         raise OSError(f"{'; '.join(dict.fromkeys(failed.values()))}.")
 
 
-def remove_left_over(folder: Any) -> None:
-    """Remove what `write_whole` has left in a folder when it was killed."""
-    for path in Path(folder).glob("*.tmp"):
-        if _LEFT_OVER.fullmatch(path.name):
-            path.unlink(missing_ok=True)
-
-
 @contextmanager
 def locked(folder: Any, shared: bool = False) -> Iterator[None]:
     """Wait until no other process or thread writes into this folder (nor reads, unless `shared`).
 
-    The lock goes with the process that holds it. Windows has none for folders.
+    The lock goes with the process that holds it. Windows has none for folders. Who does not share
+    the folder also removes what `write_whole` has left there when it was killed.
     """
-    if fcntl is None:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
+    handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        if handle is not None:
+            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
         yield
+        if not shared:
+            for path in Path(folder).glob("*.tmp"):
+                if _LEFT_OVER.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
     finally:
-        os.close(handle)
+        if handle is not None:
+            os.close(handle)

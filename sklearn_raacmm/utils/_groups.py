@@ -133,24 +133,24 @@ def centred(
     return values if codes is None else values - group_means(values, codes, weights)[codes]
 
 
-def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
-    """Mean squares of positions' means over what the scatter within positions explains.
+def are_deviations(
+    y: np.ndarray, codes: np.ndarray, weights: np.ndarray, share: float = _CENTRED
+) -> bool:
+    """Whether residuals (n, ...) are known up to a constant at each position: small means there.
 
-    The smaller one of means with slips and without them; infinite where nothing scatters.
+    By the mean squares of positions' means, as a share of what the scatter within positions
+    explains; of means with slips or without them.
     """
-    shares = [_share_of_means(y, codes, weights)]
+    y = y.reshape(len(y), -1)
+    if _share_of_means(y, codes, weights) < share:
+        return True
     factor = slip_factors(y, codes, weights)
-    if np.any(factor < 1):  # they may be deviations from means without slips
-        shares.append(_share_of_means(y, codes, weights * factor))
-    return min(shares)
-
-
-def are_deviations(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> bool:
-    """Whether residuals (n, ...) are known up to a constant at each position: small means there."""
-    return share_of_means(y.reshape(len(y), -1), codes, weights) < _CENTRED
+    # They may be deviations from means without slips.
+    return bool(np.any(factor < 1) and _share_of_means(y, codes, weights * factor) < share)
 
 
 def _share_of_means(y, codes, weights):
+    """The share; infinite where nothing scatters."""
     # Weights above 1 are repeats; smaller ones are no parts of a row, or few rows would be left.
     weights = weights / min(weights[weights > 0].mean(), 1.0)
     total = np.bincount(codes, weights)
