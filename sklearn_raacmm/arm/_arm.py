@@ -272,7 +272,8 @@ class Arm:
         >>> Arm.from_name("aacmm6")
         <Arm 'aacmm6': 6 joints, standard DH, probe (0, 0, 97.811) mm>
         """
-        check_option("name", name, BUILT_IN)
+        if not (isinstance(name, str) and name in BUILT_IN):
+            raise ValueError(f"name must be one of {sorted(BUILT_IN)}, got {name!r}.")
         return cls.from_degrees(name=name, **BUILT_IN[name]).replace(**changes)
 
     @classmethod
