@@ -12,16 +12,11 @@ from zipfile import ZipFile
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.correction._shared_folder import locked, whole_file
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import (
-    Finding,
-    digest_of,
-    locked,
-    whole_file,
-    write_whole,
-)
+from sklearn_raacmm.utils import Finding, digest_of, write_whole
 
 _FACTS = "correction.json"
 # Of the folder.

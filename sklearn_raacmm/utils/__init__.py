@@ -18,13 +18,7 @@ from sklearn_raacmm.utils._checks import (
     refuse_disguised,
 )
 from sklearn_raacmm.utils._chunks import chunk_size, chunks
-from sklearn_raacmm.utils._files import (
-    check_places,
-    digest_of,
-    locked,
-    whole_file,
-    write_whole,
-)
+from sklearn_raacmm.utils._files import check_places, digest_of, write_whole
 from sklearn_raacmm.utils._findings import (
     Finding as Finding,  # for type checkers of those who import it from here
 )

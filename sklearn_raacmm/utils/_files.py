@@ -3,24 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import glob
 import hashlib
 import os
-import re
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
-# Names that `write_whole` gives to files until they are complete.
-_LEFT_OVER = re.compile(r".+\.[0-9a-f]{16}\.[0-9a-f]{8}\.tmp")
 
 
 def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
@@ -58,18 +47,6 @@ def digest_of(content: str | bytes) -> str:
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
-def whole_file(path: Any, digest: str) -> bytes | None:
-    """Content of the file of this fingerprint, by `digest_of`; None where there is none.
-
-    It is at its place, or not yet renamed where `write_whole` did not come to its end.
-    """
-    path = Path(path)
-    for place in (path, *path.parent.glob(f"{glob.escape(path.name)}.{digest[:16]}.*.tmp")):
-        if place.is_file() and digest_of(content := place.read_bytes()) == digest:
-            return content
-    return None
-
-
 def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     """Write files beside their places, and rename them when all are complete.
 
@@ -77,7 +54,8 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
     only a name cannot be given, the content stays beside its place, and the error says where.
     Threads and processes may write one name at the same time: whoever reads gets the whole of one
     of their files. The files are renamed in the order given. If the first holds the fingerprints
-    of the others, `whole_file` finds each of them at every moment after the first is in place.
+    of the others, each can be found by its fingerprint at every moment after the first is in place:
+    at its place, or beside it as ``NAME.16 DIGITS OF ITS FINGERPRINT.8 DIGITS.tmp``.
     Text is written as UTF-8 with plain line feeds, so that it is the same bytes everywhere.
     """
     places = [Path(path).resolve() for path in contents]  # a link stays a link
@@ -116,24 +94,3 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
                 beside.unlink(missing_ok=True)
     if failed:
         raise OSError(f"{'; '.join(dict.fromkeys(failed.values()))}.")
-
-
-@contextmanager
-def locked(folder: Any, shared: bool = False) -> Iterator[None]:
-    """Wait until no other process or thread writes into this folder (nor reads, unless `shared`).
-
-    The lock goes with the process that holds it. Windows has none for folders. Who does not share
-    the folder also removes what `write_whole` has left there when it was killed.
-    """
-    handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
-    try:
-        if handle is not None:
-            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
-        yield
-        if not shared:
-            for path in Path(folder).glob("*.tmp"):
-                if _LEFT_OVER.fullmatch(path.name):
-                    path.unlink(missing_ok=True)
-    finally:
-        if handle is not None:
-            os.close(handle)
