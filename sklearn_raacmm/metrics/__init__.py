@@ -15,9 +15,9 @@ from sklearn_raacmm.metrics._acceptance import (
     probing_form_error,
     probing_size_error,
 )
-from sklearn_raacmm.metrics._intervals import repeatability_interval
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
+    repeatability_interval,
     repeatability_scorer,
     single_point_repeatability,
     within_position_r2_score,

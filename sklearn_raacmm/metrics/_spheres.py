@@ -104,11 +104,7 @@ def _smallest_sphere(few):
         for subset in combinations(range(len(few)), size):
             edges = few[list(subset[1:])] - few[subset[0]]
             # The solution of least norm is the circumcentre inside the subset's affine hull.
-            step = (
-                np.linalg.lstsq(2 * edges, (edges**2).sum(axis=1), rcond=None)[0]
-                if size > 1
-                else np.zeros(few.shape[1])
-            )
+            step = np.linalg.lstsq(2 * edges, (edges**2).sum(axis=1), rcond=None)[0]
             center = few[subset[0]] + step
             radius = np.linalg.norm(few - center, axis=1).max()
             if best is None or radius < best[1]:
