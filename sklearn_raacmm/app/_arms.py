@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
-from sklearn_raacmm.app._files import load_arm, parse_vector
+from sklearn_raacmm.app._files import load_arm, parse_numbers
+from sklearn_raacmm.app._sources import TableError, check_installed, parse_number
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, write_whole
 
@@ -60,7 +60,7 @@ def arm(options):
         check_installed("matplotlib")
     shown = _meant_arm(options)
     if options.up:
-        shown = shown.replace(up=parse_vector("--up", options.up))
+        shown = shown.replace(up=parse_numbers("--up", options.up))
     shown = _with_encoders(shown, options)
     print(shown)
     if options.into:
@@ -80,18 +80,14 @@ def arm(options):
 
 def _with_encoders(shown, options):
     """The arm, read by other encoders: theta = sign (angle - zero) + offset."""
-    values = {}
-    for name, text in (("--sign", options.sign), ("--zero", options.zero)):
-        values[name] = [parse_number(cell) for cell in text.split(",")] if text else None
-        n = shown.n_joints
-        if text and len(values[name]) != n:
-            raise TableError(f"{name} needs {n} numbers, one for each joint, got {text!r}.")
-    if values["--sign"]:
-        if any(abs(sign) != 1 for sign in values["--sign"]):
+    given = shown.n_joints, "one for each joint"
+    if options.sign:
+        signs = parse_numbers("--sign", options.sign, *given)
+        if any(abs(sign) != 1 for sign in signs):
             raise TableError(f"--sign needs 1 or -1 for each joint, got {options.sign!r}.")
-        shown = shown.replace(joint_signs=shown.joint_signs * np.array(values["--sign"]))
-    if values["--zero"]:
-        moved = shown.joint_signs * np.deg2rad(values["--zero"])
+        shown = shown.replace(joint_signs=shown.joint_signs * np.array(signs))
+    if options.zero:
+        moved = shown.joint_signs * np.deg2rad(parse_numbers("--zero", options.zero, *given))
         shown = shown.replace(theta_offset=shown.theta_offset - moved)
     return shown
 
@@ -132,7 +128,7 @@ def _meant_arm(options):
         return Arm.from_lengths(layout, *lengths, **offsets)
     if options.dh:
         convention = "modified" if options.modified else "standard"
-        return read_dh(options.dh, convention, parse_vector("--probe", options.probe or "0,0,0"))
+        return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))
     if options.source and options.into:
         return load_arm(options.source)  # --base and --tip are those of the other file
     if options.source:

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, strip_mark
-from sklearn_raacmm.app._sources import find_source
+from sklearn_raacmm.app._sources import TableError, find_source, strip_mark
 
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
 # beyond a hundred turns in degrees is an encoder's count.

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._sources import TableError
 
 _MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
 

@@ -13,8 +13,8 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import _arms, _commands, _files, _life, main
-from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._lengths import parse_length, read_places
+from sklearn_raacmm.app._files import parse_length, read_places
+from sklearn_raacmm.app._sources import TableError
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -331,7 +331,7 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
     assert main(["arm", "panda", "--up", "2,0,0", *out]) == 0
     assert Arm.from_json(tmp_path / "arm.json") == Arm.from_name("panda", up=(1, 0, 0))
     assert main(["arm", "panda", "--up", "2,0", *out]) == 2
-    assert "--up needs three numbers, such as 0,0,1, got '2,0'" in capsys.readouterr().err
+    assert "--up needs 3 numbers, such as 0,0,1, got '2,0'" in capsys.readouterr().err
     # Written into the robot's own file.
     (tmp_path / "arm.urdf").write_text(URDF)
     own = Arm.from_urdf(URDF)

@@ -320,7 +320,7 @@ def test_labels_of_tools_are_the_same_in_every_block():
     ("cones", "register on_a_line.csv --points x,y,z", "spread in all directions"),
     ("cones", "update more_points.csv --points x,y,z --length 0:1:500:0.01", "--lengths are betw"),
     ("cones", "register new.csv --length 0:1:500:0.01", "no samples; groups are cone 0, cone 1."),
-    ("cones", "move --probe 0,250", "three numbers"),
+    ("cones", "move --probe 0,250", "--probe needs 3 numbers, such as"),
 ])  # fmt: skip
 def test_faults_get_one_sentence(folder, tmp_path, capsys, learnt, words, sentence):
     words = [str(folder / word) if word.endswith(".csv") else word for word in words.split()]
