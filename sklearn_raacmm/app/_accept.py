@@ -12,7 +12,6 @@ import itertools
 import json
 import re
 import webbrowser
-from collections import Counter
 from datetime import date
 from importlib.resources import files
 from pathlib import Path
@@ -102,9 +101,8 @@ def accept(options):
         software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
         if not result.findings and run.angles is not None and hasattr(saved.model, "sample_y"):
             expected = predict_acceptance(saved, run)
-    shown = {"result": result, "artefacts": run.artefacts, "entries": entries, "labels": ENTRIES}
+    shown = {"result": result, "run": run, "entries": entries, "labels": ENTRIES, "limits": limits}
     shown |= {"expected": expected, "software": software, "left": saved is not None}
-    shown |= {"counts": Counter(run.test.tolist()), "tip_mm": run.tip_mm, "limits": limits}
     shown |= {"language": options.language, "t": lambda text: words.get(text, text)}
     # Of text that comes from outside, what a string of CSS may hold.
     number = re.sub(r"[^\w .,/#:-]", "", entries["number"], flags=re.ASCII)

@@ -53,7 +53,14 @@ where the origin is. Calibration finds all others, offsets too, to hundredths of
 def arm(options):
     """Show an arm, and write its file."""
     given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    _check_arm_options(options, given)
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
+        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
     outputs = [path for path in (options.out, options.picture) if path and path != "-"]
     check_places(outputs, filter(None, [options.source, options.dh]))
     if options.picture:
@@ -63,15 +70,13 @@ def arm(options):
         shown = shown.replace(up=parse_numbers("--up", options.up))
     shown = _with_encoders(shown, options)
     print(shown)
+    text = shown.to_json()
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
-    else:
-        text = shown.to_json()
     if options.out == "-":
         options.stdout.write(text)
-    written = {options.out: text} if options.out not in (None, "-") else {}
-    if options.picture:
-        written[options.picture] = draw_arm(shown)
+    made = {options.out: text, options.picture: options.picture and draw_arm(shown)}
+    written = {path: made[path] for path in outputs}
     write_whole(written)
     for path in written:
         print(f"Written to {path}")
@@ -107,18 +112,6 @@ def take(arm, code):
     return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(numbers, joints), -1, 1))
 
 
-def _check_arm_options(options, given):
-    """Refuse options that do not belong together."""
-    if sum(one is not None for one in given) > 1:
-        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
-    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
-        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
-    if (options.modified or options.probe) and not options.dh:
-        raise TableError("--modified and --probe belong to --dh.")
-    if options.into and not options.out:
-        raise TableError("--into needs --out, the file to write; it may be the same file.")
-
-
 def _meant_arm(options):
     """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
     if options.lengths_222 or options.lengths_223:
@@ -129,10 +122,10 @@ def _meant_arm(options):
     if options.dh:
         convention = "modified" if options.modified else "standard"
         return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))
-    if options.source and options.into:
-        return load_arm(options.source)  # --base and --tip are those of the other file
     if options.source:
-        return load_arm(options.source, options.base, options.tip)
+        # With --into, --base and --tip are those of the other file.
+        ends = () if options.into else (options.base, options.tip)
+        return load_arm(options.source, *ends)
     if not sys.stdin.isatty():
         raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
     print(_DRAWING)

@@ -113,11 +113,10 @@ def _check_learning(options):
 
 def _print_result(result, row_numbers, options):
     """Print what was learnt; the verdict at the end, where it is seen without scrolling."""
-    verdict, *lines = str(result.scores).split("\n")
-    print(*lines, sep="\n")
+    print(str(result.scores).removeprefix(f"{result.verdict}\n"))
     for row, label, distance in list_outliers(result, row_numbers)[:10]:
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
-    print(f"\n{verdict}")
+    print(f"\n{result.verdict}")
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
 

@@ -136,17 +136,14 @@ class Dialect:
         return sum(self.number(cell) is not None for cell in cells)
 
     def numbers(self, cells):
-        """Numbers of a column, or None if one of them is none; fast for plain text."""
-        try:
+        """Numbers of a column, NaN for a cell that holds none; fast for plain text."""
+        with contextlib.suppress(TypeError, ValueError):  # of a spreadsheet, or no numbers
             text = "\n".join(cells)
             if self.decimal == "," and "." not in text:
                 text = text.replace(",", ".")
             if not _NO_NUMBER.search(text):
-                return [float(cell) for cell in text.split("\n")]
-        except (TypeError, ValueError):  # cells of a spreadsheet, or no numbers after all
-            pass
-        values = [self.number(cell) for cell in cells]
-        return None if None in values else values
+                return np.array([float(cell) for cell in text.split("\n")])
+        return np.array([self.number(cell) for cell in cells], dtype=float)
 
     def text(self, value, digits=6):
         """Number as the file writes its numbers."""
@@ -343,8 +340,9 @@ def _arrays(path, n_numbers):
     if len(columns) < n_numbers:
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
     cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
-    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
-    rows = [(0, names)] * bool(names) + list(enumerate(map(list, zip(*cells, strict=True)), 1))
+    rows = list(enumerate(map(list, zip(*cells, strict=True)), 1))
+    if any(name.strip("0123456789") for name in columns):
+        rows.insert(0, (0, list(columns)))
     return Dialect(path, what="Arrays", table=rows)
 
 
@@ -372,9 +370,8 @@ def _program(path, n_joints):
             own = (re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", cells[0]) for _, cells in rows)
             places = [re.sub(r"[\W_]*\d+\W*$", "", name) for name in own]
             if min(map(places.count, places)) > 1 < len(set(places)):
-                names += ["position (its name without the last number)"]
-                for (_, cells), place in zip(rows, places, strict=True):
-                    cells.append(place)
-            rows.insert(0, (0, names))
-            return Dialect(path, what=f"{what}, degrees", table=rows)
+                names.append("position (its name without the last number)")
+                pairs = zip(rows, places, strict=True)
+                rows = [(line, [*cells, place]) for (line, cells), place in pairs]
+            return Dialect(path, what=f"{what}, degrees", table=[(0, names), *rows])
     return None

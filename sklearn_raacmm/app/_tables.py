@@ -185,7 +185,7 @@ class Layout(Columns):
         for name, column in self.others.items():
             cells = [cells[column] for _, cells in rows]
             values = self.source.numbers(cells)
-            others[name] = np.array(list(map(str, cells)) if values is None else values)
+            others[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
         numbers = np.array([number for number, _ in rows])
         return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
 
