@@ -4,8 +4,6 @@ import csv
 import functools
 import json
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pandas as pd
@@ -173,28 +171,15 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
     assert 0.006 < alarms / 4000 < 0.014
 
 
-@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
-def test_export_compiles_and_says_the_same(learned, tmp_path, capsys):
-    folder, _, readings, _ = learned
+def test_export_writes_what_it_names(learned, tmp_path, capsys):
+    """Whether C says the same as Python is tested with `export_c`."""
+    folder = learned[0]
     assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
     printed = capsys.readouterr().out.strip().removeprefix("Written: ").split()
     assert sorted(printed) == sorted(map(str, tmp_path.iterdir()))
-    header = (tmp_path / "arm_correction.h").read_text()
-    scale_sd = json.loads((folder / "correction.json").read_text(encoding="utf-8"))["scale_sd"]
-    assert f"#define ARM_CORRECTION_SCALE_SD {scale_sd!r}\n" in header
-    written = np.deg2rad(np.rad2deg(readings[0]).round(5))  # as the log has it
-    values = ", ".join(repr(float(v)) for v in written)
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "arm_correction.h"\n'
-        f"int main(void) {{ double q[7] = {{{values}}}, p[3]; arm_correction_point(q, p);\n"
-        'printf("%.9f %.9f %.9f", p[0], p[1], p[2]); return 0; }\n'
-    )
-    sources = [str(tmp_path / name) for name in ("main.c", "arm_correction.c")]
-    subprocess.run(["cc", "-std=c99", *sources, "-o", str(tmp_path / "main"), "-lm"], check=True)
-    printed = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
-    expected = read_csv(folder / "corrected.csv")[2][0, :3]
-    # The correction fades by small tables, and differs by some hundredths of itself.
-    np.testing.assert_allclose([float(v) for v in printed.split()], expected, atol=2e-3)
+    facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    line = f"#define ARM_CORRECTION_SCALE_SD {facts['scale_sd']!r}\n"
+    assert line in (tmp_path / "arm_correction.h").read_text()
 
 
 @pytest.mark.exhaustive

@@ -151,8 +151,7 @@ def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
 
     from sklearn_raacmm.app._figures import _intervals, _positions
 
-    figure = Figure()
-    _positions(figure, result.scores, None)
+    _positions(figure := Figure(), result.scores, None)
     (ax,) = figure.axes
     shown = [int(label.get_text()) for label in ax.get_xticklabels()]
     assert shown == sorted(shown)
