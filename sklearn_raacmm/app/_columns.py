@@ -345,10 +345,6 @@ class Columns:
             )
         if set(columns) <= set(self._fields("position").values()) and self._fields("name"):
             return "rad"  # sensor_msgs/JointState
-        return self._guess_unit(columns)
-
-    def _guess_unit(self, columns):
-        """Unit of angles whose names state none."""
         cells = (cell for i in columns for cell in self._cells(i))
         values = map(self.source.number, cells)
         largest = max((abs(value) for value in values if value is not None), default=0.0)

@@ -161,21 +161,24 @@ def check(options):
     if used := _used_poses(saved, today):
         print_notes([f"{used} A check by them says that the correction holds, whatever happened."])
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts, slipped, advice = False, {}, (), ""
+    facts, slipped, advice = {}, (), ""
     if has_causes:
-        changed, facts, slipped, advice = _check_model(saved, today, measured, rate, options)
+        facts, slipped, advice = _check_model(saved, today, measured, rate, options)
+    holds = not advice
     if by_spread:
         # Rows that slipped are left out where each position keeps two or more.
         kept = np.delete(np.arange(len(today.angles)), list(slipped))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        changed = _check_spread(saved, today, rate, changed, facts, advice)
-    elif changed:
+        found = _check_spread(saved, today, rate, advice)
+        facts, holds = facts | found, holds and found["after_mm"] < found["before_mm"]
+        holds = holds and found["after_mm"] <= found["expected_below_mm"]
+    elif advice:
         print(advice)
     else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         print(f"It holds: {_describe_poses(today)}, {usual}.")
-    facts |= {"holds": not changed}
+    facts |= {"holds": holds}
     try:
         _refuse_other_writers(saved, options.model)
         spread: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
@@ -183,11 +186,11 @@ def check(options):
         save_step(saved, options.model, step, today, _page_of(options))
     except (OSError, ValueError, ImportError) as error:
         print_notes([f"This check is not in the history of {options.model}: {error}"])
-    return (CHANGED if changed else OK), facts
+    return (OK if holds else CHANGED), facts
 
 
 def _check_model(saved, today, measured, rate, options):
-    """Whether the model sees a change, the facts of it, rows that slipped, and what to do."""
+    """Facts of what the model sees, rows that slipped, and what to do about a change; else ""."""
     found = saved.check(*measured, new_base=options.new_base, false_alarm_rate=rate)
     changed = bool(found.matters and not found.holds)
     if options.points and (saved.base is None or options.new_base):
@@ -206,13 +209,13 @@ def _check_model(saved, today, measured, rate, options):
         print(f"Appended to {options.record}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     facts = {name: getattr(found, name) for name in names}
-    return changed, facts, found.slipped, found.advice if changed else ""
+    return facts, found.slipped, found.advice if changed else ""
 
 
-def _check_spread(saved, today, rate, changed, facts, advice):
-    """Whether the mean 2S, or what was found before, shows that the correction does not hold.
+def _check_spread(saved, today, rate, advice):
+    """Facts of what the mean 2S shows.
 
-    `advice` is what to do about what was found before: one answer says what to do once.
+    `advice` is what to do about a change that the model sees: one answer says what to do once.
     """
     before, after = (
         single_point_repeatability(points, today.positions, aggregate=None)
@@ -223,7 +226,7 @@ def _check_spread(saved, today, rate, changed, facts, advice):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
     expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
     was, now = float(before.mean()), float(after.mean())
-    facts |= {"before_mm": was, "after_mm": now, "expected_below_mm": expected, "changed": changed}
+    facts = {"before_mm": was, "after_mm": now, "expected_below_mm": expected}
     change = f"mean 2S {was:.3f} -> {now:.3f} mm"
     if now > max(MUCH_SCATTER_MM, expected):
         print(f"It does not hold: {change}. {_why_so_far(saved, today, _MUCH_MORE * expected)}")
@@ -236,9 +239,9 @@ def _check_spread(saved, today, rate, changed, facts, advice):
             f"{1 / rate:.0f} tests. {advice or 'Look at probe and base, or learn again.'}"
         )
     else:
-        verdict = "It still helps, but something has changed" if changed else "It holds"
+        verdict = "It still helps, but something has changed" if advice else "It holds"
         print(f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip())
-    return changed or now >= was or now > expected
+    return facts | {"changed": bool(advice)}
 
 
 def _why_so_far(saved, today, limit):
@@ -257,10 +260,8 @@ def highest_mean(learnt, n, rate):
 
     The one-sided prediction limit of a mean of normal values.
     """
-    learnt = np.asarray(learnt)
-    quantile = stats.t.ppf(1 - rate, len(learnt) - 1)
-    spread = learnt.std(ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
-    return float(learnt.mean() + quantile * spread)
+    spread = np.std(learnt, ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
+    return float(stats.t.ppf(1 - rate, len(learnt) - 1, np.mean(learnt), spread))
 
 
 def _open_correction(options):

@@ -140,12 +140,11 @@ def judge_limit(scores, limit):
     if not 0 < limit < np.inf:
         raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
+    word, what = "OPEN", "cannot be told from the limit"
     if high <= limit:
         word, what = "PASS", "is within the limit"
     elif low > limit:
         word, what = "FAIL", "is above the limit"
-    else:
-        word, what = "OPEN", "cannot be told from the limit"
     after = scores.table["after"]
     return word, (
         f"Mean 2S after correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), {what} of "
