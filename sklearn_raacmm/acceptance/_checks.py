@@ -29,13 +29,15 @@ _RATIOS = {
     "a radius was stated for a diameter": 2.0,
     "a diameter was stated for a radius": 0.5,
 }
-_MEASURE_AGAIN = "Measure what is missing: a test is whole or it has no value."
 
 
 def find_faults(test: str, readings) -> list[Finding]:
     """What keeps a test from having values, the first kind of fault that is found."""
-    faults = _missing(test, readings)
-    if not faults and test in (*SPHERES, *BARS):
+    if gap := next(_gaps(test, readings), ""):
+        advice = "Measure what is missing: a test is whole or it has no value."
+        return [_finding("acceptance-incomplete", f"{test}: {gap}", advice, readings.rows)]
+    faults = []
+    if test in (*SPHERES, *BARS):
         faults = _unknown(test, readings) or _wrong_sizes(test, readings)
     return faults or _slips(test, readings)
 
@@ -45,29 +47,27 @@ def _finding(code, text, advice, rows=(), size_mm=None):
     return Finding(code, text, advice, weight="repair", rows=rows, size_mm=size_mm)
 
 
-def _missing(test, readings):
-    """Labels and readings that are missing, or too many."""
+def _gaps(test, readings):
+    """Yield sentences on labels and readings that are missing, or too many."""
     levels, wanted, more = LAYOUTS[test]
     names, labels = [column for column, _ in levels], []
     columns = [np.char.lower(getattr(readings.run, name)[readings.rows]).tolist() for name in names]
     for (name, needed), column in zip(levels, columns, strict=True):
-        labels.append(sorted(set(column)))
-        there, named = labels[-1], needed if isinstance(needed, tuple) else ()
+        there = sorted(set(column))
+        labels.append(there)
+        named: Any = needed if isinstance(needed, tuple) else ()
         least: Any = len(named) or needed
         enough = len(there) > least and more and name == names[0]
         if set(there) != set(named) if named else len(there) != least and not enough:
             asked = f" ({', '.join(named)})" if named else ""
             got = ", ".join(label or "without a label" for label in there[:8])
-            text = f"{test}: {least} labels{asked} are needed in the column {name}; got {got}."
-            return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
+            yield f"{least} labels{asked} are needed in the column {name}; got {got}."
     counts = Counter(zip(*columns, strict=True))
     for key in itertools.product(*labels):
         n = counts[key]
         if n < wanted or (n > wanted and not (more and test in ("single-point", "pose"))):
             where = ", ".join(f"{column} {label}" for column, label in zip(names, key, strict=True))
-            text = f"{test}: {where} has {n} readings, {wanted} are needed."
-            return [_finding("acceptance-incomplete", text, _MEASURE_AGAIN, readings.rows)]
-    return []
+            yield f"{where} has {n} readings, {wanted} are needed."
 
 
 def _unknown(test, readings):
@@ -86,10 +86,10 @@ def _unknown(test, readings):
 def _measured(test, readings):
     """Rows of each artefact or place, their measured size, and how far each is off it, mm."""
     if test in BARS:
-        keys, lengths, _, last = readings.lengths()
-        names = np.array([key[0] for key in keys])
-        for name in dict.fromkeys(names.tolist()):
-            own, middle = names == name, float(np.median(lengths[names == name]))
+        lengths, artefacts, last = readings.lengths()
+        for artefact in dict.fromkeys(artefacts):
+            own = np.array([one is artefact for one in artefacts])
+            middle = float(np.median(lengths[own]))
             yield last[own], middle, np.abs(lengths[own] - middle)
         return
     # All articulations and repeats together: five points would bend their own sphere.

@@ -204,7 +204,15 @@ def evaluate_acceptance(
         if not len(rows):
             continue
         readings = [_readings(run, rows, side, test, base) for side in sides]
-        faults, computed = _values(test, readings)
+        computed = []
+        try:
+            # As left is looked at where there is one: its errors are smaller, and faults stand out.
+            faults = find_faults(test, readings[-1])
+            if not faults:
+                computed = [FUNCTIONS[test](each) for each in readings]
+        except ValueError as error:
+            advice = "Measure points that determine what was probed."
+            faults = [Finding("acceptance-geometry", f"{test}: {error}", advice, weight="repair")]
         findings += faults
         for name, about in VALUES.items():
             if about[0] == test:
@@ -255,25 +263,13 @@ def _readings(run, rows, side, test, base):
     return Readings(run, rows, points, believed)
 
 
-def _values(test, readings):
-    """Findings on a test, and its candidates before and after; none if it is a bad one."""
-    # As left is looked at where there is one: its errors are smaller, and faults stand out.
-    try:
-        faults = find_faults(test, readings[-1])
-        if not faults:
-            return [], [FUNCTIONS[test](each) for each in readings]
-    except ValueError as error:
-        advice = "Measure points that determine what was probed."
-        faults = [Finding("acceptance-geometry", f"{test}: {error}", advice, weight="repair")]
-    return faults, [dict.fromkeys(VALUES)] * len(readings)
-
-
 def _judged(sets, limit, rule):
-    """Fields of a value: numbers and decisions of the worst candidates, before and after."""
+    """Fields of a value: numbers and decisions of the worst candidates, before and after.
+
+    There are no sets where the test is a bad one, and one without a correction.
+    """
     found: dict[str, Any] = {}
     for side, one in zip(("before", "after"), sets, strict=False):
-        if one is None:
-            continue
         errors, sizes, u = (np.asarray(part, dtype=float) for part in one[:3])
         limits = np.zeros(len(errors))  # without any the worst has the largest error
         if limit is not None:

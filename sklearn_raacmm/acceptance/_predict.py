@@ -91,8 +91,8 @@ def predict_acceptance(
     draws -= mean[:, :, None]
     if known:
         draws += points[:, :, None] * (known.scale_sd * rng.normal(size=n_draws))
-    rows = {test: np.flatnonzero(plan.test == test) for test in LAYOUTS if test != "pose"}
-    rows = {test: own for test, own in rows.items() if len(own)}
+    tests = [test for test in LAYOUTS if test != "pose" and test in plan.test]
+    rows = {test: np.flatnonzero(plan.test == test) for test in tests}
     ideal = np.zeros_like(points)
     for test, own in rows.items():
         ideal[own] = _on_artefacts(test, Readings(plan, own, points - mean))

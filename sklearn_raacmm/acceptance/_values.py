@@ -92,17 +92,15 @@ class Readings:
         return artefact.fixture_mm if artefact else 0.0
 
     def lengths(self):
-        """Keys (artefact, position, repeat), measured lengths (k,) mm, artefacts, last rows."""
+        """Measured lengths (k,) mm, their artefacts, and the last row of each."""
         end = np.char.lower(self.run.end[self.rows])
-        keys, lengths, artefacts, last = [], [], [], []
-        for key, rows in self.groups("artefact", "position", "repeat").items():
+        found = []
+        for rows in self.groups("artefact", "position", "repeat").values():
             first, second = (self.points[rows[end[rows] == name]] for name in "ab")
             for one, other in zip(first, second, strict=False):
-                keys.append(key)
-                lengths.append(np.linalg.norm(other - one))
-                artefacts.append(self.artefact(rows))
-                last.append(rows[-1])
-        return keys, np.array(lengths), artefacts, np.array(last)
+                found.append((np.linalg.norm(other - one), self.artefact(rows), rows[-1]))
+        lengths, artefacts, last = zip(*found, strict=True)
+        return np.array(lengths), artefacts, np.array(last)
 
 
 def _spheres(readings, column, name, form_name=None):
@@ -129,7 +127,7 @@ def _articulation(readings):
 
 
 def _lengths(readings, name, has_tip=False):
-    _, lengths, artefacts, _ = readings.lengths()
+    lengths, artefacts, _ = readings.lengths()
     sizes = np.array([a.size_in_test for a in artefacts])
     errors = lengths - has_tip * readings.run.tip_mm - sizes
     return {name: Candidates(errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
@@ -150,7 +148,7 @@ def _single_point(readings):
 
 def _volumetric(readings):
     errors, sizes, u, _ = _lengths(readings, "")[""]
-    artefacts, n, rms = readings.lengths()[2], len(errors), np.sqrt(np.mean(errors**2))
+    artefacts, n, rms = readings.lengths()[1], len(errors), np.sqrt(np.mean(errors**2))
     common, own = np.array([(a.u_size, a.fixture_mm) for a in artefacts]).T
     worst, ends = np.abs(errors).argmax(), [errors.argmax(), errors.argmin()]
     # Of 2 rms the derivative by an error of the bar, 2 mean / rms, and by that of one placement.

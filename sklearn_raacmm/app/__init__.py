@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from sklearn_raacmm.app._main import main
 
 if TYPE_CHECKING:
-    from sklearn_raacmm.app._cells import TableError
     from sklearn_raacmm.app._report import write_report
+    from sklearn_raacmm.app._sources import TableError
     from sklearn_raacmm.app._tables import Table, read_table
 
 __all__ = [
@@ -28,7 +28,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import what is asked for, when it is, as the package itself does."""
     if name in __all__:
-        for module in ("_cells", "_tables", "_report"):
+        for module in ("_sources", "_tables", "_report"):
             if hasattr(found := importlib.import_module(f"{__name__}.{module}"), name):
                 return getattr(found, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

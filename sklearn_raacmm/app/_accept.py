@@ -1,18 +1,22 @@
-"""The word ``accept``: a run of acceptance tests judged, on one sheet; and templates for it."""
+"""The word ``accept``: a run of acceptance tests judged, on one sheet; and templates for it.
+
+The certificate is XML for PTB's schema of Digital Calibration Certificates, 3.3.0. A sheet may have
+blanks, a certificate has none: what the schema asks for has to be stated.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import csv
 import io
 import itertools
 import json
 import re
 import webbrowser
-from collections import Counter
+from datetime import date
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,9 +30,7 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._cells import TableError, check_installed, find_encoding, parse_number
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._dcc import certificate
 from sklearn_raacmm.app._files import (
     correction_files,
     in_rad,
@@ -38,7 +40,15 @@ from sklearn_raacmm.app._files import (
     text_of_label,
 )
 from sklearn_raacmm.app._report import render
-from sklearn_raacmm.app._sources import SHEETS, sheet_rows
+from sklearn_raacmm.app._sources import (
+    SHEETS,
+    Dialect,
+    TableError,
+    check_installed,
+    find_encoding,
+    parse_number,
+    read_sheets,
+)
 from sklearn_raacmm.app._tables import Layout, find_point_factor
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
@@ -59,6 +69,11 @@ _TIP = "diameter of the probe's ball, mm"
 # Entries of the sheet by their names, and its words: English ones are their own keys.
 WORDS = json.loads(files("sklearn_raacmm.app").joinpath("_accept_words.json").read_text("utf-8"))
 ENTRIES = WORDS["entries"]
+# Entries that a certificate needs.
+_NEEDED = (
+    "number", "laboratory", "country", "customer", "place", "item", "serial", "tested",
+    "temperature", "authorised",
+)  # fmt: skip
 _ANGLE = re.compile(r"(q|j|a|theta|joint|axis)[\s_.\[-]*\d+\]?")
 
 
@@ -66,16 +81,15 @@ def accept(options):
     """Judge a run as found and as left, and write its sheet; or write a template."""
     saved = load_correction(options.model) if options.model else None
     arm = load_arm(options.arm) if options.arm else None
-    run_path = Path(options.run)
+    path, out = Path(options.run), Path(options.out)
     if options.template:
-        return _write_template(run_path, arm or getattr(saved, "arm", None))
+        return _write_template(path, arm or getattr(saved, "arm", None))
     check_installed("jinja2")
-    out = Path(options.out)
-    read = [run_path / f"{name}.csv" for name in _TABLES] if run_path.is_dir() else [run_path]
+    read = [path, *(path / f"{name}.csv" for name in _TABLES), options.arm]
     read += correction_files(options.model) if options.model else []
-    check_places(filter(None, [out, options.dcc]), filter(None, [*read, options.arm]))
+    check_places(filter(None, [out, options.dcc]), filter(None, read))
     left_arm = saved.arm if saved else arm
-    run, rows, entries, limits, digest = _read_run(run_path, left_arm)
+    run, rows, entries, limits, digest = _read_run(path, left_arm)
     found = arm if saved else None
     with numbered_rows(rows):
         result = evaluate_acceptance(
@@ -87,13 +101,14 @@ def accept(options):
         software["fingerprint of the model"] = describe(saved.model)["fingerprint"] or ""
         if not result.findings and run.angles is not None and hasattr(saved.model, "sample_y"):
             expected = predict_acceptance(saved, run)
-    shown = {"result": result, "artefacts": run.artefacts, "entries": entries, "labels": ENTRIES}
+    shown = {"result": result, "run": run, "entries": entries, "labels": ENTRIES, "limits": limits}
     shown |= {"expected": expected, "software": software, "left": saved is not None}
-    shown |= {"counts": Counter(run.test.tolist()), "tip_mm": run.tip_mm}
     shown |= {"language": options.language, "t": lambda text: words.get(text, text)}
-    made = {out: _page(shown, limits)}
+    # Of text that comes from outside, what a string of CSS may hold.
+    number = re.sub(r"[^\w .,/#:-]", "", entries["number"], flags=re.ASCII)
+    made = {out: render("_accept.html", page_number=number or "_" * 10, **shown)}
     if options.dcc:
-        made[Path(options.dcc)] = certificate(shown)
+        made[Path(options.dcc)] = _certificate(shown)
     write_whole(made)
     print(result)
     print(f"Written to {', '.join(map(str, made))}")
@@ -106,27 +121,44 @@ def accept(options):
     return (NOT_JUDGED if findings else failed), facts
 
 
-def _page(shown, limits):
-    """The sheet."""
+def _certificate(shown):
+    """What the sheet shows as XML."""
+    entries = shown["entries"]
+    if missing := [ENTRIES[name] for name in _NEEDED if not entries[name]]:
+        raise TableError(f"The certificate needs of the table sheet: {'; '.join(missing)}.")
+    if not re.fullmatch("[A-Z]{2}", entries["country"]):
+        raise TableError(
+            f"{ENTRIES['country']}: two capitals, such as DE, got {entries['country']}."
+        )
+    days = {name: _days(ENTRIES[name], entries[name]) for name in ("received", "tested", "issued")}
+    methods = {one.standard: one for one in shown["result"].values}
+    page = render("_accept.xml", plain=_plain, days=days, methods=methods, **shown)
+    try:
+        ElementTree.fromstring(page)
+    except ElementTree.ParseError as error:  # such as of control characters
+        raise TableError(f"The certificate would be no XML: {error}.") from None
+    return page
 
-    def number(value, digits, factor=1.0):
-        text = "-" if value is None else f"{factor * value:.{digits}f}"
-        return text.replace(".", ",") if shown["language"] == "de" else text
 
-    def limit_of(value):
-        if value.name not in limits:
-            return "-"
-        a, slope, most = limits[value.name]
-        text = number(a, 1, 1e3)
-        text += f" + L / {number(1e-3 / slope, 0)}" if slope else ""
-        return text + (f" \u2264 {number(most, 1, 1e3)}" if most < np.inf else "")
+def _days(label, text):
+    """First and last day, as ISO 8601 has them; blanks for none."""
+    try:
+        days = [date.fromisoformat(day.strip()) for day in text.split("/")] if text else []
+        if len(days) > 2 or days != sorted(days):
+            raise ValueError
+    except ValueError:
+        raise TableError(
+            f"{label}: a day such as 2026-11-23, or two, 2026-11-20/2026-11-23, got {text!r}."
+        ) from None
+    return [day.isoformat() for day in days] or [""]
 
-    # Of text that comes from outside, what a string of CSS may hold.
-    page_number = re.sub(r"[^\w .,/#:-]", "", shown["entries"]["number"], flags=re.ASCII)
-    return render(
-        "_accept.html", number=number, um=lambda mm: number(mm, 1, 1e3), limit_of=limit_of,
-        page_number=page_number or "_" * 10, **shown,
-    )  # fmt: skip
+
+def _plain(text):
+    """A number as XML has it, "" for other text."""
+    try:
+        return f"{parse_number(text):g}"
+    except TableError:
+        return ""
 
 
 # -- reading --------------------------------------------------------------------------------------
@@ -134,28 +166,48 @@ def _page(shown, limits):
 
 def _read_run(path, arm):
     """A run, numbers of its rows, entries of the sheet, limits, fingerprint of the readings."""
-    tables = {name: _cells(path, name) for name in _TABLES[1:]}
-    readings, sheet = (path / "readings.csv", None) if path.is_dir() else (path, "readings")
-    table = _read_readings(readings, arm, sheet)
+    tables = _read_tables(path)
+    file, sheet = (path / "readings.csv", None) if path.is_dir() else (path, "readings")
+    table = _read_readings(file, arm, sheet, tables["readings"])
     print_notes(table["notes"])
     entries, tip = dict.fromkeys(ENTRIES, ""), 0.0
+    known = {word: key for key, label in ENTRIES.items() for word in (key, label.lower())}
     for row in tables["sheet"]:
         name, text = row.get("entry", "").lower(), row.get("value", "")
         if name == _TIP:
             tip = parse_number(text) if text else 0.0
-        elif key := next((k for k, label in ENTRIES.items() if name in (k, label.lower())), ""):
-            entries[key] = text
+        elif name in known:
+            entries[known[name]] = text
         elif name:
             raise TableError(f"{path}: the table sheet has the entry {name!r}, which is unknown.")
     artefacts = [_artefact(path, row) for row in tables["artefacts"]]
     run = AcceptanceRun(**table["columns"], artefacts=artefacts, tip_mm=tip)
     limits = dict(filter(None, (_limit(path, row) for row in tables["limits"])))
-    return run, table["rows"], entries, limits, digest_of(readings.read_bytes())
+    return run, table["rows"], entries, limits, digest_of(file.read_bytes())
 
 
-def _read_readings(path, arm, sheet):
-    """Labels, angles and points of the table of readings."""
-    rows = _cells(path if sheet else path.parent, "readings")
+def _read_tables(path):
+    """Rows of each table by its headings without units; those of a folder may be missing."""
+    tables = dict.fromkeys(_TABLES, ()) if path.is_dir() else read_sheets(path)
+    if missing := set(_TABLES) - tables.keys():
+        raise TableError(f"{path} has no sheet {', no sheet '.join(sorted(missing))}.")
+    for file in (path / f"{name}.csv" for name in _TABLES):
+        if file.is_file():
+            encoding = find_encoding(file)
+            with open(file, encoding=encoding) as lines:
+                separator = max(";\t,", key=next(lines, "").count)
+            tables[file.stem] = Dialect(file, encoding, separator).rows()
+    for name, rows in tables.items():
+        # A day in a spreadsheet is its midnight.
+        texts = [[str(c).strip().removesuffix(" 00:00:00") for c in cells] for _, cells in rows]
+        heads = [_heading(cell) for cell in texts[0]] if texts else []
+        pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in texts[1:])
+        tables[name] = [dict(pair) for pair in pairs]
+    return tables
+
+
+def _read_readings(path, arm, sheet, rows):
+    """Labels, angles and points of the table of readings, whose cells are in `rows`, too."""
     if rows and not any(cell for row in rows for name, cell in row.items() if name not in LABELS):
         raise TableError(
             f"{path}: none of the {len(rows)} rows of the table readings holds numbers: fill in "
@@ -180,24 +232,6 @@ def _read_readings(path, arm, sheet):
         found = {"angles": in_rad(table), "points": table.points}
     labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
     return {"columns": labels | found, "rows": table.rows, "notes": table.notes}
-
-
-def _cells(path, name):
-    """Rows of a small table, by its headings without units; none where there is no such table."""
-    source = path / f"{name}.csv"
-    if not path.is_dir():
-        rows = [cells for _, cells in sheet_rows(path, name)]
-    elif source.is_file():
-        text = source.read_text(encoding=find_encoding(source))
-        separator = max(";\t,", key=text.partition("\n")[0].count)
-        rows = [row for row in csv.reader(io.StringIO(text), delimiter=separator) if any(row)]
-    else:
-        return []
-    # A day in a spreadsheet is its midnight.
-    texts = [[str(cell).strip().removesuffix(" 00:00:00") for cell in row] for row in rows]
-    heads = [_heading(cell) for cell in texts[0]] if texts else []
-    pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in texts[1:])
-    return [dict(pair) for pair in pairs]
 
 
 def _heading(text):

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, check_installed, parse_number
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._figures import draw_arm
-from sklearn_raacmm.app._files import load_arm, parse_vector
+from sklearn_raacmm.app._files import load_arm, parse_numbers
+from sklearn_raacmm.app._sources import TableError, check_installed, parse_number
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, write_whole
 
@@ -53,25 +53,30 @@ where the origin is. Calibration finds all others, offsets too, to hundredths of
 def arm(options):
     """Show an arm, and write its file."""
     given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    _check_arm_options(options, given)
+    if sum(one is not None for one in given) > 1:
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
+        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
+    if options.into and not options.out:
+        raise TableError("--into needs --out, the file to write; it may be the same file.")
     outputs = [path for path in (options.out, options.picture) if path and path != "-"]
     check_places(outputs, filter(None, [options.source, options.dh]))
     if options.picture:
         check_installed("matplotlib")
     shown = _meant_arm(options)
     if options.up:
-        shown = shown.replace(up=parse_vector("--up", options.up))
+        shown = shown.replace(up=parse_numbers("--up", options.up))
     shown = _with_encoders(shown, options)
     print(shown)
+    text = shown.to_json()
     if options.into:
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
-    else:
-        text = shown.to_json()
     if options.out == "-":
         options.stdout.write(text)
-    written = {options.out: text} if options.out not in (None, "-") else {}
-    if options.picture:
-        written[options.picture] = draw_arm(shown)
+    made = {options.out: text, options.picture: options.picture and draw_arm(shown)}
+    written = {path: made[path] for path in outputs}
     write_whole(written)
     for path in written:
         print(f"Written to {path}")
@@ -80,18 +85,14 @@ def arm(options):
 
 def _with_encoders(shown, options):
     """The arm, read by other encoders: theta = sign (angle - zero) + offset."""
-    values = {}
-    for name, text in (("--sign", options.sign), ("--zero", options.zero)):
-        values[name] = [parse_number(cell) for cell in text.split(",")] if text else None
-        n = shown.n_joints
-        if text and len(values[name]) != n:
-            raise TableError(f"{name} needs {n} numbers, one for each joint, got {text!r}.")
-    if values["--sign"]:
-        if any(abs(sign) != 1 for sign in values["--sign"]):
+    given = shown.n_joints, "one for each joint"
+    if options.sign:
+        signs = parse_numbers("--sign", options.sign, *given)
+        if any(abs(sign) != 1 for sign in signs):
             raise TableError(f"--sign needs 1 or -1 for each joint, got {options.sign!r}.")
-        shown = shown.replace(joint_signs=shown.joint_signs * np.array(values["--sign"]))
-    if values["--zero"]:
-        moved = shown.joint_signs * np.deg2rad(values["--zero"])
+        shown = shown.replace(joint_signs=shown.joint_signs * np.array(signs))
+    if options.zero:
+        moved = shown.joint_signs * np.deg2rad(parse_numbers("--zero", options.zero, *given))
         shown = shown.replace(theta_offset=shown.theta_offset - moved)
     return shown
 
@@ -111,18 +112,6 @@ def take(arm, code):
     return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(numbers, joints), -1, 1))
 
 
-def _check_arm_options(options, given):
-    """Refuse options that do not belong together."""
-    if sum(one is not None for one in given) > 1:
-        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
-    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
-        raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
-    if (options.modified or options.probe) and not options.dh:
-        raise TableError("--modified and --probe belong to --dh.")
-    if options.into and not options.out:
-        raise TableError("--into needs --out, the file to write; it may be the same file.")
-
-
 def _meant_arm(options):
     """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
     if options.lengths_222 or options.lengths_223:
@@ -132,11 +121,11 @@ def _meant_arm(options):
         return Arm.from_lengths(layout, *lengths, **offsets)
     if options.dh:
         convention = "modified" if options.modified else "standard"
-        return read_dh(options.dh, convention, parse_vector("--probe", options.probe or "0,0,0"))
-    if options.source and options.into:
-        return load_arm(options.source)  # --base and --tip are those of the other file
+        return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))
     if options.source:
-        return load_arm(options.source, options.base, options.tip)
+        # With --into, --base and --tip are those of the other file.
+        ends = () if options.into else (options.base, options.tip)
+        return load_arm(options.source, *ends)
     if not sys.stdin.isatty():
         raise TableError("give an arm: a file, a URDF, the name of a built-in one, or lengths.")
     print(_DRAWING)

@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, strip_mark
-from sklearn_raacmm.app._sources import find_source
+from sklearn_raacmm.app._sources import TableError, find_source, strip_mark
 
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
 # beyond a hundred turns in degrees is an encoder's count.
 _SURELY_DEGREES, _SURELY_COUNTS = 4 * np.pi, 36_000
-_DEGREES = ("deg", "degree", "degrees", "°", "º", "grad")
-_RADIANS = ("rad", "radian", "radians")
+_UNIT_OF_WORD = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "º", "grad"), "deg"),
+    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
+}
 # Units of angles: degrees or radians, and how many of them each is.
 _ANGLES = {
     "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
     "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
-_UNITS = (*_DEGREES, *_RADIANS, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
+_UNITS = (*_UNIT_OF_WORD, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*(?!\d+\s*[\])]?$)([^\])/]+?)\s*[\])]?$|^(.*?)(°)$|"
@@ -122,10 +123,8 @@ def split_unit(name):
     match = None if name.startswith("/") else _UNIT.fullmatch(name)  # a topic of ROS
     if not match:
         return name.lower(), ""
-    name, unit = [part for part in match.groups() if part is not None][:2] or ("", "")
-    unit = unit.strip().lower()
-    unit = "deg" if unit in _DEGREES else "rad" if unit in _RADIANS else unit
-    return name.strip(" _").lower(), unit
+    name, unit = (part.strip(" _").lower() for part in match.groups() if part is not None)
+    return name, _UNIT_OF_WORD.get(unit, unit)
 
 
 class Columns:
@@ -203,16 +202,13 @@ class Columns:
         values = np.empty((len(rows), len(columns)))
         for j, column in enumerate(columns):
             cells = [cells[column] for _, cells in rows]
-            found: Any = self.source.numbers(cells)
-            if found is None or not np.all(np.isfinite(found)):
-                found = [self.source.number(cell) for cell in cells]
-                first = next(i for i, v in enumerate(found) if v is None or not np.isfinite(v))
-                what = f"{cells[first]!r} is not a number" if cells[first] != "" else "is empty"
-                if isinstance(cells[first], str) and re.search(r"\d[.,]\d", cells[first]):
+            values[:, j] = self.source.numbers(cells)
+            for i in np.flatnonzero(~np.isfinite(values[:, j])):
+                what = f"{cells[i]!r} is not a number" if cells[i] != "" else "is empty"
+                if isinstance(cells[i], str) and re.search(r"\d[.,]\d", cells[i]):
                     sign = {".": "point", ",": "comma"}[self.source.decimal]
                     what += f" with a decimal {sign}, which the others have"
-                raise self.fault(rows[first][0], column, what)
-            values[:, j] = found
+                raise self.fault(rows[i][0], column, what)
         return values
 
     def labels(self, rows, column):
@@ -349,10 +345,6 @@ class Columns:
             )
         if set(columns) <= set(self._fields("position").values()) and self._fields("name"):
             return "rad"  # sensor_msgs/JointState
-        return self._guess_unit(columns)
-
-    def _guess_unit(self, columns):
-        """Unit of angles whose names state none."""
         cells = (cell for i in columns for cell in self._cells(i))
         values = map(self.source.number, cells)
         largest = max((abs(value) for value in values if value is not None), default=0.0)

@@ -6,6 +6,7 @@
 import shlex
 import sys
 import webbrowser
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._arms import take
-from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._figures import draw_plan
 from sklearn_raacmm.app._files import (
     WRITTEN,
@@ -23,6 +23,7 @@ from sklearn_raacmm.app._files import (
     find_rows,
     find_unnamed_probe,
     in_rad,
+    known_lengths,
     load_arm,
     load_correction,
     open_beside,
@@ -31,10 +32,10 @@ from sklearn_raacmm.app._files import (
     read_labels,
     write_corrected,
 )
-from sklearn_raacmm.app._lengths import known_lengths
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import judge_limit, list_outliers, render, report_text
+from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
@@ -86,7 +87,7 @@ def learn(options):
     training = {k: v for k, v in card["training"].items() if k != "hull_corners_mm"}
     taught = replace(result, facts=result.facts | {"training": training})
     _print_result(result, table.rows, options)  # before what may fail
-    save_step(taught, options.out, step, report, contents, learnt=today)
+    save_step(taught, options.out, step, today, report, contents)
     print(f"Written to {options.out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
@@ -112,11 +113,10 @@ def _check_learning(options):
 
 def _print_result(result, row_numbers, options):
     """Print what was learnt; the verdict at the end, where it is seen without scrolling."""
-    verdict, *lines = str(result.scores).split("\n")
-    print(*lines, sep="\n")
+    print(str(result.scores).removeprefix(f"{result.verdict}\n"))
     for row, label, distance in list_outliers(result, row_numbers)[:10]:
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
-    print(f"\n{verdict}")
+    print(f"\n{result.verdict}")
     if options.limit_2s is not None:
         print(": ".join(judge_limit(result.scores, options.limit_2s)))
 
@@ -138,7 +138,8 @@ def correct(options):
         raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
     layout = find_rows(options, saved.arm, labelled=False)
     print_notes(layout.notes)
-    with open_beside(options.out, layout.source.encoding, options.stdout) as file:
+    to_file = open_beside(options.out, layout.source.encoding)
+    with nullcontext(options.stdout) if options.out == "-" else to_file as file:
         n_rows, largest = write_corrected(layout, saved, options, file, options.std)
     check_angles(largest, saved.arm.n_joints, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")

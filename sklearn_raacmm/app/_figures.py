@@ -99,10 +99,7 @@ def _positions(figure, scores, limit_mm):
 def _intervals(scores, left):
     """What another choice of poses at each position would change (95 %), mm."""
     if scores.measure == "2S":
-        counted = np.concatenate(scores.rows_by_position)
-        sizes = [len(rows) for rows in scores.rows_by_position]
-        groups = np.repeat(np.arange(len(sizes)), sizes)
-        return repeatability_interval(left[counted], groups, aggregate=None)
+        return np.array([repeatability_interval(left[rows]) for rows in scores.rows_by_position])
     sizes = [np.linalg.norm(left[rows], axis=1) for rows in scores.rows_by_position]
     return np.array([stats.t.interval(0.95, len(s) - 1, s.mean(), stats.sem(s)) for s in sizes])
 
@@ -147,8 +144,8 @@ def _volume(figure, arm, angles, places=()):
             at = np.ravel(view(place[None]))
             ax.annotate(str(number), at, xytext=(4, 4), textcoords="offset points")
     above.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
-    side.set(xlabel="distance from the base axis, mm", ylabel="z, mm", title="from the side")
-    side.set_aspect("equal")
+    across = "distance from the base axis, mm"
+    side.set(xlabel=across, ylabel="z, mm", title="from the side", aspect="equal")
 
 
 def _lengths(figure, scores):

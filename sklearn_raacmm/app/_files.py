@@ -1,4 +1,4 @@
-"""Files of the command: arms by name or file, saved corrections, corrected tables."""
+"""Files of the command: arms, saved corrections, tables of readings, corrected ones, lengths."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._cells import TableError, parse_number
+from sklearn_raacmm.app._sources import TableError, find_source, parse_number
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import numbered_rows
@@ -54,18 +55,16 @@ def load_arm(source, base=None, tip=None):
         raise TableError(f"there is no file {source}, and as a {error}") from None
 
 
-def load_correction(source) -> Any:
-    """Saved correction from its folder, or from a file in it."""
+def load_correction(folder) -> Any:
+    """Saved correction from its folder."""
     try:
-        return Correction.load(correction_files(source)[0].parent)
+        return Correction.load(folder)
     except (ValueError, OSError) as error:
         raise TableError(f"--model: {error}") from None
 
 
-def correction_files(source):
+def correction_files(folder):
     """Files that loading a correction reads: no output may be one of them."""
-    folder = Path(source)
-    folder = folder.parent if folder.is_file() else folder
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
 
 
@@ -75,15 +74,25 @@ def write_corrected(layout, correction, options, file, std="all"):
     Each row is corrected by its probe; `std` says which standard deviations are written. Returns
     the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
     """
-    source, n_rows, largest = layout.source, 0, 0.0
+    source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
     writer = csv.writer(file, delimiter=source.separator or " ")
-    writer.writerow([*layout.header, *_NEW_COLUMNS[: _N_COLUMNS[std]]])
+    writer.writerow([*layout.header, *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
     columns = {name: column for name, column in columns.items() if name in correction.causes}
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         X = correction.inputs(in_rad(block), read_causes(block, columns))
-        new = _corrected(correction, X, block, options, std)
+        new = np.empty((len(X), width))
+        tools = read_labels(block, options, "tool")
+        for tool in [None] if tools is None else np.unique(tools):
+            rows = slice(None) if tool is None else tools == tool
+            with numbered_rows(block.rows[rows]):
+                one = correction if tool is None else correction.with_tool(tool)
+                if std == "no":  # without standard deviations it takes less time
+                    points = one.arm.forward(X[rows, : one.arm.n_joints])
+                    new[rows] = points - one.model.predict(X[rows])
+                else:
+                    new[rows] = one.columns(X[rows])[:, :width]
         for row, values in zip(cells, new.tolist(), strict=True):
             writer.writerow([*row, *map(source.text, values)])
         n_rows += len(cells)
@@ -97,29 +106,10 @@ def corrected_file(layout, correction, options):
     return {"corrected.csv": file.getvalue().encode(layout.source.encoding)}
 
 
-def _corrected(correction, X, block, options, std):
-    """The new columns of a block, each row by its probe."""
-    tools, new = read_labels(block, options, "tool"), np.empty((len(X), _N_COLUMNS[std]))
-    for tool in [None] if tools is None else np.unique(tools):
-        rows = slice(None) if tool is None else tools == tool
-        with numbered_rows(block.rows[rows]):
-            one = correction if tool is None else correction.with_tool(tool)
-            if std == "no":  # without standard deviations it takes less time
-                joints = X[rows, : one.arm.n_joints]
-                new[rows] = one.arm.forward(joints) - one.model.predict(X[rows])
-            else:
-                new[rows] = one.columns(X[rows])[:, : new.shape[1]]
-    return new
-
-
 @contextmanager
-def open_beside(path, encoding, stdout=None):
+def open_beside(path, encoding):
     """A text stream whose file gets its name when it is complete; without it, it is kept."""
-    if path == "-":
-        yield stdout
-        return
-    path = Path(path)
-    beside = path.with_name(f"{path.name}.{os.getpid():x}.tmp")
+    beside = Path(f"{path}.{os.getpid():x}.tmp")
     try:
         with open(beside, "w", encoding=encoding, newline="") as file:
             yield file
@@ -129,8 +119,8 @@ def open_beside(path, encoding, stdout=None):
     try:
         beside.replace(path)
     except OSError as error:
-        said = f"{path} cannot be replaced ({error}); its content is in {beside}."
-        raise OSError(said) from None
+        text = f"{path} cannot be replaced ({error}); its content is in {beside}."
+        raise OSError(text) from None
 
 
 def in_rad(table):
@@ -171,12 +161,12 @@ def find_rows(options, arm, labelled=True):
     )
 
 
-def parse_vector(option, text):
-    """The three numbers of an option such as ``--probe X,Y,Z``."""
-    vector = [parse_number(cell) for cell in text.split(",")]
-    if len(vector) != 3:
-        raise TableError(f"{option} needs three numbers, such as 0,0,1, got {text!r}.")
-    return vector
+def parse_numbers(option, text, n=3, such="such as 0,0,1"):
+    """The numbers of an option such as ``--probe X,Y,Z``."""
+    numbers = [parse_number(cell) for cell in text.split(",")]
+    if len(numbers) != n:
+        raise TableError(f"{option} needs {n} numbers, {such}, got {text!r}.")
+    return numbers
 
 
 # -- causes: what the options --extra, --tool and --block name -------------------------------------
@@ -233,3 +223,60 @@ def find_unnamed_probe(saved):
         return ""
     name = next(name for name, probe in tools.items() if probe == own)
     return f"this correction was learnt with the tools {', '.join(tools)}, and {name} is in use"
+
+
+# -- known lengths: of the command line, and in files ----------------------------------------------
+
+
+def known_lengths(options):
+    """All known lengths that the options of a word name."""
+    lengths = [parse_length(text) for text in options.length or ()]
+    if getattr(options, "places", None):
+        lengths += read_places(options.places, options.length_sd)
+    if options.lengths:
+        lengths += read_lengths(options.lengths, options.length_sd)
+    return lengths
+
+
+def parse_length(text):
+    """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them."""
+    try:
+        first, second, length, sd = (part.strip() for part in text.split(":"))
+        return first, second, parse_number(length), parse_number(sd)
+    except ValueError:
+        raise TableError(
+            "--length needs two positions, their distance and its standard deviation in mm, such "
+            f"as A:B:500.012:0.005, got {text!r}."
+        ) from None
+
+
+def read_lengths(path, sd=None):
+    """Known lengths: two labels, a length and its standard deviation a row, mm."""
+    return list(_read_rows(path, 2, 1, sd, "two labels and a length in mm"))
+
+
+def read_places(path, sd=None):
+    """Known lengths of a plate: label, x, y, z and the standard deviation of these a row, mm."""
+    return lengths_of_places(list(_read_rows(path, 1, 3, sd, "a label, x, y and z in mm")))
+
+
+def _read_rows(path, n_labels, n_numbers, sd, what):
+    """Yield labels, numbers and a standard deviation of each row, the header left out."""
+    dialect, begun = find_source(path, n_numbers), False
+    for number, cells in dialect.rows():
+        values: list[Any] = [dialect.number(cell) for cell in cells[n_labels:]]
+        values = [*values, *(n_numbers + 1) * [None]][: n_numbers + 1]
+        if None in values[:n_numbers]:
+            if begun or any(value is not None for value in values):
+                raise TableError(f"{path}: row {number} must hold {what}.")
+            continue  # the header, or what stands above it
+        begun = True
+        if values[-1] is None and sd is None:
+            raise TableError(
+                f"{path}: row {number} has no standard deviation in mm in its last column; say it "
+                "with --length-sd 0.005."
+            )
+        labels = map(str, cells[:n_labels])
+        yield *labels, *values[:-1], sd if values[-1] is None else values[-1]
+    if not begun:
+        raise TableError(f"{path} holds no row of {what}.")

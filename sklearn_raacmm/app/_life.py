@@ -14,7 +14,6 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.app._cells import TableError, check_installed
 from sklearn_raacmm.app._files import (
     WRITTEN,
     corrected_file,
@@ -22,12 +21,13 @@ from sklearn_raacmm.app._files import (
     find_rows,
     find_unnamed_probe,
     in_rad,
+    known_lengths,
     load_correction,
-    parse_vector,
+    parse_numbers,
     print_notes,
 )
-from sklearn_raacmm.app._lengths import known_lengths
 from sklearn_raacmm.app._report import with_history
+from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.export import describe
@@ -55,12 +55,10 @@ def register(options):
     saved = _open_correction(options)
     layout, today, measured = _read_today(options, saved.arm)
     new = saved.register(*measured)
-    y = new.calibration.residuals(today.angles, today.points, today.positions)
-    left = _mean_deviation(y - new.model.predict(new.inputs(today.angles)), today.positions)
+    before, left = _mean_deviations(new, today, 0, new.model.predict(new.inputs(today.angles)))
     usual = _check_left(left, saved, today)
     print(f"Registered with {_describe_poses(today)}.")
     facts = _print_moves(saved, new)
-    before = _mean_deviation(y, today.positions)
     print(f"Mean deviation {before:.3f} -> {left:.3f} mm.")
     holds = usual is None or left <= _MUCH_MORE * usual
     if usual is None:
@@ -72,7 +70,7 @@ def register(options):
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
     if hasattr(new.model, "linear_model_"):
         _print_sizes(saved, new)
-    _save(new, options, facts, layout)
+    _save(new, options, facts, today, layout)
     return (OK if holds else CHANGED), facts
 
 
@@ -84,10 +82,9 @@ def update(options):
         raise TableError(used)
     day = date.today().isoformat()
     new = saved.update(*measured, date=day, accept=options.accept or ())
-    y = new.calibration.residuals(today.angles, today.points, today.positions)
     X = saved.inputs(today.angles)
     was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
-    before, after = (_mean_deviation(y - mm, today.positions) for mm in (was, now))
+    before, after = _mean_deviations(new, today, was, now)
     _check_left(after, saved, today)
     print(f"Updated with {_describe_poses(today)}.")
     facts = _print_moves(saved, new)
@@ -99,22 +96,22 @@ def update(options):
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
     most = ", ".join(parts[:4]) or "nothing"
     print(f"Changed most, in per cent of its usual size: {most}.")
-    rms = np.sqrt(np.mean(np.sum((now - was) ** 2, axis=1)))
+    rms = _rms(now - was)
     print(
         f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
         f"{before:.3f} -> {after:.3f} mm."
     )
     print("Check it with poses that it was not updated with: raacmm check.")
-    facts |= {"changed_most": most, "correction_changed_by_mm": float(rms), "tau": tau}
+    facts |= {"changed_most": most, "correction_changed_by_mm": rms, "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
-    _save(new, options, facts, layout, learnt=today)
+    _save(new, options, facts, today, layout)
     return OK, facts
 
 
 def move(options):
     """Move the correction to a probe whose vector is known."""
     saved = _open_correction(options)
-    new = saved.move(parse_vector("--probe", options.probe))
+    new = saved.move(parse_numbers("--probe", options.probe))
     facts = _print_moves(saved, new)
     old_mm, new_mm = _print_sizes(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
@@ -129,22 +126,26 @@ def _print_sizes(saved, new):
     for one in (saved, new):
         tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
         parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
-        sizes += [float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in parts]
+        sizes += [_rms(part) for part in parts]
     old, old_sd, now, now_sd = sizes
-    advice = " Learn with two probes: the first alone shows less of the last joints."
     print(
         f"The corrections are now of {now:.3f} mm (rms over all poses), before {old:.3f} mm; their "
         f"standard deviation is {now_sd:.3f} mm, before {old_sd:.3f} mm."
-        + advice
-        * (now_sd * old > old_sd * now)
     )
+    if now_sd * old > old_sd * now:
+        print("Learn with two probes: the first alone shows less of the last joints.")
     return old, now
+
+
+def _rms(vectors):
+    """Root mean square of the lengths of vectors (n, 3)."""
+    return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1))))
 
 
 def check(options):
     """Compare today's poses with what was promised at positions left out, and with the model."""
-    files = correction_files(options.model)
-    check_places(filter(None, [options.record]), [options.table, *files])
+    read = [options.table, *correction_files(options.model)]
+    check_places(filter(None, [options.record]), read)
     saved = load_correction(options.model)
     has_causes = hasattr(saved.model, "linear_model_")
     by_spread = saved.facts["measure"] == "2S" and not options.points
@@ -160,33 +161,36 @@ def check(options):
     if used := _used_poses(saved, today):
         print_notes([f"{used} A check by them says that the correction holds, whatever happened."])
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    changed, facts, slipped, advice = False, {}, (), ""
+    facts, slipped, advice = {}, (), ""
     if has_causes:
-        changed, facts, slipped, advice = _check_model(saved, today, measured, rate, options)
+        facts, slipped, advice = _check_model(saved, today, measured, rate, options)
+    holds = not advice
     if by_spread:
         # Rows that slipped are left out where each position keeps two or more.
         kept = np.delete(np.arange(len(today.angles)), list(slipped))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        changed = _check_spread(saved, today, rate, changed, facts, advice)
-    elif changed:
+        found = _check_spread(saved, today, rate, advice)
+        facts, holds = facts | found, holds and found["after_mm"] < found["before_mm"]
+        holds = holds and found["after_mm"] <= found["expected_below_mm"]
+    elif advice:
         print(advice)
     else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         print(f"It holds: {_describe_poses(today)}, {usual}.")
-    facts |= {"holds": not changed}
+    facts |= {"holds": holds}
     try:
-        _refuse_other_writers(saved, files[0].parent)
+        _refuse_other_writers(saved, options.model)
         spread: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
         step = step_of("check", today, facts, *spread)
-        save_step(saved, files[0].parent, step, _page_of(options))
+        save_step(saved, options.model, step, today, _page_of(options))
     except (OSError, ValueError, ImportError) as error:
-        print_notes([f"This check is not in the history of {files[0].parent}: {error}"])
-    return (CHANGED if changed else OK), facts
+        print_notes([f"This check is not in the history of {options.model}: {error}"])
+    return (OK if holds else CHANGED), facts
 
 
 def _check_model(saved, today, measured, rate, options):
-    """Whether the model sees a change, the facts of it, rows that slipped, and what to do."""
+    """Facts of what the model sees, rows that slipped, and what to do about a change; else ""."""
     found = saved.check(*measured, new_base=options.new_base, false_alarm_rate=rate)
     changed = bool(found.matters and not found.holds)
     if options.points and (saved.base is None or options.new_base):
@@ -205,13 +209,13 @@ def _check_model(saved, today, measured, rate, options):
         print(f"Appended to {options.record}")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     facts = {name: getattr(found, name) for name in names}
-    return changed, facts, found.slipped, found.advice if changed else ""
+    return facts, found.slipped, found.advice if changed else ""
 
 
-def _check_spread(saved, today, rate, changed, facts, advice):
-    """Whether the mean 2S, or what was found before, shows that the correction does not hold.
+def _check_spread(saved, today, rate, advice):
+    """Facts of what the mean 2S shows.
 
-    `advice` is what to do about what was found before: one answer says what to do once.
+    `advice` is what to do about a change that the model sees: one answer says what to do once.
     """
     before, after = (
         single_point_repeatability(points, today.positions, aggregate=None)
@@ -222,7 +226,7 @@ def _check_spread(saved, today, rate, changed, facts, advice):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
     expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
     was, now = float(before.mean()), float(after.mean())
-    facts |= {"before_mm": was, "after_mm": now, "expected_below_mm": expected, "changed": changed}
+    facts = {"before_mm": was, "after_mm": now, "expected_below_mm": expected}
     change = f"mean 2S {was:.3f} -> {now:.3f} mm"
     if now > max(MUCH_SCATTER_MM, expected):
         print(f"It does not hold: {change}. {_why_so_far(saved, today, _MUCH_MORE * expected)}")
@@ -235,9 +239,9 @@ def _check_spread(saved, today, rate, changed, facts, advice):
             f"{1 / rate:.0f} tests. {advice or 'Look at probe and base, or learn again.'}"
         )
     else:
-        verdict = "It still helps, but something has changed" if changed else "It holds"
+        verdict = "It still helps, but something has changed" if advice else "It holds"
         print(f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip())
-    return changed or now >= was or now > expected
+    return facts | {"changed": bool(advice)}
 
 
 def _why_so_far(saved, today, limit):
@@ -256,18 +260,16 @@ def highest_mean(learnt, n, rate):
 
     The one-sided prediction limit of a mean of normal values.
     """
-    learnt = np.asarray(learnt)
-    quantile = stats.t.ppf(1 - rate, len(learnt) - 1)
-    spread = learnt.std(ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
-    return float(learnt.mean() + quantile * spread)
+    spread = np.std(learnt, ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
+    return float(stats.t.ppf(1 - rate, len(learnt) - 1, np.mean(learnt), spread))
 
 
 def _open_correction(options):
     """The saved correction, where its folder can be written."""
-    files = correction_files(options.model)
-    out = Path(options.out) if options.out else files[0].parent
-    read = [getattr(options, "table", None), *(files * bool(options.out))]
-    check_places([out / name for name in WRITTEN], filter(None, read))
+    read = [getattr(options, "table", None)]
+    read += correction_files(options.model) if options.out else []
+    options.out = Path(options.out or options.model)
+    check_places([options.out / name for name in WRITTEN], filter(None, read))
     check_installed("jinja2")
     return load_correction(options.model)
 
@@ -292,10 +294,12 @@ def _describe_poses(today):
     return f"{len(today.angles)} poses in {len(np.unique(today.positions))} cones"
 
 
-def _mean_deviation(left, positions):
-    """Mean distance of corrected points from where they should be, mm."""
-    left = left if positions is None else position_residuals(left, positions)
-    return float(np.linalg.norm(left, axis=1).mean())
+def _mean_deviations(new, today, *corrections):
+    """Mean distance, mm, of points from where they should be, with each of the corrections."""
+    labels = today.positions
+    y = new.calibration.residuals(today.angles, today.points, labels)
+    left = [y - mm if labels is None else position_residuals(y - mm, labels) for mm in corrections]
+    return [float(np.linalg.norm(one, axis=1).mean()) for one in left]
 
 
 def _check_left(left, saved, today):
@@ -337,55 +341,54 @@ def _print_moves(old, new):
     return facts
 
 
-def save_step(correction, out, step, page="", contents=(), learnt=None):
+def save_step(correction, out, step, today, page="", contents=()):
     """Write the folder with a step added to its history, of which report and card tell.
 
-    `page` is the report so far; `contents` are further files by their names; from the poses
-    `learnt` the step has taught the model, which is to know them again.
+    `page` is the report so far; `contents` are further files by their names. The poses of a step
+    that has taught the model go into the history: it is to know them again.
     """
     step = {"date": date.today().isoformat(), **step}
-    if learnt is not None:
-        step["rows"] = "".join(digests_of(learnt))
+    if step["what"] in _LEARNT:
+        step["rows"] = "".join(digests_of(today))
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
     card = describe(correction.model)
     findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
     known = {"findings": findings, "training": correction.facts.get("training")}
     card |= {name: fact for name, fact in known.items() if fact}
-    steps = "".join(f"- {_short(one)}\n" for one in history)
-    card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
-    card += f"\n## History\n\n{steps}"
+    steps = "\n".join(f"- {_on_one_line(one)}" for one in history)
+    verdict = f"## Verdict when it was learnt\n\n- {correction.verdict}"
+    card = f"{card}\n{verdict}\n\n## History\n\n{steps}\n"
     contents = {"report.html": with_history(page, history), "card.md": card, **dict(contents)}
     return correction.save(out, contents)
 
 
-def _short(step):
-    """A step on one line."""
-    said = f"{step['date']}: {step['what']}"
+def _on_one_line(step):
+    """What was done in a step, with which poses, and what it was worth."""
+    text = f"{step['date']}: {step['what']}"
     if "poses" in step:
-        said += f", {step['n_poses']} poses ({step['poses'][:16]})"
+        text += f", {step['n_poses']} poses ({step['poses'][:16]})"
     if "measure" in step:
-        said += f", {step['measure']} {step['before_mm']:.4f} -> {step['after_mm']:.4f} mm"
-    return said
+        text += f", {step['measure']} {step['before_mm']:.4f} -> {step['after_mm']:.4f} mm"
+    return text
 
 
-def _save(correction, options, step, layout=None, learnt=None):
+def _save(correction, options, step, today=None, layout=None):
     """Write the folder with what was done, and with the points of today where there are any."""
-    out = Path(options.out) if options.out else correction_files(options.model)[0].parent
     contents = {} if layout is None else corrected_file(layout, correction, options)
-    aside = out / f"corrected_before_{step['what']}.csv"
-    if not options.out:
-        _refuse_other_writers(correction, out)
+    aside = options.out / f"corrected_before_{step['what']}.csv"
+    if options.out == options.model:
+        _refuse_other_writers(correction, options.out)
     with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
-        (out / "corrected.csv").replace(aside)
+        (options.out / "corrected.csv").replace(aside)
         print(f"The corrected points of before are now in {aside.name}.")
-    written = save_step(correction, out, step, _page_of(options), contents, learnt)
-    print(f"Written to {out}: {', '.join(path.name for path in written)}")
+    written = save_step(correction, options.out, step, today, _page_of(options), contents)
+    print(f"Written to {options.out}: {', '.join(path.name for path in written)}")
 
 
 def _page_of(options):
     """The report in the folder of the model, empty where there is none."""
-    path = correction_files(options.model)[0].with_name("report.html")
+    path = options.model / "report.html"
     return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 

@@ -83,8 +83,7 @@ def _run(options):
             with open(options.table, "wb") as file:
                 shutil.copyfileobj(sys.stdin.buffer, file)
         if options.quiet:
-            nowhere = stack.enter_context(open(os.devnull, "w", encoding="utf-8"))
-            stack.enter_context(contextlib.redirect_stdout(nowhere))
+            stack.enter_context(contextlib.redirect_stdout(None))
         elif options.json or getattr(options, "out", None) == "-":
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         stack.enter_context(warnings.catch_warnings())

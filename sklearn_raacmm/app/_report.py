@@ -23,13 +23,6 @@ from sklearn_raacmm.utils import write_whole
 # Rows shown of tables that may be long.
 _MOST_ROWS = 40
 _MOST_HARMONICS = 12
-# What most often makes an encoder's error of an order below these a turn.
-_CAUSES = (
-    (2, "eccentric disc or bearing"),
-    (3, "oval or tilted disc, or what two reading heads leave"),
-    (20, "bearing or run-out of several lobes"),
-    (np.inf, "teeth of a gear, or the scale of the encoder"),
-)
 
 
 def write_report(
@@ -89,19 +82,23 @@ def write_report(
 
 def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
     """Text of the report; parameters as for `write_report`."""
-    limit = None if limit_2s is None else judge_limit(result.scores, limit_2s)
-    table = result.scores.table
-    worst_first = np.argsort(-table["after"], kind="stable")
+    scores, calibration = result.scores, result.calibration
+    fitted = calibration.nominal, calibration.values, calibration.standard_deviations
+    squares = np.mean(result.columns(result.inputs(result.angles)) ** 2, axis=0)
     return render(
         "_report.html",
         result=result,
-        scores=result.scores,
-        limit=limit,
+        scores=scores,
+        limit=None if limit_2s is None else judge_limit(scores, limit_2s),
         facts=_facts(result) | (facts or {}),
-        positions=[{name: column[i] for name, column in table.items()} for i in worst_first],
-        sheet=_sheet(result.scores),
-        deviations=_deviations(result),
-        parameters=_parameters(result.calibration),
+        worst_first=np.argsort(-scores.table["after"], kind="stable"),
+        # Mean squares over the poses learnt from, as `Correction.columns` has them.
+        squares={
+            "of a coordinate within a position": squares[6:9],
+            "of a coordinate in the base frame": squares[3:6],
+            "of a distance of 1 m": squares[9:],
+        },
+        parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
         harmonics=_harmonics(result.model),
         outliers=list_outliers(result, row_numbers),
         row_numbers=row_numbers,
@@ -118,7 +115,7 @@ def render(name, **values):
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
     )  # fmt: skip
-    environment.filters |= {"um": lambda mm: f"{1000 * mm:.1f}", "in_um": _in_um, "number": _number}
+    environment.filters |= {"um": lambda mm: f"{1000 * mm:.1f}", "number": _number}
     return environment.get_template(name).render(values)
 
 
@@ -136,16 +133,6 @@ def _number(value, digits):
     return "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def _in_um(sentence):
-    """A sentence with its numbers in mm in micrometres, as the tables of the report have them."""
-
-    def changed(match):
-        um = re.sub(r"\d+\.(\d+)", lambda n: f"{1000 * float(n[0]):.{len(n[1]) - 3}f}", match[0])
-        return um.replace(" mm", " µm")
-
-    return re.sub(r"(\d+\.\d{3,4} (->|to) )?\d+\.\d{3,4} mm", changed, sentence)
-
-
 def judge_limit(scores, limit):
     """PASS, FAIL or OPEN where the 95 % interval of the mean 2S holds the limit, mm; a sentence."""
     if scores.measure != "2S":
@@ -153,12 +140,11 @@ def judge_limit(scores, limit):
     if not 0 < limit < np.inf:
         raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
     mean, low, high = scores.summary["after"]
+    word, what = "OPEN", "cannot be told from the limit"
     if high <= limit:
         word, what = "PASS", "is within the limit"
     elif low > limit:
         word, what = "FAIL", "is above the limit"
-    else:
-        word, what = "OPEN", "cannot be told from the limit"
     after = scores.table["after"]
     return word, (
         f"Mean 2S after correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), {what} of "
@@ -183,41 +169,6 @@ def _facts(result):
     }
 
 
-def _sheet(scores):
-    """Quantities of single-point articulation and length tests: name, standard, before, after."""
-    rows = []
-    if scores.measure == "2S":
-        for name, column, how in (
-            ("2S, mean over positions", "", np.mean),
-            ("2S, worst position", "", np.max),
-            ("largest deviation", "_max", np.max),
-        ):
-            values = [float(how(scores.table[when + column])) for when in ("before", "after")]
-            rows.append((name, "single-point articulation, ASME B89.4.22", *values))
-    if scores.lengths:
-        errors = scores.length_errors_before, scores.length_errors_after
-        # The ends are means of many readings: no quantity of a standard, which take single ones.
-        for name, statistic in (
-            ("largest", lambda e: np.abs(e).max()),
-            ("range", np.ptp),
-            ("2 rms", lambda e: 2 * np.sqrt(np.mean(e**2))),
-        ):
-            values = [float(statistic(e)) for e in errors]
-            rows.append((f"error of known lengths, {name}", "between mean points", *values))
-    return rows
-
-
-def _deviations(result):
-    """Standard deviations at the poses learnt from: name, root mean square of all, mm."""
-    columns = result.columns(result.inputs(result.angles))
-    names = (
-        ("of a coordinate within a position", columns[:, 6:9]),
-        ("of a coordinate in the base frame", columns[:, 3:6]),
-        ("of a distance of 1 m", columns[:, 9]),
-    )
-    return [(name, float(np.sqrt(np.mean(values**2)))) for name, values in names]
-
-
 def list_outliers(result, row_numbers=None):
     """Number of the row, position and distance in mm of each outlier."""
     outliers = result.outliers
@@ -225,26 +176,9 @@ def list_outliers(result, row_numbers=None):
     return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
 
 
-def _parameters(calibration):
-    """The calibrated table: name, nominal, value, standard deviation, unit, note."""
-    rows = []
-    fitted = calibration.nominal, calibration.values, calibration.standard_deviations
-    for name, *values in zip(calibration.names, *fitted, strict=True):
-        angle = name.startswith(("alpha", "theta"))
-        factor, unit = (180 / np.pi, "°") if angle else (1.0, "mm")
-        note = "not identified" if name in calibration.unidentified else ""
-        rows.append((name, *(factor * value for value in values), unit, note))
-    return rows
-
-
 def _harmonics(model):
-    """The largest harmonics that the model found: joint, order, amplitude, its sd, cause."""
+    """The largest harmonics that the model found, each with its amplitude's sd, arc seconds."""
     if not getattr(model, "helps_", False):  # another kind of model, or one that does not help
         return []
     sds = HarmonicDisplay(harmonics=model.harmonics_, n_joints=model.arm_.n_joints).amplitude_sd
-    rows = []
-    for row, sd in list(zip(model.harmonics_, sds, strict=True))[:_MOST_HARMONICS]:
-        joint, order = int(row["joint"]), int(row["order"])
-        cause = next(cause for below, cause in _CAUSES if order < below)
-        rows.append((joint, order, float(row["amplitude_arcsec"]), float(sd), cause))
-    return rows
+    return list(zip(model.harmonics_, sds, strict=True))[:_MOST_HARMONICS]

@@ -1,28 +1,43 @@
-"""Rows of whatever holds a table: text, spreadsheets, lines of JSON, and programs of robots."""
+"""Rows of whatever holds a table: text, spreadsheets, JSON, arrays, and programs of robots.
+
+Of text encoding, separator and decimal sign are found.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import codecs
+import contextlib
+import csv
 import json
 import re
-from contextlib import closing, contextmanager
-from functools import partial
-from itertools import chain, islice
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import chain, islice, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
 
-from sklearn_raacmm.app._cells import (
-    Dialect,
-    TableError,
-    check_installed,
-    clean,
-    find_dialect,
-    find_encoding,
-)
-
+# Lines looked at to find separator and decimal sign, and characters decoded at a time.
 _LOOKED_AT = 300
+_CHUNK = 1 << 20
+# From the least ambiguous on; None is any white space.
+_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
+_DECIMALS = {".": "point", ",": "comma"}
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+# What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
+_NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+# Hard blanks and typographic minus signs are those of word processors.
+_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-"})
+# Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
+_COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 # A record of a program stands within so many, or the file is none.
 _HEAD_CHARACTERS = 1 << 20
 SHEETS = (".xlsx", ".xlsm")
@@ -50,6 +65,113 @@ _PROGRAMS = (
 )
 
 
+class TableError(ValueError):
+    """A table that cannot be read, or not without further options."""
+
+
+def check_installed(*names):
+    """Refuse work that needs, perhaps in its last step, packages that are missing."""
+    missing = [name for name in names if find_spec(name) is None]
+    if missing:
+        raise TableError(
+            f"{' and '.join(missing)} must be installed: pip install {' '.join(missing)}."
+        )
+
+
+def parse_number(text):
+    """Number that somebody typed, with either decimal sign."""
+    if not _NUMBER.fullmatch(text.strip()):
+        raise TableError(f"{text!r} is not a number.")
+    return float(text.strip().replace(",", "."))
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a file is written; `separator` and `decimal` of what is no text are those to write with.
+
+    `table` has the rows, (row number, cells), of what is no text, and `what` names its kind.
+    """
+
+    path: Path
+    encoding: str = "utf-8-sig"
+    separator: str | None = ","
+    decimal: str = "."
+    what: str = ""
+    table: list[Any] | None = None
+
+    def rows(self):
+        """Yield (row number, cells) of each row that is not empty; lines of text count from 1."""
+        if self.table is not None:
+            yield from self.table
+            return
+        with open(self.path, encoding=self.encoding, newline="") as file:
+            for number, cells in self.split(file):
+                if any(cells):
+                    yield number, cells
+
+    def split(self, lines):
+        """Yield (line number from 1, cells) of lines of text."""
+        lines = (line.translate(_PLAIN) for line in lines)
+        if self.separator is None:
+            yield from enumerate(map(str.split, lines), 1)
+            return
+        reader = csv.reader(lines, delimiter=self.separator)
+        try:
+            for cells in reader:
+                yield reader.line_num, [cell.strip() for cell in cells]
+        except csv.Error as error:  # such as a cell of 128 kB
+            raise TableError(f"{self.path} cannot be read as a table: {error}.") from None
+
+    def number(self, cell):
+        """Number in a cell, or None."""
+        if isinstance(cell, int | float) and not isinstance(cell, bool):
+            return float(cell)
+        if not isinstance(cell, str) or not _NUMBER.fullmatch(cell):
+            return None
+        other = "." if self.decimal == "," else ","
+        return None if other in cell else float(cell.replace(",", "."))
+
+    def count(self, cells):
+        """How many cells hold numbers."""
+        return sum(self.number(cell) is not None for cell in cells)
+
+    def numbers(self, cells):
+        """Numbers of a column, NaN for a cell that holds none; fast for plain text."""
+        with contextlib.suppress(TypeError, ValueError):  # of a spreadsheet, or no numbers
+            text = "\n".join(cells)
+            if self.decimal == "," and "." not in text:
+                text = text.replace(",", ".")
+            if not _NO_NUMBER.search(text):
+                return np.array([float(cell) for cell in text.split("\n")])
+        return np.array([self.number(cell) for cell in cells], dtype=float)
+
+    def text(self, value, digits=6):
+        """Number as the file writes its numbers."""
+        return f"{value:.{digits}f}".replace(".", self.decimal)
+
+    def __str__(self):
+        return self.what or (
+            f"Columns parted by {_SEPARATORS[self.separator]}, decimal "
+            f"{_DECIMALS[self.decimal]}s, {self.encoding}"
+        )
+
+
+def clean(cell):
+    """Cell of a spreadsheet as text has it."""
+    if isinstance(cell, str):
+        return cell.translate(_PLAIN).strip()
+    return "" if cell is None else cell
+
+
+def strip_mark(cells):
+    """Cells of a line of comment without its mark; None if the line is no comment."""
+    mark = _COMMENT.match(str(cells[0]))
+    if not mark:
+        return None
+    rest = str(cells[0])[mark.end() :]
+    return [rest, *cells[1:]] if rest else cells[1:]
+
+
 def find_source(path, n_numbers, sheet=None):
     """How the rows of a file are read, of which those of data hold at least so many numbers.
 
@@ -69,65 +191,104 @@ def find_source(path, n_numbers, sheet=None):
     return _program(path, n_numbers) or find_dialect(path, n_numbers)
 
 
-# -- spreadsheets ---------------------------------------------------------------------------------
+# -- text and spreadsheets ------------------------------------------------------------------------
+
+
+def find_dialect(path, n_numbers):
+    """How a file of text is written, by its first rows with at least so many numbers."""
+    encoding = find_encoding(path)
+    with open(path, encoding=encoding, newline="") as file:
+        lines = [line for line in islice(file, _LOOKED_AT) if line.strip()]
+    # Decimal commas between commas stand in quotation marks.
+    quoted = any('"' in line for line in lines)
+    dialects = [
+        Dialect(path, encoding, separator, decimal)
+        for separator, decimal in product(_SEPARATORS, _DECIMALS)
+        if separator != decimal or quoted
+    ]
+
+    def rows_by(dialect):
+        return [next(dialect.split([line]), (1, []))[1] for line in lines]
+
+    parted = [dialect for dialect in dialects if dialect.separator is not None]
+    # Blanks part columns only where nothing else does.
+    best = _most_numbers(parted, rows_by, n_numbers) or _most_numbers(dialects, rows_by, n_numbers)
+    if best is None:
+        raise TableError(
+            f"{path}: no row with {n_numbers} numbers was found; columns may be parted by "
+            "semicolons, tabs, commas, bars or blanks."
+        )
+    return best
+
+
+def _most_numbers(dialects, rows_by, n_numbers):
+    """The dialect by which most rows have at least so many numbers; None if no row has."""
+    best, most = None, (0, 0)
+    for dialect in dialects:
+        counts = [dialect.count(cells) for cells in rows_by(dialect)]
+        found = sum(count >= n_numbers for count in counts), sum(counts)
+        if found[0] and found > most:
+            best, most = dialect, found
+    return best
+
+
+def find_encoding(path):
+    """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
+    with open(path, "rb") as file:
+        head = file.read(3)
+    marked = [name for mark, name in _MARKS if head.startswith(mark)]
+    for encoding in marked or ("utf-8", "cp1252"):
+        with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
+            while file.read(_CHUNK):
+                pass
+            return encoding
+    raise TableError(
+        f"{path} is no table of text in UTF-8, in UTF-16 with its mark, or in the encoding of "
+        "Windows (cp1252): save it as .xlsx or CSV."
+    )
 
 
 def _find_sheet(path, n_numbers, wanted):
     """The sheet that is wanted, or the first with rows of so many numbers; and its decimal sign."""
-    with _open_book(path) as book:
-        names = [sheet.title for sheet in book.worksheets]  # of charts there are none
-    candidates = [name for name in names if wanted in (None, name)]
-    candidates = candidates or [name for i, name in enumerate(names, 1) if wanted == str(i)]
+    sheets = read_sheets(path)
+    candidates = [name for name in sheets if wanted in (None, name)]
+    candidates = candidates or [name for i, name in enumerate(sheets, 1) if wanted == str(i)]
     if not candidates:
-        raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(names)}.")
+        raise TableError(f"{path} has no sheet {wanted!r}; it has {', '.join(sheets)}.")
     for name in candidates:
-        others = ", ".join(other for other in names if other != name)
+        others = ", ".join(other for other in sheets if other != name)
         more = f" (--sheet takes another: {others})" if others else ""
-        what = f"Spreadsheet, sheet {name!r}{more}"
-        read = partial(sheet_rows, path, name)
-        rows = [cells for _, cells in islice(read(), _LOOKED_AT)]
+        what, rows = f"Spreadsheet, sheet {name!r}{more}", sheets[name]
         dialects = [
-            Dialect(path, separator=separator, decimal=decimal, what=what, read=read)
+            Dialect(path, separator=separator, decimal=decimal, what=what, table=rows)
             for separator, decimal in ((",", "."), (";", ","))
         ]
-        counts = [[dialect.count(cells) for cells in rows] for dialect in dialects]
-        found = [sum(count for count in one if count >= n_numbers) for one in counts]
-        if any(found):
-            return dialects[found.index(max(found))]
-    sheets = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
-    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {sheets}.")
+        some = [cells for _, cells in rows[:_LOOKED_AT]]
+        if best := _most_numbers(dialects, lambda _, some=some: some, n_numbers):
+            return best
+    several = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
+    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {several}.")
 
 
-def sheet_rows(path, name):
-    """Yield (row number from 1, cells) of each row of a sheet that is not empty."""
-    with _open_book(path) as book:
-        sheet = book[name]
-        sheet.reset_dimensions()  # some programs state fewer rows than they write
-        for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
-            cells = [clean(cell) for cell in row]
-            if any(cell != "" for cell in cells):
-                yield number, cells
-
-
-@contextmanager
-def _open_book(path):
-    """A workbook, which is closed afterwards."""
+def read_sheets(path):
+    """Rows of each sheet of a spreadsheet by its name, each (row number from 1, cells)."""
     check_installed("openpyxl")
     import openpyxl
 
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
+    found = {}
     try:
-        # A file of our own: of a sheet that is not read to its end some versions leave theirs open.
-        with (
-            open(path, "rb") as file,
-            closing(openpyxl.load_workbook(file, read_only=True, data_only=True)) as book,
-        ):
-            yield book
-    except TableError:
-        raise
+        with open(path, "rb") as file:
+            book = openpyxl.load_workbook(file, read_only=True, data_only=True)
+            for sheet in book.worksheets:  # of charts there are none
+                sheet.reset_dimensions()  # some programs state fewer rows than they write
+                rows = ([clean(cell) for cell in row] for row in sheet.iter_rows(values_only=True))
+                rows = enumerate(rows, 1)
+                found[sheet.title] = [(n, row) for n, row in rows if any(c != "" for c in row)]
     except Exception as error:  # a zip file of anything, damaged XML, or no zip file
         raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
+    return found
 
 
 # -- lines of JSON --------------------------------------------------------------------------------
@@ -146,7 +307,7 @@ def _json_lines(path):
         raise TableError(f"{path} cannot be read: {error}.") from None
     names = list(dict.fromkeys(chain(*rows)))
     cells = [names, *([row.get(name, "") for name in names] for row in rows)]
-    return Dialect(path, what="Lines of JSON", read=partial(enumerate, cells))
+    return Dialect(path, what="Lines of JSON", table=list(enumerate(cells)))
 
 
 # -- arrays of NumPy and MATLAB -------------------------------------------------------------------
@@ -179,9 +340,10 @@ def _arrays(path, n_numbers):
     if len(columns) < n_numbers:
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
     cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
-    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
-    rows = [(0, names)] * bool(names) + list(enumerate(map(list, zip(*cells, strict=True)), 1))
-    return Dialect(path, what="Arrays", read=partial(iter, rows))
+    rows = list(enumerate(map(list, zip(*cells, strict=True)), 1))
+    if any(name.strip("0123456789") for name in columns):
+        rows.insert(0, (0, list(columns)))
+    return Dialect(path, what="Arrays", table=rows)
 
 
 # -- programs of robots ---------------------------------------------------------------------------
@@ -208,9 +370,8 @@ def _program(path, n_joints):
             own = (re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", cells[0]) for _, cells in rows)
             places = [re.sub(r"[\W_]*\d+\W*$", "", name) for name in own]
             if min(map(places.count, places)) > 1 < len(set(places)):
-                names += ["position (its name without the last number)"]
-                for (_, cells), place in zip(rows, places, strict=True):
-                    cells.append(place)
-            rows.insert(0, (0, names))
-            return Dialect(path, what=f"{what}, degrees", read=partial(iter, rows))
+                names.append("position (its name without the last number)")
+                pairs = zip(rows, places, strict=True)
+                rows = [(line, [*cells, place]) for (line, cells), place in pairs]
+            return Dialect(path, what=f"{what}, degrees", table=[(0, names), *rows])
     return None

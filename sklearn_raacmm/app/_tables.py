@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._cells import TableError
 from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._sources import TableError
 
 _MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
 
@@ -143,17 +143,18 @@ class Layout(Columns):
         if labelled and (not points or position is not None or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
             self.position_column = self.find_position(position, taken)
-        self.turns = None
+        self.turns = np.ones(1)
         if counts_per_turn is not None:
             self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
-            if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
-                each = f"one for each of {n_joints} joints"
-                raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
+            self.factor = 360.0
+        if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
+            each = f"one for each of {n_joints} joints"
+            raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
         self.angle_unit = angle_unit or self.find_unit(self.angle_columns)
         self.point_factor = find_point_factor(self, self.point_columns)
         self.others = {name: self.column(name, "others") for name in others}
-        used = {*self.angle_columns, *self.point_columns, self.position_column}
-        used |= set(self.others.values())
+        used = {*self.angle_columns, *self.point_columns, *self.others.values()}
+        used.add(self.position_column)
         if unused := [name for i, name in enumerate(self.header) if i not in used]:
             self.notes.append(f"Columns not used: {', '.join(unused)}.")
 
@@ -179,13 +180,12 @@ class Layout(Columns):
             positions = self.labels(rows, self.position_column)
         if self.point_columns:
             points = self.numbers(rows, self.point_columns) * self.point_factor
-        angles = self.numbers(rows, self.angle_columns)
-        angles = self.factor * angles if self.turns is None else 360 * angles / self.turns
+        angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
         others = {}
         for name, column in self.others.items():
             cells = [cells[column] for _, cells in rows]
             values = self.source.numbers(cells)
-            others[name] = np.array(list(map(str, cells)) if values is None else values)
+            others[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
         numbers = np.array([number for number, _ in rows])
         return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
 

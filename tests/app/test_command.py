@@ -1,20 +1,24 @@
-"""The command on the log of an arm of another make, and of one that no correction helps."""
+"""The command on the log of an arm of another make, and of one that no correction helps.
+
+The arm shares nothing with the package. Seven joints (2-2-3): its encoders are eccentric, its upper
+arm sags, and its lengths are not those of the drawing. Poses at a cone are found by Gauss-Newton
+from random starts.
+"""
 
 import csv
 import functools
 import json
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import _arms, _commands, _files, _life, main
-from sklearn_raacmm.app._cells import TableError
-from sklearn_raacmm.app._lengths import parse_length, read_places
+from sklearn_raacmm.app._files import parse_length, read_places
+from sklearn_raacmm.app._sources import TableError
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -37,6 +41,79 @@ URDF = (
 )
 
 
+DRAWING = {"shoulder": 300.0, "upper": 420.0, "fore": 380.0, "probe": 120.0}
+
+
+class OtherMake:
+    """The arm: true points from what its encoders read."""
+
+    def __init__(self, seed, error=1.0):
+        rng = np.random.default_rng(seed)
+        self.rng = rng
+        self.lengths = {k: v + rng.normal(scale=0.3) for k, v in DRAWING.items()}
+        arcsec = np.pi / 180 / 3600
+        self.amplitude = error * arcsec * rng.uniform(8, 20, 7)
+        self.phase = rng.uniform(0, 2 * np.pi, 7)
+        self.sag = error * 15 * arcsec
+
+    def points(self, readings):
+        """True points (n, 3) for encoder readings (n, 7) in rad."""
+        q = readings + self.amplitude * np.cos(readings - self.phase)
+        q = np.array(q)
+        q[:, 1] += self.sag * np.cos(readings[:, 1])
+        place = np.zeros((len(q), 3))
+        turn = np.tile(np.eye(3), (len(q), 1, 1))
+        for axis, angle, along in (
+            ("z", q[:, 0], 0.0), ("y", q[:, 1], self.lengths["upper"]), ("x", q[:, 2], 0.0),
+            ("y", q[:, 3], self.lengths["fore"]), ("x", q[:, 4], 0.0),
+            ("y", q[:, 5], self.lengths["probe"]), ("x", q[:, 6], 0.0),
+        ):  # fmt: skip
+            turn = turn @ Rotation.from_euler(axis, angle[:, None]).as_matrix()
+            place = place + along * turn[:, :, 0]
+        place[:, 2] += self.lengths["shoulder"]
+        return place
+
+    def cone(self, place, n):
+        """Readings (n, 7) of poses whose probe is in the cone, but for 5 micrometres of seating."""
+        found = []
+        while len(found) < n:
+            q = self.rng.uniform(-1, 1, 7) * [3, 1, 2.5, 1, 2.5, 1.2, 3]
+            q[3] = 0.9 + 0.5 * q[3]
+            target = place + self.rng.normal(scale=0.005, size=3)
+            for _ in range(40):
+                steps = q + np.r_[np.zeros((1, 7)), 1e-6 * np.eye(7)]
+                p = self.points(steps)
+                jac = (p[1:] - p[0]).T / 1e-6
+                step = np.linalg.lstsq(jac[:, :6], target - p[0], rcond=None)[0]
+                q[:6] += step * 0.5 / max(0.5, np.abs(step).max())
+                if np.abs(step).max() < 1e-10:
+                    break
+            if np.abs(step).max() < 1e-8 and np.all(np.abs(q) < np.pi):
+                found.append(q)
+        return np.array(found)
+
+    def test(self, n_cones, n_poses):
+        """Readings and cone number of a single-point test."""
+        readings, cones, self.places = [], [], []
+        for i in range(n_cones):
+            azimuth, radius = 2.4 * i, 350 + 350 * (i + 0.5) / n_cones
+            place = [radius * np.cos(azimuth), radius * np.sin(azimuth), 100 + 60 * (i % 5)]
+            self.places.append(np.array(place))
+            readings.append(self.cone(self.places[-1], n_poses))
+            cones += [i] * n_poses
+        return np.concatenate(readings), np.array(cones)
+
+
+def write_log(path, readings, cones):
+    """Degrees, decimal commas, cp1252 and two lines above the header, as its logger writes."""
+    lines = ["Meßgerät;Gelenkarm Größe 7", "Datum;21.11.2026;Prüfer;Jürgen"]
+    lines.append("Zeit;Kegel;" + ";".join(f"A{i} [°]" for i in range(1, 8)))
+    for k, (row, cone) in enumerate(zip(np.rad2deg(readings), cones, strict=True)):
+        cells = ";".join(f"{v:.5f}".replace(".", ",") for v in row)
+        lines.append(f"13:{k // 60 % 60:02d}:{k % 60:02d};Kegel Süd {cone + 1};{cells}")
+    path.write_bytes("\r\n".join([*lines, ""]).encode("cp1252"))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def quick_model():
     """The first stage alone: the whole default takes half a minute, and is tested elsewhere."""
@@ -47,17 +124,17 @@ def quick_model():
 
 
 @pytest.fixture(scope="module")
-def machine(other_make):
-    return other_make.OtherMake(1)
+def machine():
+    return OtherMake(1)
 
 
 @pytest.fixture(scope="module")
-def learned(tmp_path_factory, other_make, machine):
+def learned(tmp_path_factory, machine):
     """Folder that ``raacmm learn`` has written for the other make, and what it was given."""
     folder = tmp_path_factory.mktemp("other")
     readings, cones = machine.test(8, 16)
     readings[37, 3] += 0.004  # a slipped probe
-    other_make.write_log(folder / "log.csv", readings, cones)
+    write_log(folder / "log.csv", readings, cones)
     (folder / "arm.urdf").write_text(URDF)
     arguments = f"learn {folder}/log.csv --arm {folder}/arm.urdf --out {folder}/out --folds 4"
     code = main([*arguments.split(), "--limit-2s", "0.05", "--serial", "S 17", "--operator", "Jö"])
@@ -71,10 +148,10 @@ def read_csv(path, encoding="cp1252"):
     return header, rows, np.array(numbers)
 
 
-def test_the_drawing_is_that_of_the_simulator(other_make):
+def test_the_drawing_is_that_of_the_simulator():
     """The test's own premise: the URDF says of the nominal arm what the simulator says."""
-    ideal = other_make.OtherMake(0, error=0)
-    ideal.lengths = other_make.DRAWING
+    ideal = OtherMake(0, error=0)
+    ideal.lengths = DRAWING
     readings = np.random.default_rng(0).uniform(-2, 2, (20, 7))
     np.testing.assert_allclose(
         Arm.from_urdf(URDF).forward(readings), ideal.points(readings), atol=1e-9
@@ -102,13 +179,13 @@ def test_learn_writes_everything_and_finds_the_slip(learned):
     assert np.all(numbers[:, 3:] > 0)
 
 
-def test_the_verdict_is_true(learned, machine, other_make, tmp_path):
+def test_the_verdict_is_true(learned, machine, tmp_path):
     """On new readings of the simulated arm the correction does what the verdict promises."""
     folder, *_ = learned
     facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
     machine.rng = np.random.default_rng(8)
     readings, cones = machine.test(6, 15)
-    other_make.write_log(tmp_path / "today.csv", readings, cones)
+    write_log(tmp_path / "today.csv", readings, cones)
     arguments = f"correct {tmp_path}/today.csv --model {folder} --out {tmp_path}/corrected.csv"
     assert main(arguments.split()) == 0
     _, _, numbers = read_csv(tmp_path / "corrected.csv")
@@ -137,9 +214,7 @@ def test_correct_streams_and_repeats_itself(learned, monkeypatch, tmp_path, caps
     assert "128 rows corrected" in capsys.readouterr().out
 
 
-def test_check_holds_today_and_not_after_a_knock(
-    learned, machine, other_make, tmp_path, capsys, monkeypatch
-):
+def test_check_holds_today_and_not_after_a_knock(learned, machine, tmp_path, capsys, monkeypatch):
     folder, *_ = learned
     machine.rng = np.random.default_rng(9)
     readings, cones = machine.test(5, 12)
@@ -152,7 +227,7 @@ def test_check_holds_today_and_not_after_a_knock(
             monkeypatch.setattr(_life, "highest_mean", lambda *_: 1.0)
         knocked = readings.copy()
         knocked[:, 3] += change * np.cos(readings[:, 3])
-        other_make.write_log(tmp_path / "today.csv", knocked, cones)
+        write_log(tmp_path / "today.csv", knocked, cones)
         kept = ["--record", f"{tmp_path}/checks.csv"]
         assert main(["check", f"{tmp_path}/today.csv", "--model", str(folder), *kept]) == code
         out = capsys.readouterr().out
@@ -173,37 +248,24 @@ def test_checks_raise_a_false_alarm_once_in_a_hundred():
     assert 0.006 < alarms / 4000 < 0.014
 
 
-@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
-def test_export_compiles_and_says_the_same(learned, tmp_path, capsys):
-    folder, _, readings, _ = learned
+def test_export_writes_what_it_names(learned, tmp_path, capsys):
+    """Whether C says the same as Python is tested with `export_c`."""
+    folder = learned[0]
     assert main(["export", "--model", str(folder), "--c", str(tmp_path)]) == 0
     printed = capsys.readouterr().out.strip().removeprefix("Written: ").split()
     assert sorted(printed) == sorted(map(str, tmp_path.iterdir()))
-    header = (tmp_path / "arm_correction.h").read_text()
-    scale_sd = json.loads((folder / "correction.json").read_text(encoding="utf-8"))["scale_sd"]
-    assert f"#define ARM_CORRECTION_SCALE_SD {scale_sd!r}\n" in header
-    written = np.deg2rad(np.rad2deg(readings[0]).round(5))  # as the log has it
-    values = ", ".join(repr(float(v)) for v in written)
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "arm_correction.h"\n'
-        f"int main(void) {{ double q[7] = {{{values}}}, p[3]; arm_correction_point(q, p);\n"
-        'printf("%.9f %.9f %.9f", p[0], p[1], p[2]); return 0; }\n'
-    )
-    sources = [str(tmp_path / name) for name in ("main.c", "arm_correction.c")]
-    subprocess.run(["cc", "-std=c99", *sources, "-o", str(tmp_path / "main"), "-lm"], check=True)
-    printed = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
-    expected = read_csv(folder / "corrected.csv")[2][0, :3]
-    # The correction fades by small tables, and differs by some hundredths of itself.
-    np.testing.assert_allclose([float(v) for v in printed.split()], expected, atol=2e-3)
+    facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
+    line = f"#define ARM_CORRECTION_SCALE_SD {facts['scale_sd']!r}\n"
+    assert line in (tmp_path / "arm_correction.h").read_text()
 
 
 @pytest.mark.exhaustive
-def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
+def test_an_arm_that_no_correction_helps(tmp_path, capsys):
     """Its lengths are off, its probe seats badly, and there is nothing else: exit code 3."""
-    machine = other_make.OtherMake(2, error=0)
+    machine = OtherMake(2, error=0)
     readings, cones = machine.test(6, 12)
     readings += machine.rng.normal(scale=5e-5, size=readings.shape)
-    other_make.write_log(tmp_path / "log.csv", readings, cones)
+    write_log(tmp_path / "log.csv", readings, cones)
     (tmp_path / "arm.urdf").write_text(URDF)
     length = np.linalg.norm(machine.places[0] - machine.places[1])
     lengths = f"von;bis;L [mm]\nKegel Süd 1;Kegel Süd 2;{length:.4f}\n".replace(".", ",")
@@ -222,8 +284,8 @@ def test_an_arm_that_no_correction_helps(other_make, tmp_path, capsys):
 
 
 @pytest.mark.exhaustive
-def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
-    machine = other_make.OtherMake(3, error=3.0)
+def test_learn_against_a_tracker_without_labels(tmp_path, capsys, refused):
+    machine = OtherMake(3, error=3.0)
     readings = machine.rng.uniform(-1.2, 1.2, (120, 7))
     points = machine.points(readings)[:, [1, 2, 0]] + [0, 0, 2000]
     table = np.c_[np.rad2deg(readings), points / 1000]
@@ -235,10 +297,9 @@ def test_learn_against_a_tracker_without_labels(other_make, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "It helps at new positions: mean deviation" in printed
     assert "region 05" in printed
-    assert main([*arguments.split(), "--limit-2s", "0.1", "--force"]) == 2
-    assert "not for a tracker's points" in capsys.readouterr().err
-    assert main(["check", f"{tmp_path}/t.csv", "--model", str(tmp_path)]) == 2
-    assert "with --position NAME" in capsys.readouterr().err
+    limit = ["--limit-2s", "0.1", "--force"]
+    refused("not for a tracker's points", *arguments.split(), *limit)
+    refused("with --position NAME", "check", tmp_path / "t.csv", "--model", tmp_path)
 
 
 def test_demo(monkeypatch, tmp_path, capsys):
@@ -303,7 +364,7 @@ def test_an_arm_changed_as_a_finding_proposes():
             take(arm, code)
 
 
-def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
+def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
     table = tmp_path / "dh.csv"
     table.write_text(
         "Joint;r [m];alpha [deg];d [m];theta;sign\n"
@@ -325,13 +386,10 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, capsys):
         ("a [deg];alpha;d\n1;2;3\n", "the column 'a [deg]' is in deg"),
     ):
         table.write_text(text)
-        assert main(["arm", "--dh", str(table)]) == 2
-        assert message in capsys.readouterr().err
+        refused(message, "arm", "--dh", table)
     # On a wall.
     assert main(["arm", "panda", "--up", "2,0,0", *out]) == 0
     assert Arm.from_json(tmp_path / "arm.json") == Arm.from_name("panda", up=(1, 0, 0))
-    assert main(["arm", "panda", "--up", "2,0", *out]) == 2
-    assert "--up needs three numbers, such as 0,0,1, got '2,0'" in capsys.readouterr().err
     # Written into the robot's own file.
     (tmp_path / "arm.urdf").write_text(URDF)
     own = Arm.from_urdf(URDF)

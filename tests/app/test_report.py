@@ -71,7 +71,8 @@ def numbers_of(result):
 def test_every_number_is_one_of_the_result(read_page, result, page):
     text = " ".join(read_page(page).text)
     # Sentences of the result itself.
-    for sentence in (result.verdict, *(finding.text for finding in result.findings)):
+    sentences = result.verdict, judge_limit(result.scores, 0.04)[1]
+    for sentence in (*sentences, *(finding.text for finding in result.findings)):
         text = text.replace(sentence, "")
     # Names, dates and versions are no numbers of the result.
     for fixed in (
@@ -91,16 +92,15 @@ def test_every_number_is_one_of_the_result(read_page, result, page):
 
 def test_the_page_says_what_it_is_about(read_page, result, page):
     text = " ".join(" ".join(read_page(page).text).split())
-    before, after = (1000 * result.scores.table[when].mean() for when in ("before", "after"))
+    before, after = (result.scores.table[when].mean() for when in ("before", "after"))
     for shown in (
-        f"new positions: 2S {before:.0f} -> {after:.0f} µm, ", "<17>", "serial number",
+        f"new positions: 2S {before:.3f} -> {after:.3f} mm, ", "<17>", "serial number",
         "no statement of conformance", "517 1", "of a distance of 1 m",
         "error of known lengths, largest", "Harmonics of the encoders",
     ):  # fmt: skip
         assert shown in text, shown
-    mean, low, high = (1000 * value for value in result.scores.summary["after"])
-    assert f"correction, {mean:.1f} µm (95 %: {low:.1f} to {high:.1f} µm), is within the" in text
-    assert f"{mean / 1000:.4f} mm (95 %" in judge_limit(result.scores, 0.04)[1]
+    mean, low, high = result.scores.summary["after"]
+    assert f"correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), is within the" in text
     assert "Scale: points of one position" not in text  # lengths are known
 
 
@@ -151,8 +151,7 @@ def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
 
     from sklearn_raacmm.app._figures import _intervals, _positions
 
-    figure = Figure()
-    _positions(figure, result.scores, None)
+    _positions(figure := Figure(), result.scores, None)
     (ax,) = figure.axes
     shown = [int(label.get_text()) for label in ax.get_xticklabels()]
     assert shown == sorted(shown)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm.app import TableError, read_table
-from sklearn_raacmm.app._lengths import read_lengths
+from sklearn_raacmm.app._files import read_lengths
 
 ANGLES = np.array([[12.5, -3.25, 100.0], [13.0, -2.5, 99.125], [-170.0, 0.5, 98.0]])
 LABELS = ["Kegel 1", "Kegel 1", "Kegel 1"]

@@ -53,42 +53,8 @@ def test_a_folder_put_together_by_hand_is_refused(tmp_path):
             read_folder(tmp_path / "two", ["arm.json"])
 
 
-# Two processes write folders of one letter each, while this one reads what must be of one alone.
-AT_ONCE = """
-import os, sys
-from sklearn_raacmm.correction._files import read_folder, write_folder
-folder, times = sys.argv[1], int(sys.argv[2])
-children = []
-for letter in "ab":
-    children.append(os.fork())
-    if not children[-1]:
-        contents = dict.fromkeys(("arm.json", "model.skops"), letter * 5000)
-        for _ in range(times):
-            write_folder(folder, {"x": letter}, contents)
-        os._exit(0)
-for _ in range(5 * times):
-    facts, found = read_folder(folder, ["arm.json", "model.skops"])
-    assert set(found) == {(facts["x"] * 5000).encode()}
-assert [os.waitpid(child, 0)[1] for child in children] == [0, 0]
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork, and locks of folders")
-def test_two_writers_and_a_reader_at_once(tmp_path):
-    write_folder(tmp_path, {"x": "a"}, dict.fromkeys(("arm.json", "model.skops"), "a" * 5000))
-    left = tmp_path / f"model.skops.{'0' * 16}.{'1' * 8}.tmp"  # of a process that was killed
-    left.write_text("old")
-    other = tmp_path / "notes.tmp"
-    other.write_text("mine")
-    command = [sys.executable, "-c", AT_ONCE, str(tmp_path), "20"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    names = {"correction.json", "arm.json", "model.skops", "notes.tmp"}
-    assert {path.name for path in tmp_path.iterdir()} == names
-
-
-# Processes that write folders of one letter by turns, without end, each killed at some moment;
-# prints how often a file was left over, and the letters that were read.
+# Two processes write folders of one letter each, without end, and are killed at some moment. What
+# is read must be of one alone; prints how often a file was left over, and the letters read.
 AT_ANY_MOMENT = """
 import os, random, signal, sys, time
 from pathlib import Path
@@ -99,28 +65,38 @@ random.seed(0)
 def write(letter):
     write_folder(folder, {"x": letter}, dict.fromkeys(("arm.json", "model.skops"), letter * 50000))
 
-write("a")
-left, seen = 0, set()
-for _ in range(n_kills):
-    child = os.fork()
-    while not child:
-        write("b"), write("a")
-    time.sleep(random.uniform(0.001, 0.03))
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
+def read():
     facts, found = read_folder(folder, ["arm.json", "model.skops"])
     assert set(found) == {(facts["x"] * 50000).encode()}
-    seen.add(facts["x"])
-    left += any(folder.glob("*.tmp"))
+    return facts["x"]
+
+write("a")
+(folder / "notes.tmp").write_text("mine")
+left, seen = 0, set()
+for _ in range(n_kills):
+    children = []
+    for letter in "ab":
+        children.append(os.fork())
+        while not children[-1]:
+            write(letter)
+    until = time.monotonic() + random.uniform(0.01, 0.06)
+    while time.monotonic() < until:
+        seen.add(read())
+    for child in children:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    seen.add(read())
+    left += any(folder.glob("*.*.tmp"))
     write("a")
     names = {path.name for path in folder.iterdir()}
-    assert names == {"correction.json", "arm.json", "model.skops"}, names
+    assert names == {"correction.json", "arm.json", "model.skops", "notes.tmp"}, names
 print(left, *sorted(seen))
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
-def test_killed_at_any_moment_the_next_writer_tidies_up(tmp_path):
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork, signals, and locks of folders")
+def test_two_writers_killed_at_any_moment_and_a_reader(tmp_path):
+    """Nothing that is read is of both, and the next writer tidies up."""
     command = [sys.executable, "-c", AT_ANY_MOMENT, str(tmp_path / "out"), "10"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -243,6 +219,10 @@ def places(tmp_path, monkeypatch):
         ("arm ur10 --dh x.csv", "give one arm: a file or name, --dh"),
         ("arm ur10 --probe 0,0,1", "--modified and --probe belong to --dh"),
         ("arm ur10 --into x.urdf", "--into needs --out"),
+        ("arm aacmm6 --sign 1,1", "--sign needs 6 numbers, one for each joint, got '1,1'"),
+        ("arm aacmm6 --sign 1,1,1,1,1,2", "--sign needs 1 or -1 for each joint"),
+        ("arm aacmm6 --zero 0,0,0,0,0,x", "'x' is not a number"),
+        ("arm panda --up 2,0", "--up needs 3 numbers, such as 0,0,1, got '2,0'"),
         ("arm aacmm6 --base link0", "--base and --tip name links of a URDF"),
         ("arm aacmm6 --elbow-offset nan", "belong to --lengths-222 or -223"),
     ],
