@@ -46,7 +46,7 @@ _ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
 # Where less than this share of the poses is concerned, sums over them cost less than new ones
-# (``benchmarks/bench_fit.py``).
+# (``benchmarks/bench_speed.py fit``).
 _FEW_POSES = 0.4
 # Poses whose columns are held at a time.
 _POSES = 256
