@@ -629,17 +629,23 @@ def best_radius(points):
 
 BLOB = np.array([[1.1, 2.2, 3.3], [-3, 1, 2], [2, -3, 1], [-1, -2, -3], [3, -1, -2], [-2, 3, -1]])
 WITH_CENTRE = np.vstack([BLOB, BLOB.mean(axis=0)])
+TWICE = np.repeat(X[:6], 2, axis=0)
 WAVES = 0.05 * np.cos(SMALL[:, :3])
 OWN, OF_WAVES = rbf(X, Y), jhr(SMALL, WAVES)
 FAR = {"kernel": "matern52", "degree": -1}
 ONE = {"n_centers": 1, "length_scale": 1e5, "alpha": 1e12, "degree": 1}
+EXACT = {"n_centers": 6, "length_scale": 0.2, "alpha": 0}
 RESIDUALS_OF = position_residuals
 TWO_S = metrics.single_point_repeatability
 # What is done, and its right answer: a closed form, a law, or NumPy's least squares.
 EDGES = {
+    "network: constant column of another size": (lambda: rbf(np.c_[X, np.full(60, 1e12)], Y), OWN),
     "network: all rows the same": (lambda: rbf(np.ones((60, 2)), Y), np.full(60, Y.mean())),
     "network: constant target": (lambda: rbf(X, np.full(60, 3.0)), np.full(60, 3.0)),
     "network: zero target": (lambda: rbf(X, np.zeros(60)), np.zeros(60)),
+    "network: repeated rows": (
+        lambda: rbf(TWICE, Y[:12], X[:6], **EXACT), Y[:12].reshape(6, 2).mean(axis=1)
+    ),
     "network: collinear columns": (lambda: rbf(np.c_[X, X @ [1, 2]], Y, **ONE), plane()),
     "network: one output constant": (lambda: rbf(X, np.c_[Y, np.ones(60)])[:, 1], np.ones(60)),
     "network: a table of labels": (lambda: of_labels() / 60, np.zeros(300)),
