@@ -1,21 +1,26 @@
-"""Data of arms in folds, and the measures that the benchmarks of the arm's model share.
+"""Data of arms in folds, and what the benchmarks of the arm's model share.
 
 The real data are looked for in ``../shared/data`` beside the project, or in the folder that the
 environment variable SKLEARN_RAACMM_DATA names. Every real fold calibrates the arm on its own
 training rows.
 """
 
+import argparse
 import importlib.util
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
 from sklearn.cluster import KMeans
 from sklearn.model_selection import GroupKFold
 
-from sklearn_raacmm import Arm, calibrate, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 
+ARCSEC = np.pi / 180 / 3600
+MIXES = ("typical", "gravity", "eccentricity")
+UR10 = Arm.from_name("ur10", probe=(0, 0, 93))
 NOMINAL_PANDA = Arm.from_name("panda", probe=(0, 0, 138))
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
@@ -29,6 +34,44 @@ def rms(values):
 def mean_deviation(residuals):
     """Mean length of vectors."""
     return float(np.linalg.norm(residuals, axis=1).mean())
+
+
+def scatter(residuals, groups):
+    """Mean length of vectors from their position's mean."""
+    return mean_deviation(position_residuals(residuals, groups))
+
+
+def geometric(ratios):
+    """Geometric mean and largest of some ratios, as text."""
+    return f"{np.exp(np.mean(np.log(ratios))):.3f} ({max(ratios):.2f})"
+
+
+def run_part(doc, parts, **options):
+    """Run one of some functions, which the command line names, with the options given there.
+
+    `options` are the names of all options and their defaults; False is a switch.
+    """
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parts = {part.__name__.replace("_", "-"): part for part in parts}
+    parser.add_argument("part", choices=parts)
+    for name, default in options.items():
+        kind = {"action": "store_true"} if default is False else {"type": int, "default": default}
+        parser.add_argument(f"--{name}", **kind)
+    given = parser.parse_args()
+    warnings.simplefilter("ignore", UserWarning)  # of few poses, and of what has faded
+    parts[given.part](given)
+
+
+def learn(arm, X, y, groups, train, **params):
+    """The arm's model of the training rows, and what it leaves of the others."""
+    model = ArmResidualRegressor(arm, **params).fit(X[train], y[train], groups=groups[train])
+    return model, y[~train] - model.predict(X[~train])
+
+
+def learn_tracked(arm, angles, points):
+    """A calibration by a tracker's points, and a model of what it leaves."""
+    found = calibrate(arm, angles, points=points)
+    return found, ArmResidualRegressor(found.arm).fit(angles, found.residuals_mm)
 
 
 def pairs_known(placements):

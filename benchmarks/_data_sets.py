@@ -5,11 +5,9 @@ the training rows, which keep them together, too. Simulated arms come with the p
 are downloaded the first time. There calibration, too, sees the training rows only.
 """
 
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from _comparison import UNCORRECTED, fetched
 from _regressors import Fold, run
 from joblib import Parallel, delayed
 from sklearn.metrics import r2_score
@@ -30,11 +28,24 @@ from sklearn_raacmm.metrics import (
     within_position_r2_score,
 )
 
-MIXES = ["typical", "gravity", "eccentricity"]
-PERFECT = ("-", "perfect model")
+UNCORRECTED, PERFECT = ("-", "uncorrected"), ("-", "perfect model")
+WHERE = """\
+The data are not part of this package. They are downloaded once to scikit-learn's data folder, or to
+that of --data-home. On a computer without a network, copy there what another one has downloaded, or
+git clone https://github.com/platonics-delft/kinematics_calibration (commit 05a05ab, folder data, to
+panda_ball_socket) and https://github.com/christianlandgraf/ipa-robot-accuracy (commit 507fba6,
+Series_A/measurements_grid.csv, to ur10_tracker)."""
 UR10_ROWS = 1500
 # What `run` returns beside a prediction.
 COSTS = ("fit_seconds", "predict_seconds_per_row", "pickle_bytes")
+
+
+def fetched(fetch, *args, **options):
+    """Open data of a real arm; where they cannot be had, say where they are."""
+    try:
+        return fetch(*args, **options)
+    except OSError as error:
+        raise SystemExit(f"{error}\n\n{WHERE}") from None
 
 
 class Problem(NamedTuple):
@@ -72,22 +83,6 @@ def simulated(mix, seed, n_positions, n_poses, n_folds):
     )
 
 
-def calibrated_without(data, placement):
-    """Calibrate on the other placements: the arm, its points, and the rows to learn from."""
-    train = data.placements != placement
-    known = [length for length in data.lengths if not length[0].startswith(f"{placement}/")]
-    result = calibrate(data.nominal_arm, data.data[train], data.groups[train], lengths=known)
-    learn = np.flatnonzero(train)
-    # Calibration weighs outliers down by itself; least squares of the residuals would not.
-    learn = learn[result.sample_weight > 0]
-    return SimpleNamespace(
-        arm=result.arm,
-        learn=learn,
-        test=~train,
-        points=result.arm.forward(data.data),
-    )
-
-
 def some_goals(data, n_rows):
     """Keep goal positions drawn at random, with about so many rows."""
     order = np.random.default_rng(0).permutation(data.groups.max() + 1)
@@ -101,24 +96,24 @@ def calibrated(data, train):
     """Calibrate on the training rows: the arm, and the residuals of all rows in its base frame."""
     result = calibrate(data.nominal_arm, data.data[train], points=data.tracker_points[train])
     residuals = result.residuals(data.data, data.tracker_points)
-    return SimpleNamespace(arm=result.arm, residuals=residuals)
+    return result.arm, residuals
 
 
 def panda(arm, data_home):
     """Every placement of the sockets left out once, by calibration, too."""
     data = fetched(fetch_panda_ball_socket, arm, data_home=data_home)
-    names = np.unique(data.placements)
     folds, measured = [], []
-    for name in names:
-        without = calibrated_without(data, name)
-        residuals = np.zeros((len(data.data), 3))
-        residuals[without.learn] = position_residuals(
-            without.points[without.learn], data.groups[without.learn]
-        )
-        labels = (data.groups, data.placements)
-        rows = (without.learn, np.flatnonzero(without.test))
-        folds.append(Fold(without.arm, data.data, residuals, *labels, *rows, absolute=False))
-        measured.append(without.points[without.test])
+    for name in np.unique(data.placements):
+        train = data.placements != name
+        known = [length for length in data.lengths if not length[0].startswith(f"{name}/")]
+        result = calibrate(data.nominal_arm, data.data[train], data.groups[train], lengths=known)
+        # Calibration weighs outliers down by itself; least squares of the residuals would not.
+        learn = np.flatnonzero(train)[result.sample_weight > 0]
+        points, residuals = result.arm.forward(data.data), np.zeros((len(data.data), 3))
+        residuals[learn] = position_residuals(points[learn], data.groups[learn])
+        labels, rows = (data.groups, data.placements), (learn, np.flatnonzero(~train))
+        folds.append(Fold(result.arm, data.data, residuals, *labels, *rows, absolute=False))
+        measured.append(points[~train])
     pairs = np.array([(first, second) for first, second, *_ in data.lengths])
     holes = np.array([length for _, _, length, _ in data.lengths])
     return Problem(f"real, {arm}", folds, measured, pairs, holes)
@@ -130,10 +125,10 @@ def ur10(n_rows, data_home):
     data = some_goals(data, n_rows)
     folds, measured = [], []
     for train, test in GroupKFold(3).split(data.data, groups=data.groups):
-        fold = calibrated(data, train)
+        arm, residuals = calibrated(data, train)
         labels = (data.groups, data.groups)
-        folds.append(Fold(fold.arm, data.data, fold.residuals, *labels, train, test, absolute=True))
-        measured.append(fold.residuals[test])
+        folds.append(Fold(arm, data.data, residuals, *labels, train, test, absolute=True))
+        measured.append(residuals[test])
     return Problem("real, ur10", folds, measured)
 
 

@@ -1,5 +1,7 @@
 """Regression problems of the benchmarks, generated with known truth."""
 
+import resource
+import time
 import zlib
 from typing import NamedTuple
 
@@ -7,6 +9,14 @@ import numpy as np
 from sklearn.datasets import make_friedman1, make_friedman2, make_friedman3
 
 N_TEST = 2000
+
+
+def costs(call):
+    """Result of a call, CPU seconds, and by how many MiB the peak of the memory has grown."""
+    before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    result = call()
+    seconds = time.process_time() - start
+    return result, seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
 
 
 class Problem(NamedTuple):
@@ -79,6 +89,15 @@ def _noisy5(n, rng):
     """Twice as much noise as signal, normal inputs, two of them without effect."""
     X = rng.standard_normal((n, 5))
     return X, np.tanh(X[:, 0] + 0.5 * X[:, 1] * X[:, 2]), 1.2
+
+
+def waves(n, d):
+    """Rows and targets of random waves, a function that asks for centres by the thousand."""
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (n, d))
+    frequencies, phases = 2 * rng.normal(size=(60, d)), rng.uniform(0, 2 * np.pi, 60)
+    f = np.sin(X @ frequencies.T + phases) @ rng.normal(size=60) / 5
+    return X, f + 0.05 * rng.standard_normal(n)
 
 
 # From (n, rng) to inputs, truth and the standard deviation of the noise.

@@ -1,4 +1,4 @@
-"""Every regressor that `make_results.py` compares."""
+"""The regressors that `make_results.py` and `bench_chain.py` compare."""
 
 import pickle
 import time
@@ -7,11 +7,12 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from _comparison import ALL, INPUTS, PAPER, chain, gaussian_process
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold
@@ -21,11 +22,21 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn_raacmm import (
     ArmResidualRegressor,
     CylindricalResidualTarget,
+    PoseFeatures,
     RBFNetRegressor,
 )
 from sklearn_raacmm.metrics import repeatability_scorer
 from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
 
+# What the regressor is given: parameters of PoseFeatures by the name that the tables use.
+PAPER = "pose angles"
+PERIODIC = "pose angles, cos and sin"
+ALL = "all joints, cos and sin"
+INPUTS = {
+    PAPER: {},
+    PERIODIC: {"encoding": "periodic"},
+    ALL: {"joints": "all", "encoding": "periodic"},
+}
 PLANE, ANGLES = "theta2 to theta4", "all joints"
 ALPHAS = [1e-2, 1.0, 1e2, 1e4]
 INNER_FOLDS = 3
@@ -42,6 +53,24 @@ class Fold(NamedTuple):
     learn: np.ndarray  # rows
     test: np.ndarray  # rows
     absolute: bool  # residuals are known in full, not only up to a constant per position
+
+
+def chain(arm, regressor, inputs):
+    """Build the whole model: joint angles in rad in, residual dx, dy, dz in mm out."""
+    # The network has widths of its own.
+    scaler = [] if isinstance(regressor, RBFNetRegressor) else [StandardScaler()]
+    steps = make_pipeline(PoseFeatures(arm, **INPUTS[inputs]), *scaler, regressor)
+    return CylindricalResidualTarget(steps, azimuth=arm.azimuth)
+
+
+def gaussian_process(arm, inputs):
+    """Gaussian process with one width per feature, found by marginal likelihood."""
+    pose = PoseFeatures(arm, **INPUTS[inputs]).fit(np.zeros((1, arm.n_joints)))
+    widths = np.ones(len(pose.get_feature_names_out()))
+    kernel = ConstantKernel(1.0, (1e-4, 1e4)) * RBF(widths, (1e-2, 1e5)) + WhiteKernel(
+        0.5, (1e-5, 1e2)
+    )
+    return chain(arm, GaussianProcessRegressor(kernel, normalize_y=True), inputs)
 
 
 def fourier_terms(angles, order, joints):

@@ -6,12 +6,9 @@ Simulated arms and artefacts; learnt from ten cones of 25 poses and two bars.
     python benchmarks/bench_acceptance.py predict --arms 15    # values against those predicted
 """
 
-import argparse
-import warnings
-
 import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import rms
+from _arm_folds import MIXES, rms, run_part
 from scipy.stats import chi2
 
 from sklearn_raacmm import learn_correction
@@ -19,7 +16,6 @@ from sklearn_raacmm.acceptance import evaluate_acceptance, predict_acceptance
 from sklearn_raacmm.datasets import make_acceptance, make_gauge, make_single_point
 from sklearn_raacmm.metrics import repeatability_interval, single_point_repeatability
 
-MIXES = ("typical", "gravity", "eccentricity")
 SIZES = ((3, 10), (4, 12), (10, 20))
 
 
@@ -32,6 +28,12 @@ def intervals(options):
     longer by a third to a half.
     """
     rng = np.random.default_rng(0)
+
+    def poses(how, n):
+        # Poses come sorted by the swing of the elbow: at random, or one of each part.
+        ends = np.linspace(0, 400, n + 1).astype(int)
+        return rng.choice(400, n, False) if how == "random" else rng.integers(ends[:-1], ends[1:])
+
     shapes = {"as round": (1, 1, 1), "2 : 1 : 1": (2, 1, 1), "5 : 1 : 1": (5, 1, 1)}
     print("2S: share of intervals of 95 % that hold it, of positions and of their mean")
     for k, n in SIZES:
@@ -48,8 +50,7 @@ def intervals(options):
             for how in ("random", "spread"):
                 held = []
                 for _ in range(options.runs):
-                    # Poses come sorted by the swing of the elbow: at random, or one of each part.
-                    rows = [400 * i + _poses(how, n, rng) for i in range(k)]
+                    rows = [400 * i + poses(how, n) for i in range(k)]
                     held.append(_held(pool.points[np.concatenate(rows)], groups, true))
                 shares = " ".join(f"{share:.3f}" for share in np.mean(held, axis=0))
                 print(f"{k:2} x {n}, arm {mix}, {how:<8} {shares}", flush=True)
@@ -66,14 +67,6 @@ def intervals(options):
             ends = rms(errors) * np.sqrt(20 / chi2.ppf([0.975, 0.025], 20))
             held.append(ends[0] < (1 if pool is None else rms(pool)) < ends[1])
         print(f"{name:<20} {np.mean(held):.3f}")
-
-
-def _poses(how, n, rng):
-    """Numbers of n of 400 poses."""
-    if how == "random":
-        return rng.choice(400, n, replace=False)
-    ends = np.linspace(0, 400, n + 1).astype(int)
-    return rng.integers(ends[:-1], ends[1:])
 
 
 def _held(points, groups, true):
@@ -107,14 +100,8 @@ def predict(options):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["intervals", "predict"])
-    parser.add_argument("--runs", type=int, default=300)
-    parser.add_argument("--arms", type=int, default=15)
-    parser.add_argument("--first", type=int, default=100, help="number of the first arm")
-    options = parser.parse_args()
-    warnings.simplefilter("ignore", UserWarning)
-    globals()[options.what](options)
+    """Runs for intervals; arms from the number `first` on for predict."""
+    run_part(__doc__, [intervals, predict], runs=300, arms=15, first=100)
 
 
 if __name__ == "__main__":

@@ -7,52 +7,39 @@
     python benchmarks/bench_after_the_lab.py transfer --panda    # three minutes
     python benchmarks/bench_after_the_lab.py mounts              # four minutes
 
-``series``: a model is fitted to series A of a real UR10 and used on series B: the tracker was set
-up anew and its target sits elsewhere on the flange. From some poses of B base and tool are found,
-and more; the mean deviation at all other poses of B is printed, for five draws of these poses.
-
-``months``: a simulated robot with eccentric encoders, gears, gravity and errors that no column
-describes is measured by a tracker and learned. Months later every joint's offset has moved by 10
-arc seconds, the eccentricity of every joint by 4, the arm is 3 K warmer, and base and tool are new.
-The model brought up to date with a fifth of the poses is compared with a new fit of all of them, at
-500 other poses.
-
-``probes``: a simulated arm is calibrated and learnt with a probe of 100 mm at 14 cones. Then it
-gets longer probes, each registered through the correction in two cones, 15 poses in all. At 8
-other cones the mean 2S is printed: without a correction; with that of the old probe, registered;
-with the same causes through the Jacobian of the new probe (``model.with_arm``); moved in the same
-way, but learnt with probes of 100 and 250 mm together, 7 cones each; and with a new fit.
-
-``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses each: by chance, at
-cones that are spread, and by :func:`plan_poses`, with a probe that leans at most 60 degrees or
-comes from anywhere. The other cones have poses by chance, or those of another plan with a lean of
-60.
-
-``transfer``: simulated robots of one make share the orders and about the size of their gears'
-errors, the compliance of their joints and a part of what no column describes; eccentricities,
-phases and the table are the individual's own. Models of four of them are the start for a new one.
-The misleading make has other gears, hardly any eccentricity and compliances of the other sign.
-Measuring arms are simulated by `make_single_point`, and with ``--panda`` one real Panda is the
-start for the other one, some of its placements being known.
-
-``mounts``: five measuring arms in a cone test and five robots before a tracker, each upright, on
-the ceiling, inclined by 45 degrees and on a wall: mean 2S at positions left out, um, where ``up``
-is stated and where it is left at its default and found by the data; also over that of the same arm
-upright, of the worst arm.
-
-The real data are looked for where `_arm_folds` says.
+``series``: a model of series A of a real UR10 is used on series B, with tracker and target set up
+anew: mean deviation at the poses of B that are not known, median of five draws. ``months``: a
+simulated robot with errors that no column describes. Months later every joint's offset has moved by
+10 arc seconds, its eccentricity by 4, the arm is 3 K warmer, and base and tool are new; judged at
+500 other poses. ``probes``: learnt with a probe of 100 mm at 14 cones, or with 100 and 250 mm at 7
+cones each; longer probes are registered by 15 poses in two cones, and judged at 8 others.
+``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses each. ``transfer``:
+robots of one make share their gears and compliances; models of four are the start for a new one.
+The misleading make has other gears, hardly any eccentricity, and compliances of the other sign.
+``mounts``: 2S at positions left out of arms on walls and ceilings, where ``up`` is stated and where
+it is found by the data; also over that of the same arm upright, of the worst arm.
 """
 
-import argparse
-import warnings
 from copy import copy
+from types import SimpleNamespace
 
 import numpy as np
-from _arm_folds import NOMINAL_PANDA, mean_deviation, read_panda, read_ur10
+from _arm_folds import (
+    ARCSEC,
+    DATA,
+    NOMINAL_PANDA,
+    UR10,
+    learn,
+    learn_tracked,
+    mean_deviation,
+    read_panda,
+    read_ur10,
+    run_part,
+    scatter,
+)
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import (
-    Arm,
     ArmResidualRegressor,
     calibrate,
     plan_poses,
@@ -64,16 +51,15 @@ from sklearn_raacmm.correction._change import LEAST_GAIN_NATS, transferred_model
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-ARCSEC = np.pi / 180 / 3600
 NOISE_MM = 0.03
 PROBES_MM = (100, 150, 250, 400)
 
 
 def show(title, columns, rows):
     """Print a line for each row: its name, and a number for each column."""
-    print(f"{title:26}" + "".join(f"{name:>23}" for name in columns), flush=True)
+    print(f"{title}: {', '.join(columns)}")
     for name, values in rows.items():
-        print(f"{name!s:26}" + "".join(f"{value:23.4g}" for value in values), flush=True)
+        print(f"  {name}: {', '.join(f'{value:.4g}' for value in values)}", flush=True)
 
 
 # -- another series of a tracker -----------------------------------------------------------------
@@ -93,19 +79,22 @@ def one_draw(model, arm, angles, points, known):
     return [mean_deviation(r) for r in (bare, bare - old, registered - old, registered - new)]
 
 
+def known_of_series_b(arm, model, n, seeds, data_home=DATA):
+    """Medians of the same over draws of n poses of series B."""
+    angles, points, _ = read_ur10("B", data_home)
+    draws = []
+    for seed in seeds:
+        known = np.zeros(len(angles), bool)
+        known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
+        draws.append(one_draw(model, arm, angles, points, known))
+    return np.median(draws, axis=0)
+
+
 def series(options):
     angles, points, _ = read_ur10("A")
-    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles, points=points)
-    model = ArmResidualRegressor(first.arm).fit(angles, first.residuals_mm)
-    angles, points, _ = read_ur10("B")
-    rows = {}
-    for n in (10, 20, 60, 200):
-        draws = []
-        for seed in range(options.seeds):
-            known = np.zeros(len(angles), bool)
-            known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
-            draws.append(one_draw(model, first.arm, angles, points, known))
-        rows[n] = np.median(draws, axis=0)
+    first, model = learn_tracked(UR10, angles, points)
+    seeds, counts = range(options.seeds or 5), (10, 20, 60, 200)
+    rows = {n: known_of_series_b(first.arm, model, n, seeds) for n in counts}
     ways = ("no correction", "registered without it", "registered through it", "updated")
     show("poses of B known; mm", ways, rows)
 
@@ -118,7 +107,7 @@ class WornRobot:
 
     def __init__(self, seed):
         rng = np.random.default_rng(seed)
-        self.arm = Arm.from_name("ur10", probe=(0, 0, 93))
+        self.arm = UR10
         self.amplitude, self.phase = rng.normal(0, 30, (6, 3)), rng.uniform(0, 6, (6, 3))
         self.cross = rng.normal(0, 3, (6, 6))
         self.offsets = rng.choice([-10.0, 10.0], 6)
@@ -149,8 +138,7 @@ def one_robot(seed, n_new):
     """Mean deviation, mm: no correction, registered, updated, new fits of a fifth and of all."""
     robot, rng = WornRobot(seed), np.random.default_rng([1, seed])
     old, new, far = (rng.uniform(-2, 2, (n, 6)) for n in (1500, n_new, 500))
-    first = calibrate(robot.arm, old, points=robot.measure(old, rng, 0))
-    model = ArmResidualRegressor(first.arm).fit(old, first.residuals_mm)
+    first, model = learn_tracked(robot.arm, old, robot.measure(old, rng, 0))
     points, true = robot.measure(new, rng, 1), robot.measure(far, rng, 1)
     few = new[: n_new // 5], points[: n_new // 5]
     bare = calibrate(first.arm, few[0], points=few[1], free=["probe"])
@@ -159,27 +147,19 @@ def one_robot(seed, n_new):
     left = [bare.residuals(far, true)]
     left += [through.residuals(far, true) - m.predict(far) for m in (model, updated)]
     for angles, measured in (few, (new, points)):
-        fresh = calibrate(robot.arm, angles, points=measured)
-        own = ArmResidualRegressor(fresh.arm).fit(angles, fresh.residuals_mm)
+        fresh, own = learn_tracked(robot.arm, angles, measured)
         left.append(fresh.residuals(far, true) - own.predict(far))
     return [mean_deviation(rest) for rest in left]
 
 
 def months(options):
     names = ("no correction", "registered", "updated", "new fit, a fifth", "new fit, all")
-    robots = range(options.seeds)
+    robots = range(options.seeds or 2)
     rows = {n: np.mean([one_robot(seed, n) for seed in robots], axis=0) for n in (100, 300, 500)}
     show("poses of a new fit; mm", names, rows)
 
 
 # -- longer probes -------------------------------------------------------------------------------
-
-
-class OldProbe:
-    """A model that stays with the probe that it was fitted with."""
-
-    def __init__(self, model):
-        self.predict = model.predict
 
 
 def with_probe(machine, length):
@@ -240,7 +220,9 @@ def with_longer_probes(seed):
             known = angles[:15], groups[:15]
             return calibrate(start, *known, correction=way, free=["probe"]).arm
 
-        alone, old, moved = (registered(arm, way) for way in (None, OldProbe(model), model))
+        # A model that stays with the probe that it was fitted with.
+        stays = SimpleNamespace(predict=model.predict)
+        alone, old, moved = (registered(arm, way) for way in (None, stays, model))
         both = registered(of_two.arm_, of_two)
         test = cone_test(own, 200 + seed, 8, 25)
         new_arm, new = fitted(own.nominal_arm, *cone_test(own, 300 + seed, 14, 30))
@@ -251,7 +233,7 @@ def with_longer_probes(seed):
 
 
 def probes(options):
-    table = np.mean([with_longer_probes(seed) for seed in range(options.seeds)], axis=0)
+    table = np.mean([with_longer_probes(seed) for seed in range(options.seeds or 4)], axis=0)
     ways = ("uncorrected", "not moved", "moved", "learnt with two, moved", "new fit")
     show("probe, mm; 2S in um", ways, dict(zip(PROBES_MM, table, strict=True)))
 
@@ -269,7 +251,7 @@ def read(machine, plan, seed, angles=None):
 
 def plan(options):
     found = {}
-    for seed in range(options.seeds):
+    for seed in range(options.seeds or 8):
         machine = SimulatedArm("typical", random_state=seed)
         leaning, free = (
             plan_poses(machine.nominal_arm, 8, 12, lean_deg=lean, random_state=seed)
@@ -299,7 +281,7 @@ class Robot:
 
     def __init__(self, make, seed, misleading=False, up=(0, 0, 1)):
         common, own = (np.random.default_rng(part) for part in ([7, make], [8, make, seed]))
-        self.nominal = Arm.from_name("ur10", probe=(0, 0, 93), up=up)
+        self.nominal = UR10.replace(up=up)
         change = {f: getattr(self.nominal, f) + own.normal(0, 0.2, 6) for f in ("a", "d")}
         for field, sd in (("alpha", 3e-4), ("theta_offset", 5e-4)):
             change[field] = getattr(self.nominal, field) + own.normal(0, sd, 6)
@@ -332,14 +314,22 @@ class Robot:
     def learn(self, n, rng):
         """Model of this arm from some poses."""
         angles = rng.uniform(-2, 2, (n, 6))
-        found = calibrate(self.nominal, angles, points=self.measure(angles, rng))
-        return ArmResidualRegressor(found.arm).fit(angles, found.residuals_mm)
+        return learn_tracked(self.nominal, angles, self.measure(angles, rng))[1]
 
 
-def compare_starts(row, starts, arm, angles, y, left, groups=None):
-    """Add to a row what a new fit leaves, and what each start leaves and whether it is believed."""
-    own = ArmResidualRegressor(arm).fit(angles, y, groups=groups)
-    row["new fit"] = left(own)
+def compare_starts(starts, arm, near, far):
+    """What a new fit leaves, and what each start leaves and whether it is believed.
+
+    `near` and `far` are angles, residuals and labels, or None, of what is learnt and judged.
+    """
+    (angles, y, groups), (others, true, labels) = near, far
+
+    def left(model):
+        rest = true - model.predict(others)
+        return mean_deviation(rest) if labels is None else scatter(rest, labels)
+
+    row = {"calibrated": mean_deviation(true)}
+    row["new fit"] = left(ArmResidualRegressor(arm).fit(angles, y, groups=groups))
     for name, models in starts.items():
         moved = transferred_model(models, arm, angles, y, groups=groups)
         row[name] = left(moved)
@@ -365,13 +355,9 @@ def transfer_robots(seeds):
         far_points, points = robot.measure(far, rng, 0.0), robot.measure(new, rng)
         for n in counts:
             found = calibrate(robot.nominal, new[:n], points=points[:n])
-            true = found.residuals(far, far_points)
-
-            def left(model, true=true, far=far):
-                return mean_deviation(true - model.predict(far))
-
-            row, y = {"calibrated": mean_deviation(true)}, found.residuals_mm
-            table[n].append(compare_starts(row, starts, found.arm, new[:n], y, left))
+            judged = far, found.residuals(far, far_points), None
+            near = new[:n], found.residuals_mm, None
+            table[n].append(compare_starts(starts, found.arm, near, judged))
     show_starts("robots: poses; mm", table)
 
 
@@ -382,20 +368,16 @@ def transfer_measuring_arms(seeds):
         test = make_single_point(24, 20, random_state=seed)
         model = ArmResidualRegressor(test.arm).fit(test.data, test.target, groups=test.groups)
         earlier.append(model)
+    starts = {"of 4": earlier, "of 1": earlier[:1]}
     table = {n: [] for n in (1, 2, 4, 8)}
     for seed in range(seeds):
         test = make_single_point(16, 20, random_state=seed)
-        far = test.groups >= 10
-
-        def left(model, test=test, far=far):
-            rest = test.target[far] - model.predict(test.data[far])
-            return mean_deviation(position_residuals(rest, test.groups[far]))
-
         for n, rows in table.items():
-            near, row = test.groups < n, {"calibrated": mean_deviation(test.target[far])}
-            data = test.arm, test.data[near], test.target[near]
-            starts = {"of 4": earlier, "of 1": earlier[:1]}
-            rows.append(compare_starts(row, starts, *data, left, test.groups[near]))
+            parts = [
+                (test.data[some], test.target[some], test.groups[some])
+                for some in (test.groups < n, test.groups >= 10)
+            ]
+            rows.append(compare_starts(starts, test.arm, *parts))
     show_starts("arms: positions; mm", table)
 
 
@@ -410,22 +392,18 @@ def transfer_pandas(draws):
             order = np.random.default_rng(draw).permutation(len(labels))
             for n, rows in table.items():
                 known = np.isin(groups, labels[order[:n]])
-                near, there = (angles[known], groups[known]), (angles[~known], groups[~known])
-                found = calibrate(NOMINAL_PANDA, *near)
-                y, true = (found.residuals(q, groups=labels) for q, labels in (near, there))
-
-                def left(model, true=true, there=there):
-                    rest = true - model.predict(there[0])
-                    return mean_deviation(position_residuals(rest, there[1]))
-
-                row = {"calibrated": mean_deviation(true)}
-                rows.append(compare_starts(row, starts, found.arm, near[0], y, left, near[1]))
+                found = calibrate(NOMINAL_PANDA, angles[known], groups[known])
+                parts = [
+                    (angles[some], found.residuals(angles[some], groups=groups[some]), groups[some])
+                    for some in (known, ~known)
+                ]
+                rows.append(compare_starts(starts, found.arm, *parts))
         show_starts(f"{new} from {old}; mm", table)
 
 
 def transfer(options):
-    transfer_robots(options.seeds)
-    transfer_measuring_arms(options.seeds)
+    transfer_robots(options.seeds or 5)
+    transfer_measuring_arms(options.seeds or 5)
     if options.panda:
         transfer_pandas(2)
 
@@ -437,10 +415,7 @@ MOUNTS = {"upright": (0, 0, 1), "ceiling": (0, 0, -1), "45 degrees": (1, 0, 1), 
 
 def left_by(arms, X, y, groups, train):
     """Mean 2S, um, at positions left out: without a model, and with one for each of some arms."""
-    models = [
-        ArmResidualRegressor(arm).fit(X[train], y[train], groups=groups[train]) for arm in arms
-    ]
-    lefts = [y[~train], *(y[~train] - model.predict(X[~train]) for model in models)]
+    lefts = [y[~train], *(learn(arm, X, y, groups, train)[1] for arm in arms)]
     return [1000 * single_point_repeatability(left, groups[~train]) for left in lefts]
 
 
@@ -474,7 +449,7 @@ def mounts(options):
     names = ("no correction", "up stated", "up found")
     for title, measure in (("cone test", mounted_measuring_arm), ("tracker", mounted_robot)):
         every = {
-            mount: np.array([measure(seed, up) for seed in range(options.seeds)])
+            mount: np.array([measure(seed, up) for seed in range(options.seeds or 5)])
             for mount, up in MOUNTS.items()
         }
         show(f"{title}: 2S, um", names, {m: values.mean(axis=0) for m, values in every.items()})
@@ -482,26 +457,8 @@ def mounts(options):
         show(f"{title}: over upright, worst arm", names, worst)
 
 
-PARTS = {
-    "series": series,
-    "months": months,
-    "probes": probes,
-    "plan": plan,
-    "transfer": transfer,
-    "mounts": mounts,
-}
-
-
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=PARTS)
-    parser.add_argument("--seeds", type=int, help="arms or draws (default: as on the pages)")
-    parser.add_argument("--panda", action="store_true", help="transfer of two real robots, too")
-    options = parser.parse_args()
-    usual = {"months": 2, "probes": 4, "plan": 8}
-    options.seeds = options.seeds or usual.get(options.part, 5)
-    warnings.simplefilter("ignore")
-    PARTS[options.part](options)
+    run_part(__doc__, [series, months, probes, plan, transfer, mounts], seeds=None, panda=False)
 
 
 if __name__ == "__main__":

@@ -1,28 +1,29 @@
 """What positions are worth to the chain.
 
-Every regressor of the chain is fitted twice: with ``fit(X, y, groups=positions)``, which names the
-rows of one position, and with ``groups=False``. On simulated arms it learns at some positions and
-is judged at twenty others by the mean 2S that its correction leaves; on real arms at placements
-(UR10: goals) left out. The table has what is left, as a share of what there was, and the ratio of
-both fits. Settings are the same for both.
+    python benchmarks/bench_chain.py
+    python benchmarks/bench_chain.py --slips
+    python benchmarks/bench_chain.py --few
 
-The default, the network on twelve simulated arms and the real ones, takes about ten CPU minutes;
-``--models`` measures the others.
+Every regressor is fitted twice: with ``fit(X, y, groups=positions)``, and with ``groups=False``. On
+simulated arms it learns at some positions and is judged at twenty others by the mean 2S that its
+correction leaves; on real arms at placements left out. Printed is what is left, as a
+share of what there was, and the ratio of both fits. The network alone takes ten CPU minutes.
 
-``--slips`` and ``--few``: simulated arms with cones to learn from and twelve others, the network of
-three inputs. Slips: of 12 cones x 30 poses 1 to 5 % of the rows are moved by 1 mm in a random
-direction; the network is also fitted to the other rows alone. Few: 10 x 12, 8 x 20 and 12 x 100
-poses, beside scikit-learn's process. Printed is the mean 2S at the other cones, in um.
+``--slips`` and ``--few``: mean 2S at twelve other cones, in um, after a network of three inputs.
+Slips: of 12 cones x 30 poses 1 to 5 % of the rows are moved by 1 mm in a random direction; the
+network is also fitted to the other rows alone. Few: 10 x 12, 8 x 20 and 12 x 100 poses, beside
+scikit-learn's process.
 """
 
 import argparse
 import warnings
+from functools import partial
 from itertools import product
 
 import numpy as np
-from _comparison import ALL, INPUTS, PAPER, chain, gaussian_process
-from _data_sets import MIXES, panda, ur10
-from sklearn.ensemble import ExtraTreesRegressor
+from _arm_folds import MIXES, geometric
+from _data_sets import panda
+from _regressors import ALL, INPUTS, PAPER, chain, gaussian_process
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.kernel_ridge import KernelRidge
@@ -38,32 +39,25 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
+from sklearn_raacmm.residuals import polynomial_chain
 
 # Positions that are learnt from, and poses at each of them.
 SHAPES = [(10, 60), (30, 20)]
 TEST_POSITIONS, TEST_POSES = 20, 20
 N_OTHERS, OTHER_POSES, SLIP = 12, 30, 1.0  # of dirty and of few rows; mm
 SIZES = ((10, 12), (8, 20), (12, 100))
-REAL = ["panda_3", "panda_2", "ur10"]
-
-
+REAL = ["panda_3", "panda_2"]
 # Plain settings, the same for both fits.
 MODELS = {
     "RBF network": lambda arm, inputs: chain(arm, RBFNetRegressor(random_state=0), inputs),
     "polynomial": lambda arm, inputs: polynomial_chain(
         arm, degree=3 if inputs == PAPER else 2, **INPUTS[inputs]
     ),
-    "database": lambda arm, inputs: database_chain(arm, **INPUTS[inputs]),
-    "BP network": lambda arm, inputs: bp_network_chain(arm, random_state=0, **INPUTS[inputs]),
     "Gaussian process": gaussian_process,
     "kernel ridge": lambda arm, inputs: chain(
         arm,
         KernelRidge(kernel="rbf", alpha=0.1, gamma=1 / (2 * (1 if inputs == PAPER else 4) ** 2)),
         inputs,
-    ),
-    "extra trees": lambda arm, inputs: chain(
-        arm, ExtraTreesRegressor(100, min_samples_leaf=5, random_state=0), inputs
     ),
 }
 
@@ -84,23 +78,22 @@ def simulated(mix, seed, n_positions, n_poses):
     codes = np.unique(test.groups[learn], return_inverse=True)[1]
     means = np.array([test.points[learn][codes == c].mean(axis=0) for c in range(n_positions)])
     y = test.points[learn] - means[codes]
-    return [(test.arm, test.data[learn], y, codes, test.data[rest], test.points[rest])], [
-        test.groups[rest]
-    ]
+    fold = test.arm, test.data[learn], y, codes, test.data[rest], test.points[rest]
+    return [fold], [test.groups[rest]]
 
 
 def real(name, data_home):
     """The folds of a real arm."""
-    problem = ur10(1500, data_home) if name == "ur10" else panda(name, data_home)
+    problem = panda(name, data_home)
     folds = [
         (f.arm, f.angles[f.learn], f.residuals[f.learn], f.positions[f.learn], f.angles[f.test], m)
         for f, m in zip(problem.folds, problem.measured, strict=True)
     ]
-    return folds, [f.positions[f.test] for f in problem.folds], problem.folds[0].absolute
+    return folds, [f.positions[f.test] for f in problem.folds]
 
 
-def left(folds, labels, absolute, model=None, known=False):
-    """Mean 2S of what is left, or mean distance from the truth where it is known, mm."""
+def left(folds, labels, model=None, known=False):
+    """Mean 2S of what is left, mm."""
     rests = []
     for arm, X, y, groups, T, measured in folds:
         if model is None:
@@ -110,10 +103,7 @@ def left(folds, labels, absolute, model=None, known=False):
             warnings.simplefilter("ignore")  # widths at their bounds, perceptrons stopped early
             fitted = model(arm).fit(X, y, groups=groups if known else False)
         rests.append(fitted.correct(T, measured))
-    rest = np.concatenate(rests)
-    if absolute:
-        return np.linalg.norm(rest, axis=1).mean()
-    return single_point_repeatability(rest, np.concatenate(labels))
+    return single_point_repeatability(np.concatenate(rests), np.concatenate(labels))
 
 
 def cones(seed, n_positions, n_poses):
@@ -126,71 +116,64 @@ def cones(seed, n_positions, n_poses):
     return test, np.flatnonzero(inside & (place < n_poses)), np.flatnonzero(~inside)
 
 
-def process():
-    """Scikit-learn's process of each output, with a width for each feature."""
-    kernel = ConstantKernel() * RBF(np.ones(3), (1e-2, 1e3)) + WhiteKernel(0.1, (1e-8, 1e2))
-    one = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=1, random_state=0)
-    return MultiOutputRegressor(one)
-
-
-def left_um(test, regressor, X, points, groups, others, labelled):
-    """Mean 2S at other cones of a chain of the three inputs, fitted to some points."""
-    inner = make_pipeline(PoseFeatures(test.arm), StandardScaler(), regressor)
-    chain = CylindricalResidualTarget(inner, azimuth=test.arm.azimuth)
-    labels = {"rbfnetregressor__groups": groups} if labelled else {}
-    chain.fit(X, position_residuals(points, groups), **labels)
-    corrected = test.points[others] - chain.predict(test.data[others])
+def left_um(test, others, regressor, rows=(), points=None):
+    """Mean 2S at other cones, um, of a chain of the three inputs that is fitted to some points."""
+    corrected = test.points[others]
+    if regressor is not None:
+        inner = make_pipeline(PoseFeatures(test.arm), StandardScaler(), regressor)
+        model = CylindricalResidualTarget(inner, azimuth=test.arm.azimuth)
+        groups = test.groups[rows]
+        labelled = isinstance(regressor, RBFNetRegressor)
+        labels = {"rbfnetregressor__groups": groups} if labelled else {}
+        model.fit(test.data[rows], position_residuals(points, groups), **labels)
+        corrected = corrected - model.predict(test.data[others])
     return 1e3 * np.mean(single_point_repeatability(corrected, test.groups[others]))
 
 
-def slips(n_arms=5, draws=4):
+def slips():
     """Print a line of each draw, and how often a limit is passed."""
     ratios = []
-    for seed in range(n_arms):
+    for seed, draw in product(range(5), range(4)):
         test, learn, others = cones(seed, 12, 30)
-        none = 1e3 * np.mean(single_point_repeatability(test.points[others], test.groups[others]))
-        for draw in range(draws):
-            rng = np.random.default_rng([seed, draw])
-            share = rng.uniform(0.01, 0.05)
-            slipped = rng.permutation(len(learn))[: max(1, round(share * len(learn)))]
-            points, groups = test.points[learn].copy(), test.groups[learn]
-            way = rng.standard_normal((len(slipped), 3))
-            points[slipped] += SLIP * way / np.linalg.norm(way, axis=1, keepdims=True)
-            good = np.setdiff1d(np.arange(len(learn)), slipped)
-            found = [
-                left_um(test, RBFNetRegressor(random_state=0), test.data[learn][rows],
-                        points[rows], groups[rows], others, True)
-                for rows in (np.arange(len(learn)), good)
-            ]  # fmt: skip
-            ratios.append((found[0] / none, found[0] / found[1]))
-            shown = f"none {none:.1f}, network {found[0]:.1f}, without these rows {found[1]:.1f}"
-            print(f"arm {seed}, {len(slipped)} of {len(learn)} slipped: {shown}", flush=True)
-    over_none, over_clean = np.transpose(ratios)
-    print(
-        f"worst over none {over_none.max():.3f}, above 1.02: {np.sum(over_none > 1.02)}; ", end=""
+        none = left_um(test, others, None)
+        rng = np.random.default_rng([seed, draw])
+        share = rng.uniform(0.01, 0.05)
+        slipped = learn[rng.permutation(len(learn))[: max(1, round(share * len(learn)))]]
+        points = test.points.copy()
+        way = rng.standard_normal((len(slipped), 3))
+        points[slipped] += SLIP * way / np.linalg.norm(way, axis=1, keepdims=True)
+        of_all, of_good = (
+            left_um(test, others, RBFNetRegressor(random_state=0), rows, points[rows])
+            for rows in (learn, np.setdiff1d(learn, slipped))
+        )
+        ratios.append((of_all / none, of_all / of_good))
+        shown = f"none {none:.1f}, network {of_all:.1f}, without these rows {of_good:.1f}"
+        print(f"arm {seed}, {len(slipped)} of {len(learn)} slipped: {shown}", flush=True)
+    limits = {"none": 1.02, "clean rows": 1.1}
+    for (what, limit), found in zip(limits.items(), np.transpose(ratios), strict=True):
+        print(f"worst over {what} {found.max():.3f}, above {limit}: {np.sum(found > limit)}")
+
+
+def few():
+    """Print 2S of every arm, and the ratios to scikit-learn's process of each output."""
+    kernel = ConstantKernel() * RBF(np.ones(3), (1e-2, 1e3)) + WhiteKernel(0.1, (1e-8, 1e2))
+    peer = GaussianProcessRegressor(
+        kernel, normalize_y=True, n_restarts_optimizer=1, random_state=0
     )
-    print(f"over clean rows {over_clean.max():.3f}, above 1.1: {np.sum(over_clean > 1.1)}")
-
-
-def few(n_arms=8):
-    """Print 2S of every arm, and the ratios to the process."""
     for size in SIZES:
         ratios = []
-        for seed in range(n_arms):
+        for seed in range(8):
             test, learn, others = cones(seed, *size)
-            none = np.mean(single_point_repeatability(test.points[others], test.groups[others]))
-            rows = test.data[learn], test.points[learn], test.groups[learn], others
-            ours = left_um(test, RBFNetRegressor(random_state=0), *rows, True)
-            peer = left_um(test, process(), *rows, False)
-            ratios.append(ours / peer)
-            shown = f"none {1e3 * none:.1f}, network {ours:.1f}, process {peer:.1f}"
+            regressors = None, RBFNetRegressor(random_state=0), MultiOutputRegressor(peer)
+            left = [left_um(test, others, r, learn, test.points[learn]) for r in regressors]
+            ratios.append(left[1] / left[2])
+            shown = "none {:.1f}, network {:.1f}, process {:.1f}".format(*left)
             print(f"{size[0]} x {size[1]}, arm {seed}: {shown}", flush=True)
-        mean = np.exp(np.mean(np.log(ratios)))
-        print(f"{size[0]} x {size[1]}: over the process {mean:.3f}, worst {max(ratios):.3f}")
+        print(f"{size[0]} x {size[1]}: over the process (worst) {geometric(ratios)}")
 
 
-def main(argv=None):
-    """Print the table, and medians over arms."""
+def main():
+    """Print what is left of everything, and medians over arms."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", nargs="*", type=int, default=[50, 51, 52, 53])
     parser.add_argument("--shapes", nargs="*", type=int, default=[0, 1], choices=[0, 1])
@@ -199,37 +182,28 @@ def main(argv=None):
     parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
     parser.add_argument("--slips", action="store_true", help="rows that slipped by 1 mm")
     parser.add_argument("--few", action="store_true", help="few poses, beside a process")
-    args = parser.parse_args(argv)
+    args = parser.parse_args()
     if args.slips or args.few:
         warnings.simplefilter("ignore")
         return slips() if args.slips else few()
-    print(f"{'inputs':<25} {'data':<27} {'regressor':<19} without  with   ratio")
     ratios = {}
-
-    def show(kind, label, folds, labels, absolute):
-        before = left(folds, labels, absolute)
+    data = [
+        (f"{mix}, {SHAPES[shape][0]} x {SHAPES[shape][1]}", simulated, (mix, seed, *SHAPES[shape]))
+        for shape, mix, seed in product(args.shapes, MIXES, args.seeds)
+    ]
+    data += [(name, real, (name, args.data_home)) for name in args.real]
+    for kind, make, how in data:
+        folds = make(*how)
+        before = left(*folds)
         for name, inputs in product(args.models, (PAPER, ALL)):
-
-            def model(arm, name=name, inputs=inputs):
-                return MODELS[name](arm, inputs)
-
-            both = [left(folds, labels, absolute, model, known) / before for known in (False, True)]
-            row = f"{inputs:<25} {label:<27} {name:<19} {both[0]:7.3f} {both[1]:6.3f}"
-            print(f"{row} {both[1] / both[0]:6.3f}", flush=True)
+            model = partial(MODELS[name], inputs=inputs)
+            both = [left(*folds, model, known) / before for known in (False, True)]
             ratios.setdefault((name, inputs, kind), []).append(both)
-
-    for shape, mix in product(args.shapes, MIXES):
-        n_positions, n_poses = SHAPES[shape]
-        kind = f"{mix}, {n_positions} x {n_poses}"
-        for seed in args.seeds:
-            found = simulated(mix, seed, n_positions, n_poses)
-            show(kind, f"{kind}, {seed}", *found, absolute=False)
-    for name in args.real:
-        show(name, name, *real(name, args.data_home))
+            shares = f"without {both[0]:.3f}, with {both[1]:.3f}, ratio {both[1] / both[0]:.3f}"
+            print(f"{', '.join(map(str, how))}, {name}, {inputs}: {shares}", flush=True)
     for (name, inputs, kind), found in ratios.items():
         without, with_them = np.median(found, axis=0)
-        row = f"{inputs:<25} {f'median, {kind}':<27} {name:<19}"
-        print(f"{row} {without:7.3f} {with_them:6.3f}")
+        print(f"median, {kind}, {name}, {inputs}: without {without:.3f}, with {with_them:.3f}")
 
 
 if __name__ == "__main__":

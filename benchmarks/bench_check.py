@@ -7,38 +7,34 @@
     python benchmarks/bench_check.py steps --real         # three minutes
     python benchmarks/bench_check.py findings --real      # ten minutes
 
-``changes``: a simulated measuring arm with eccentric encoders, whose model has learned 500 poses,
-is checked with 40 poses of another day against a tracker (noise 15 um): without a change, after a
-knock of one joint (1 to 5 in turn), with a loose probe, and 5 K warmer.
-
-``kinds``: arms whose errors no model describes completely. Simulated single-point tests: 12 cones
-are learnt, and 6 others of the same arm, 10 poses each, are checked on another day, as they are and
-with one joint knocked (2 to 4 in turn). Tracker series: the base settles by 40 um or drifts by that
-much.
-
-``dwells``: 90 poses of which a logger wrote 100 rows each, beside one row a pose; mean distances in
-um at positions that no fit has seen. ``set-ups``: a tracker or a target that moved half way.
-``steps``: simulated arms with warming, backlash, payloads and slipped probes. Steps are looked for
-in what `ArmResidualRegressor` leaves; then the socket of one position is moved halfway through its
-poses, and the model fitted to that. Tests without a step are looked at in the order of the test,
-by clusters of poses and shuffled.
-
-``findings``: how often each finding is made where nothing is wrong: one half of the positions is
-calibrated and learnt, in a drawn order of positions and poses, and 60 poses of the other half
-update it; then the same with the wrong sign.
-
-With ``--real`` the same is asked of a real UR10 and two Pandas, which are looked for where
-`_arm_folds` says.
+``changes``: an arm that has learned 500 poses is checked with 40 poses of another day: without a
+change, after a knock of one joint, with a loose probe, and 5 K warmer. ``kinds``: the same of arms
+whose errors no model describes completely, in single-point tests (12 cones learnt, 6 others
+checked) and tracker series. ``dwells``: 90 poses of which a logger wrote 100 rows each, beside one
+row a pose: mean distances in um at other positions. ``set-ups``: a tracker or a target that moved
+half way. ``steps``: looked for in what the model leaves of clean tests, in three orders, and after
+the socket of one position moved halfway through its poses. ``findings``: how often each is made
+where nothing is wrong, when half of the positions are learnt and 60 poses of the others update the
+model; then with the wrong sign. ``--real``: of a UR10 and of Pandas, too.
 """
 
-import argparse
-import warnings
 from collections import Counter
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from _arm_folds import NOMINAL_PANDA, mean_deviation, pairs_known, read_panda, read_ur10
+from _arm_folds import (
+    ARCSEC,
+    MIXES,
+    NOMINAL_PANDA,
+    UR10,
+    learn_tracked,
+    mean_deviation,
+    pairs_known,
+    read_panda,
+    read_ur10,
+    run_part,
+)
 from sklearn.cluster import KMeans
 
 from sklearn_raacmm import (
@@ -53,7 +49,6 @@ from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
 from sklearn_raacmm.measurements._moved_positions import find_steps
 from sklearn_raacmm.utils import FindingError, centred, collected_findings
 
-ARCSEC = np.pi / 180 / 3600
 RATE = 0.01
 TYPICAL = ArmErrors()
 KINDS = {
@@ -82,7 +77,7 @@ class Counts:
         for change, checks in self.of.items():
             (alarms, right), n = np.sum(checks, axis=0), len(checks)
             named = f"named rightly {right} of {alarms}"
-            print(f"{self.kind:12}{change:52}{alarms:4} of {n:4} {alarms / n:6.1%}  {named}")
+            print(f"{self.kind}, {change}: {alarms} of {n}, {alarms / n:.1%}; {named}")
 
 
 def knock(arm, arcsec):
@@ -117,8 +112,7 @@ def ur10(n_learned):
     angles, points, _ = read_ur10("A")
     order = np.random.default_rng(0).permutation(len(angles))
     rows, others = order[:n_learned], order[n_learned:]
-    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
-    model = ArmResidualRegressor(first.arm).fit(angles[rows], first.residuals_mm)
+    first, model = learn_tracked(UR10, angles[rows], points[rows])
 
     def poses(run):
         some = np.sort(np.random.default_rng([3, run]).choice(others, 40, replace=False))
@@ -272,7 +266,7 @@ def simulated_test(seed):
     """Angles, residuals, positions and the arm of one simulated test."""
     rng = np.random.default_rng(seed)
     errors = replace(
-        ArmErrors.from_name(("typical", "gravity", "eccentricity")[seed % 3]),
+        ArmErrors.from_name(MIXES[seed % 3]),
         play_arcsec=float(rng.choice([0, 0, 5])),
         softening_arcsec=float(rng.choice([0, 0, 20])),
         drift_k=float(rng.choice([0, 0, 3])),
@@ -330,7 +324,7 @@ def halves(name, run):
     if name.startswith("UR10"):
         angles, points, goals = read_ur10(name[-1])
         some = rng.choice(len(angles), 600, replace=False)
-        return Arm.from_name("ur10", probe=(0, 0, 93)), angles[some], goals[some], points[some], ()
+        return UR10, angles[some], goals[some], points[some], ()
     if name.startswith("panda"):
         angles, groups, placements = read_panda(name)
         nominal, lengths = NOMINAL_PANDA, pairs_known(np.unique(placements))
@@ -346,29 +340,29 @@ def halves(name, run):
 def found_in(name, run):
     """Findings of calibration, fit and update of one half and the other, and of the wrong sign."""
     arm, angles, groups, points, lengths = halves(name, run)
-    labels = np.unique(groups)
-    first = np.isin(groups, np.random.default_rng([8, run]).permutation(labels)[::2])
+    first = np.isin(groups, np.random.default_rng([8, run]).permutation(np.unique(groups))[::2])
     known = [one for one in lengths if {one[0], one[1]} <= set(groups[first])]
-    given = {"groups": groups[first], "lengths": known}
-    if points is not None:
-        given = {"points": points[first]}
+
+    def given(rows):
+        return {"groups": groups[rows]} if points is None else {"points": points[rows]}
+
+    def labels(rows):
+        return groups[rows] if points is None else None
+
     with collected_findings() as of_arm:
-        result = calibrate(arm, angles[first], **given)
-    labels = None if points is not None else groups
+        result = calibrate(arm, angles[first], **given(first), lengths=known)
     y = np.zeros((len(angles), 3))
     for half in (first, ~first):
-        part = None if points is None else points[half]
-        y[half] = result.residuals(angles[half], part, None if labels is None else labels[half])
+        y[half] = result.residuals(angles[half], **given(half))
     with collected_findings() as of_fit:
         model = ArmResidualRegressor(result.arm)
-        model.fit(angles[first], y[first], groups=None if labels is None else labels[first])
+        model.fit(angles[first], y[first], groups=labels(first))
     new = np.flatnonzero(~first)[:60]
     found = {"calibrate": of_arm, "fit": of_fit}
     for what, sign in (("update", 1), ("wrong sign", -1)):
         with collected_findings() as of_update:
             try:
-                of_new = None if labels is None else labels[new]
-                update_correction(model, angles[new], sign * y[new], groups=of_new)
+                update_correction(model, angles[new], sign * y[new], groups=labels(new))
             except FindingError as error:
                 of_update.append(error.finding)
         found[what] = of_update
@@ -384,30 +378,13 @@ def findings(options):
         for what in every[0]:
             codes = Counter(code for found in every for code in found[what])
             said = ", ".join(f"{code} {n}" for code, n in codes.most_common()) or "nothing"
-            print(f"{name:14}{what:12}{options.runs:4} runs: {said}", flush=True)
-
-
-PARTS = {
-    "changes": changes,
-    "kinds": kinds,
-    "dwells": dwells,
-    "set-ups": set_ups,
-    "steps": steps,
-    "findings": findings,
-}
+            print(f"{name}, {what}, {options.runs} runs: {said}", flush=True)
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=PARTS)
-    parser.add_argument("--arms", type=int, default=6, help="of each kind, simulated")
-    parser.add_argument("--days", type=int, default=6, help="checks of each arm")
-    parser.add_argument("--runs", type=int, default=60, help="of each change or series")
-    parser.add_argument("--tests", type=int, default=100, help="simulated, for steps")
-    parser.add_argument("--real", action="store_true", help="the real robots, too")
-    options = parser.parse_args()
-    warnings.simplefilter("ignore")
-    PARTS[options.part](options)
+    """Arms and checks of each for kinds; series or changes; simulated tests for steps."""
+    parts = [changes, kinds, dwells, set_ups, steps, findings]
+    run_part(__doc__, parts, arms=6, days=6, runs=60, tests=100, real=False)
 
 
 if __name__ == "__main__":

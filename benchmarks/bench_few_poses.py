@@ -5,23 +5,19 @@
     python benchmarks/bench_few_poses.py --narrow
     python benchmarks/bench_few_poses.py --constants
 
-Of each set of thinned real Pandas some placements are drawn, and of their rows as many as asked
-for. Calibration and model learn from these; all rows of the other placements are left out. Printed
-is, by the number of placements, what is left of the mean deviation from a socket's mean over that
-without correction (geometric mean, worst draw), the share of coordinates inside intervals of 95 %,
-and how often the model decided for no correction.
+Of thinned real Pandas some placements are drawn, and of their rows some, to learn from; the other
+placements are left out. Printed is, by the number of placements, what is left of the deviation over
+that without correction (geometric mean, worst draw), the share inside intervals of 95 %, and how
+often the model decided for no correction.
 
-``--gears``: simulated arms with a gear at one joint; single-point tests of 6 to 12 positions, every
-other one left out.
+``--gears``: single-point tests of simulated arms with a gear at one joint, every other position
+left out. ``--narrow``: simulated arms in narrow ranges of their joints, 300 poses before a tracker.
+Calibration has taken the easy directions out of what is left, which is where a search of the
+families' variances can stay at zero.
 
-``--narrow``: simulated arms in narrow ranges of their joints, 300 random poses within 0.25 rad of a
-centre, gravity and eccentric encoders, a tracker's noise of 0.01 mm. Calibration has taken the easy
-directions out of what is left, which is where a search of the families' variances can stay at zero.
-
-``--constants``: deviations from the mean, the median, the first or the last row of each position of
-simulated single-point tests, and constants of 0 to 0.05 mm a coordinate added to the errors of a
-tracker; printed is what the model leaves at eight other positions, mm: 2S, and of the tracker's
-arms the mean deviation from the truth.
+``--constants``: deviations from the mean, the median, the first or the last row of each position,
+and constants added to the errors of a tracker; printed is what the model leaves at eight other
+positions, mm: 2S, and of the tracker's arms the mean deviation from the truth.
 """
 
 import argparse
@@ -29,7 +25,18 @@ import warnings
 
 import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import NOMINAL_PANDA, mean_deviation, pairs_known, read_panda
+from _arm_folds import (
+    ARCSEC,
+    MIXES,
+    NOMINAL_PANDA,
+    geometric,
+    learn,
+    learn_tracked,
+    mean_deviation,
+    pairs_known,
+    read_panda,
+    scatter,
+)
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
@@ -41,7 +48,6 @@ GEARS, GEAR_ARCSEC = (100, 120, 160, 200, 240), 8.0
 LEAST_TEETH = 30  # gears are sought above: wobble and eccentricity have the orders below
 NOISE_MM, N_OTHERS = 0.01, 400
 SOURCES = ("eccentricity", "torsion", "sag", "wobble", "runout")
-KINDS = ("typical", "gravity", "eccentricity")
 FROM = {
     "mean": lambda y: y.mean(axis=0),
     "median": lambda y: np.median(y, axis=0),
@@ -49,10 +55,6 @@ FROM = {
     "last row": lambda y: y[-1],
 }
 CONSTANTS_MM = (0.0, 0.002, 0.004, 0.008, 0.05)
-
-
-def geometric(ratios):
-    return f"{np.exp(np.mean(np.log(ratios))):.3f} ({max(ratios):.2f})"
 
 
 def panda_fit(angles, sockets, train):
@@ -91,11 +93,11 @@ def pandas():
                 ratio = mean_deviation(left) / mean_deviation(y[~inside])
                 row = ratio, np.mean(np.abs(left) < 1.96 * std), not model.helps_
                 found.setdefault(min(k, 4), []).append(row)
-    print("| placements | draws | of no correction (worst) | inside (least) | refused |")
+    print("placements, draws: left of no correction (worst); inside (least); refused")
     for k, rows in sorted(found.items()):
         ratios, inside, refused = np.transpose(rows)
-        cells = f"{geometric(ratios)} | {inside.mean():.2f} ({inside.min():.2f})"
-        print(f"| {k} | {len(rows)} | {cells} | {refused.sum():.0f} |")
+        share = f"{inside.mean():.2f} ({inside.min():.2f})"
+        print(f"{k}, {len(rows)}: {geometric(ratios)}; {share}; {refused.sum():.0f}")
 
 
 def gears(n_arms):
@@ -106,16 +108,12 @@ def gears(n_arms):
         test = make_single_point(int(rng.choice([6, 8, 12])), 16, random_state=seed)
         joint, gear = int(rng.integers(6)), int(rng.choice(GEARS))
         turns, phase = np.zeros_like(test.data), rng.uniform(0, 2 * np.pi)
-        size = np.deg2rad(GEAR_ARCSEC / 3600)
-        turns[:, joint] = size * np.cos(gear * test.data[:, joint] - phase)
+        turns[:, joint] = GEAR_ARCSEC * ARCSEC * np.cos(gear * test.data[:, joint] - phase)
         moved = np.einsum("nij,nj->ni", test.arm.jacobian(test.data), turns)
         y = position_residuals(test.points + moved, test.groups)
         train = test.groups % 2 == 0
-        model = ArmResidualRegressor(test.arm)
-        model.fit(test.data[train], y[train], groups=test.groups[train])
-        left = y[~train] - model.predict(test.data[~train])
-        left = position_residuals(left, test.groups[~train])
-        ratios.append(mean_deviation(left) / mean_deviation(y[~train]))
+        model, left = learn(test.arm, test.data, y, test.groups, train)
+        ratios.append(scatter(left, test.groups[~train]) / mean_deviation(y[~train]))
         high = model.harmonics_[model.harmonics_["order"] > LEAST_TEETH]
         right = (high["joint"] == joint + 1) & (high["order"] == gear)
         hits, false = hits + right.sum(), false + (~right).sum()
@@ -136,8 +134,7 @@ def narrow(n_draws, n_poses=300, width=0.25):
             return machine.true_arm.forward(angles) + sum(off[name] for name in SOURCES)
 
         measured = points(near) + rng.normal(0, NOISE_MM, (n_poses, 3))
-        found = calibrate(machine.nominal_arm, near, points=measured)
-        model = ArmResidualRegressor(found.arm).fit(near, found.residuals_mm)
+        found, model = learn_tracked(machine.nominal_arm, near, measured)
         y = found.residuals(far, points(far))
         ratio, size = mean_deviation(y - model.predict(far)) / mean_deviation(y), mean_deviation(y)
         ratios.append(ratio)
@@ -146,40 +143,34 @@ def narrow(n_draws, n_poses=300, width=0.25):
     print(f"{n_draws} arms: {geometric(ratios)}, gained in {np.sum(np.less(ratios, 1))}")
 
 
-def left_of(test, y, train, truth=None):
-    """What a model of y leaves at the other positions, mm."""
-    model = ArmResidualRegressor(test.arm)
-    model.fit(test.data[train], y[train], groups=test.groups[train])
-    correction = model.predict(test.data[~train])
-    if truth is not None:
-        return float(np.linalg.norm(truth[~train] - correction, axis=1).mean())
-    left = test.points[~train] - correction
-    return float(single_point_repeatability(left, test.groups[~train]))
+def twenty_positions(mix, seed):
+    """A simulated test, and its rows at twelve positions."""
+    test = make_single_point(20, 15, machine=mix, random_state=seed)
+    return test, test.groups < 12
 
 
 def constants(draws):
     """Deviations from something else than the mean, and small constants."""
-    print("deviations from" + "".join(f"{name:>11}" for name in FROM))
-    for mix in KINDS:
-        for seed in range(draws):
-            test = make_single_point(20, 15, machine=mix, random_state=seed)
-            train, cells = test.groups < 12, []
-            for origin in FROM.values():
-                y = test.points.copy()
-                for group in np.unique(test.groups):
-                    rows = test.groups == group
-                    y[rows] -= origin(y[rows])
-                cells.append(left_of(test, y, train))
-            print(f"{mix:15}" + "".join(f"{cell:11.4f}" for cell in cells), flush=True)
-    print("constants, mm  " + "".join(f"{size:>11g}" for size in CONSTANTS_MM))
-    for mix in KINDS:
-        for seed in range(draws):
-            test = make_single_point(20, 15, machine=mix, random_state=seed)
-            truth = test.points - test.simulation.true_points
-            drawn = np.random.default_rng(seed).normal(size=(20, 3))[test.groups]
-            train = test.groups < 12
-            cells = [left_of(test, truth + c * drawn, train, truth) for c in CONSTANTS_MM]
-            print(f"{mix:15}" + "".join(f"{cell:11.4f}" for cell in cells), flush=True)
+    drawn = [(mix, seed) for mix in MIXES for seed in range(draws)]
+    for mix, seed in drawn:
+        test, train = twenty_positions(mix, seed)
+        for name, origin in FROM.items():
+            y = test.points.copy()
+            for group in np.unique(test.groups):
+                rows = test.groups == group
+                y[rows] -= origin(y[rows])
+            model, _ = learn(test.arm, test.data, y, test.groups, train)
+            left = test.points[~train] - model.predict(test.data[~train])
+            left = single_point_repeatability(left, test.groups[~train])
+            print(f"{mix}, deviations from {name}: {left:.4f}", flush=True)
+    for mix, seed in drawn:
+        test, train = twenty_positions(mix, seed)
+        truth = test.points - test.simulation.true_points
+        moved = np.random.default_rng(seed).normal(size=(20, 3))[test.groups]
+        for size in CONSTANTS_MM:
+            model, _ = learn(test.arm, test.data, truth + size * moved, test.groups, train)
+            left = mean_deviation(truth[~train] - model.predict(test.data[~train]))
+            print(f"{mix}, constants of {size:g} mm: {left:.4f}", flush=True)
 
 
 def main():

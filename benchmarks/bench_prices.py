@@ -1,27 +1,26 @@
 """What a harmonic should cost: rules of its order, on simulated arms only.
 
     python benchmarks/bench_prices.py
-
-Single-point tests of three kinds of measuring arms, learnt at 6, 9 and 16 positions and used at
-8 others; robots with gears, measured by a tracker at 60, 120 and 300 poses and used at 500 others.
-Each line is a rule; each column the geometric mean over the draws of a kind of what the rule leaves
-of the deviation, over what the first rule leaves.
-
     python benchmarks/bench_prices.py --field
 
-asks the same of the price of the field, all low orders together as one smooth function: beside the
-kinds above on arms whose encoders err by straight pieces between the knots of a table.
+Single-point tests of three kinds of measuring arms, learnt at 6, 9 and 16 positions and used at
+8 others; robots with gears, learnt at 60, 120 and 300 poses and used at 500 others. Printed is, for
+each rule and kind, the geometric mean of what it leaves over what the first rule leaves.
+
+``--field``: the price of all low orders together as one smooth function, also on arms whose
+encoders err by straight pieces between the knots of a table.
 """
 
 import argparse
 import warnings
 
 import numpy as np
+from _arm_folds import MIXES, scatter
 from _arm_folds import mean_deviation as deviation
 from bench_after_the_lab import Robot
 
 import sklearn_raacmm.error_model._fit as structures
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.datasets import make_single_point
 
 
@@ -51,7 +50,7 @@ def single_point(mix, seed, n_positions):
 
     def left(model):
         rest = test.target[other] - model.predict(test.data[other])
-        return deviation(position_residuals(rest, test.groups[other]))
+        return scatter(rest, test.groups[other])
 
     return test.arm, fit, left
 
@@ -88,27 +87,26 @@ def main():
     warnings.simplefilter("ignore")
     kinds = {
         f"{mix} {n}": [single_point(mix, seed, n) for seed in seeds]
-        for mix in ("typical", "gravity", "eccentricity")
+        for mix in MIXES
         for n in (6, 9, 16)
     }
     kinds |= {f"gears {n}": [tracked(s % 3, s, n) for s in seeds] for n in (60, 120, 300)}
     kinds |= {f"pieces {n}": [pieces(s, n) for s in seeds] for n in (150, 500) * options.field}
     name = "_PRICE_OF_FIELD" if options.field else "order_price"
     first, rules = None, FIELD_PRICES if options.field else RULES
-    heads = [kind.replace("eccentricity", "ecc.") for kind in kinds]
-    print(f"{'':18}" + "".join(f"{head:>12}" for head in heads))
     for title, rule in rules.items():
         setattr(structures, name, rule)
-        logs = np.array([
-            np.mean([
-                np.log(left(ArmResidualRegressor(arm).fit(X, y, **options)))
-                for arm, (X, y, options), left in draws
-            ])
-            for draws in kinds.values()
-        ])  # fmt: skip
+        logs = []
+        for draws in kinds.values():
+            left = [
+                of(ArmResidualRegressor(arm).fit(X, y, **given)) for arm, (X, y, given), of in draws
+            ]
+            logs.append(np.mean(np.log(left)))
         first = logs if first is None else first
-        cells = "".join(f"{value:12.3f}" for value in np.exp(logs - first))
-        print(f"{title:18}{cells}   all {np.exp(np.mean(logs - first)):.4f}", flush=True)
+        ratios = np.exp(np.subtract(logs, first))
+        cells = ", ".join(f"{kind} {value:.3f}" for kind, value in zip(kinds, ratios, strict=True))
+        whole = np.exp(np.mean(np.subtract(logs, first)))
+        print(f"{title}: {cells}; all {whole:.4f}", flush=True)
 
 
 if __name__ == "__main__":

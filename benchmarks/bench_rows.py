@@ -1,13 +1,11 @@
 """RBFNetRegressor on many rows: time, memory, and whether a limit on the rows is a cliff.
 
     python benchmarks/bench_rows.py --rows 1e5 1e6 1e7
-    python benchmarks/bench_rows.py --million     # a million rows, three outputs of random waves
     python benchmarks/bench_rows.py --cliffs      # default fits with n and 1.01 n rows
 
 The rows of the first have 6 features and 3 outputs and lie in memory-mapped files; 100 centres,
-given widths and ridge, then everything found by itself. Each run is a process of its own. Printed
-are CPU seconds, the peak memory above the imports, and the mean squared residual on the training
-rows, of which 0.01 is noise.
+given widths and ridge, then everything found by itself. Printed are CPU seconds, the peak memory
+above the imports, centres, and the mean squared residual, of which 0.01 is noise.
 
 Cliffs are looked for where a limit on the number of rows is passed, of a rough and a smooth
 function: no step should be larger than 1.5, in time or in error. One BLAS thread.
@@ -15,16 +13,15 @@ function: no step should be larger than 1.5, in time or in error. One BLAS threa
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
-import time
 import warnings
 from pathlib import Path
 
 import _one_thread  # noqa: F401
 import numpy as np
+from _problems import costs
 
 from sklearn_raacmm import RBFNetRegressor
 
@@ -54,20 +51,15 @@ def run(method, n, folder):
     """Fit in this process, and print what it took."""
     X, Y = mapped(folder, n, "r")
     RBFNetRegressor(2, length_scale=1.0, alpha=0).fit(X[:10], Y[:10])
-    base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.process_time()
-    model = RBFNetRegressor(random_state=0, **SETTINGS[method]).fit(X, Y)
-    seconds = time.process_time() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - base
+    model = RBFNetRegressor(random_state=0, **SETTINGS[method])
+    _, seconds, mib = costs(lambda: model.fit(X, Y))
     parts = (slice(i, i + 100_000) for i in range(0, n, 100_000))
     mse = sum(np.sum((model.predict(X[part]) - Y[part]) ** 2) for part in parts) / Y.size
-    print(
-        f"{n:>9} {method:<6} {seconds:>8.2f} {peak / 1024:>6.0f} {len(model.centers_):>8} {mse:.6f}"
-    )
+    shown = f"{seconds:.2f} s, {mib:.0f} MiB, {len(model.centers_)} centres, {mse:.6f}"
+    print(f"{n} rows, {method}: {shown}", flush=True)
 
 
 def many(sizes):
-    print(f"{'rows':>9} {'':<6} {'CPU s':>8} {'MiB':>6} {'centres':>8} mse", flush=True)
     for n in map(int, sizes):
         with tempfile.TemporaryDirectory() as folder:
             write(Path(folder), n)
@@ -76,12 +68,12 @@ def many(sizes):
                 subprocess.run([sys.executable, __file__, "--one", call], check=True)
 
 
-def rows(name, n, n_outputs=1):
+def rows(name, n):
     """Rows, targets with noise, and the truth; the first rows are for the test."""
     d, frequency = FUNCTIONS[name]
     rng = np.random.default_rng(7)
     waves, phases = frequency * rng.standard_normal((d, 60)), rng.uniform(0, 2 * np.pi, 60)
-    weights = rng.standard_normal((60, n_outputs)) / 5
+    weights = rng.standard_normal(60) / 5
     rng = np.random.default_rng(8)
     X = rng.uniform(-1, 1, (n, d))
     f = np.concatenate([np.sin(part @ waves + phases) @ weights for part in np.array_split(X, 50)])
@@ -90,17 +82,9 @@ def rows(name, n, n_outputs=1):
 
 def measure(X, y, X_test, truth):
     """CPU seconds, error in standard deviations of the truth, and centres."""
-    start = time.process_time()
-    model = RBFNetRegressor(random_state=0).fit(X, y)
-    seconds = time.process_time() - start
-    left = (model.predict(X_test).reshape(truth.shape) - truth) / truth.std(axis=0)
+    model, seconds, _ = costs(lambda: RBFNetRegressor(random_state=0).fit(X, y))
+    left = (model.predict(X_test) - truth) / truth.std()
     return np.array([seconds, np.sqrt(np.mean(np.square(left))), len(model.centers_)])
-
-
-def million():
-    X, y, f = rows("smooth", 1_000_000 + N_TEST, 3)
-    found = measure(X[N_TEST:], y[N_TEST:], X[:N_TEST], f[:N_TEST])
-    print("a million rows, three outputs: {:.1f} s, error {:.5f}, {:.0f} centres".format(*found))
 
 
 def cliffs():
@@ -109,29 +93,26 @@ def cliffs():
             more = n + max(2, n // 100)
             X, y, f = rows(name, more + N_TEST)
             test = X[:N_TEST], f[:N_TEST]
-            one, two = (measure(X[N_TEST:][:k], y[N_TEST:][:k, 0], *test) for k in (n, more))
-            print(
-                f"{name} {n} rows: {one[0]:.2f} s, error {one[1]:.4f}, {one[2]:.0f} centres; ",
-                end="",
-            )
-            print("over it of {} rows: {:.2f}, {:.3f}, {:.3f}".format(more, *two / one), flush=True)
+            one, two = (measure(X[N_TEST:][:k], y[N_TEST:][:k], *test) for k in (n, more))
+            shown = "{:.2f} s, error {:.4f}, {:.0f} centres".format(*one)
+            steps = "{:.2f}, {:.3f}, {:.3f}".format(*two / one)
+            print(f"{name} {n} rows: {shown}; over it of {more} rows: {steps}", flush=True)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=float, nargs="+", default=[1e5, 1e6])
-    parser.add_argument("--million", action="store_true")
     parser.add_argument("--cliffs", action="store_true")
     parser.add_argument("--one", type=json.loads, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
         method, n, folder = args.one
         return run(method, n, Path(folder))
-    if not (args.million or args.cliffs):
+    if not args.cliffs:
         return many(args.rows)
     warnings.simplefilter("ignore")
     RBFNetRegressor().fit(np.eye(9), np.arange(9.0))  # imports and thread pools
-    return million() if args.million else cliffs()
+    return cliffs()
 
 
 if __name__ == "__main__":

@@ -1,28 +1,30 @@
-"""Times that doc/log.md shows: `calibrate`, and one row of a model.
+"""Times that doc/log.md shows: of fits, of `calibrate`, and of one row of a model.
 
+    python benchmarks/bench_speed.py fit --problem fourier3 --rows 300
+    python benchmarks/bench_speed.py fit --problem waves --rows 3000 --no-peer
+    python benchmarks/bench_speed.py fit --problem arm
     python benchmarks/bench_speed.py calibrate
     python benchmarks/bench_speed.py python
     python benchmarks/bench_speed.py row              # prints the table
     python benchmarks/bench_speed.py row --write      # and puts it into doc/log.md
 
-``calibrate``: beside what a laboratory writes in an afternoon, `scipy.optimize.least_squares` over
-the same parameters, with differences for derivatives and the same loss, but no search of priors, no
-standard deviations and no outliers.
+Everything runs on one thread, what is compared by turns; printed are medians of the CPU time.
 
-``python``: `predict` of one row beside that of scikit-learn's `Ridge`. Nearly all is validation:
-what counts is how often it is done.
-
-``row``: a fitted model in C, in ONNX and in Python, and the files' sizes. C is timed in a loop in
-C; `load_c`, ONNX and `predict` one row per call from Python. All on one thread. Flash is text and
-data of gcc -O2. With ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there,
-too: 2000 poses, the default model.
+``fit``: beside a network an exact Gaussian process written by hand as well as one can with SciPy.
+"waves" ask for centres by the thousand. On an "arm", a single-point test, `ArmResidualRegressor` is
+compared with the same model of low orders only. ``calibrate``: beside what a laboratory writes in
+an afternoon, `scipy.optimize.least_squares` over the same parameters, with differences for
+derivatives and the same loss, but no search of priors, no standard deviations and no outliers.
+``python``: `predict` of one row beside that of scikit-learn's `Ridge`. ``row``: a fitted model in C
+(timed in a loop in C), in ONNX and in Python, and the files' sizes; flash is text and data of gcc
+-O2. With ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there, too.
 """
 
 import argparse
+import contextlib
 import ctypes
 import platform
 import shutil
-import statistics
 import subprocess
 import tempfile
 import time
@@ -33,8 +35,10 @@ from pathlib import Path
 
 import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import read_ur10
-from scipy.optimize import least_squares
+from _arm_folds import UR10, learn_tracked, read_ur10
+from _problems import GENERATED, Problem, generated, waves
+from scipy.linalg import lapack
+from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
@@ -62,6 +66,119 @@ void std_rows(const double *q, double *out, long n)
 { double s[3]; for (long i = 0; i < n; ++i) arm_correct_std(q + 6 * i, out + 3 * i, s); }
 """
 FLAGS = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
+
+
+def by_turns(rounds, calls, calls_each=1):
+    """Medians of the CPU time of each function, and of the ratios of the last to the first."""
+    times = np.empty((rounds, len(calls)))
+    for row in times:
+        for i, call in enumerate(calls):
+            start = time.process_time()
+            for _ in range(calls_each):
+                call()
+            row[i] = (time.process_time() - start) / calls_each
+    return np.median(times, axis=0), np.median(times[:, -1] / times[:, 0])
+
+
+# -- fits ----------------------------------------------------------------------------------------
+
+# Rows up to which the peer takes all for its widths, and how many beyond: an evaluation of 10 000
+# rows would take half a minute.
+MOST_ROWS, WIDTH_ROWS = 3000, 1000
+
+
+class ExactProcess:
+    """A Gaussian process by maximum likelihood; the signal's variance is at its optimum.
+
+    Gaussian kernel, a width for each feature, analytic gradient, one start of L-BFGS.
+    """
+
+    def fit(self, X, y):
+        """Maximise the likelihood from one start."""
+        self.mean, self.shift, self.spread = y.mean(), X.mean(axis=0), X.std(axis=0)
+        self.Z, self.y = (X - self.shift) / self.spread, y - y.mean()
+        d = X.shape[1]
+        start = np.append(np.full(d, 0.5 * np.log(d)), np.log(0.1))
+        bounds = [(-4, 7)] * d + [(np.log(1e-8), np.log(1e3))]
+        every = self.Z, self.y
+        if len(y) > MOST_ROWS:
+            self.Z, self.y = self.Z[:WIDTH_ROWS], self.y[:WIDTH_ROWS]
+        found = minimize(self.loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
+        self.Z, self.y = every
+        factor = self.factor(found.x)[2]
+        self.solved = lapack.dpotrs(factor, self.y, lower=1)[0]
+        return self
+
+    def factor(self, z):
+        """Scaled rows, their kernel matrix, and the factor of it with the ridge."""
+        self.scale = np.exp(-z[:-1])
+        S = self.Z * self.scale
+        squares = np.einsum("ij,ij->i", S, S)
+        K = S @ S.T
+        K -= 0.5 * squares
+        K -= 0.5 * squares[:, None]
+        np.exp(K, out=K)
+        C = K.copy(order="F")
+        C[np.diag_indices(len(C))] += np.exp(z[-1])
+        return S, K, lapack.dpotrf(C, lower=1, overwrite_a=1)[0]
+
+    def loss(self, z):
+        """Negative log likelihood, up to a constant, and its gradient."""
+        n = len(self.y)
+        alpha = np.exp(z[-1])
+        S, K, factor = self.factor(z)
+        log_det = 2 * np.log(factor.diagonal()).sum()
+        self.solved = lapack.dpotrs(factor, self.y, lower=1)[0]
+        signal = self.y @ self.solved / n
+        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        trace = np.trace(inverse)
+        # The lower triangle is enough: all is symmetric, and the diagonal has no distance.
+        G = np.tril(inverse, -1)
+        G -= np.outer(self.solved, self.solved / signal)
+        G *= K
+        G = np.tril(G, -1)
+        # Squared differences of one feature, summed with weights G.
+        both = G.sum(axis=0) + G.sum(axis=1)
+        d_width = both @ S**2 - 2 * np.einsum("ij,ij->j", S, G @ S)
+        d_alpha = 0.5 * alpha * (trace - self.solved @ self.solved / signal)
+        return 0.5 * (log_det + n * np.log(signal)), np.append(d_width, d_alpha)
+
+    def predict(self, X):
+        """Return the posterior mean."""
+        S, T = self.Z * self.scale, (X - self.shift) / self.spread * self.scale
+        s = np.square(T).sum(1)[:, None] + np.square(S).sum(1) - 2 * T @ S.T
+        return self.mean + np.exp(-0.5 * s) @ self.solved
+
+
+def fit(args):
+    if args.problem == "arm":
+        data = make_single_point(n_positions=args.rows // 30, n_poses=30, random_state=0)
+        models = ArmResidualRegressor(data.arm), ArmResidualRegressor(data.arm, orders=12)
+        fits = [partial(model.fit, data.data, data.target, groups=data.groups) for model in models]
+        (whole, low), _ = by_turns(args.repeats + 1, fits)
+        print(f"{args.rows} poses: {whole:.2f} s, with orders up to 12 {low:.2f} s")
+        return
+    problem = generated(args.problem, args.rows) if args.problem != "waves" else of_waves(args.rows)
+    models = [RBFNetRegressor(random_state=0), ExactProcess()][: 1 + args.peer]
+    warm = generated("damped1", 30)
+    for model in models:
+        model.fit(warm.X, warm.y)  # imports and thread pools
+    fits = [partial(model.fit, problem.X, problem.y) for model in models]
+    seconds, ratio = by_turns(args.repeats, fits)
+    print(f"{args.problem}, {args.rows} rows, {problem.X.shape[1]} features")
+    for model, taken in zip(models, seconds, strict=True):
+        left = model.predict(problem.X_test) - problem.truth
+        error = np.sqrt(np.mean(left**2)) / np.std(problem.truth)
+        print(f"{type(model).__name__} {taken:.3f} s, error {error:.4f}")
+    print(f"{len(models[0].centers_)} centres; ratio {1 / ratio:.2f}")
+
+
+def of_waves(n):
+    X, y = waves(n + 1000, 6)
+    return Problem(X[:n], y[:n], X[n:], y[n:], y[n:])
+
+
+# -- calibration ---------------------------------------------------------------------------------
 
 
 def simulated(arm, n, n_groups, seed=0):
@@ -120,34 +237,24 @@ def by_hand(arm, angles, points, groups):
     return least_squares(residuals, z, loss="soft_l1", x_scale="jac").cost
 
 
-def calibrations(repeats=3):
+def calibrations(args):
     """Time `calibrate` and the fit by hand by turns."""
     arm = Arm.from_name("aacmm6")
     for n, n_groups in ((3000, None), (10_000, 40)):
         angles, points, groups = simulated(arm, n, n_groups)
-        seconds = {"calibrate": [], "SciPy by hand": []}
-        for _ in range(repeats):
-            start = time.process_time()
-            calibrate(arm, angles, groups, points=points)
-            seconds["calibrate"].append(time.process_time() - start)
-            start = time.process_time()
-            by_hand(arm, angles, points, groups)
-            seconds["SciPy by hand"].append(time.process_time() - start)
+        ours = partial(calibrate, arm, angles, groups, points=points)
+        (own, by_scipy), ratio = by_turns(3, [ours, partial(by_hand, arm, angles, points, groups)])
         kind = "tracker" if points is not None else "single-point"
-        times = ", ".join(f"{name} {statistics.median(s):.2f} s" for name, s in seconds.items())
-        ours, by_scipy = seconds.values()
-        ratio = statistics.median(b / a for a, b in zip(ours, by_scipy, strict=True))
-        print(f"{len(angles)} {kind} poses: {times} of CPU time, 1 thread; ratio {ratio:.1f}")
+        times = f"calibrate {own:.2f} s, SciPy by hand {by_scipy:.2f} s"
+        print(f"{len(angles)} {kind} poses: {times}; ratio {ratio:.1f}")
+
+
+# -- one row -------------------------------------------------------------------------------------
 
 
 def best(function, repeats=5):
     """Return the least CPU time of a call in s."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        function()
-        times.append(time.process_time() - start)
-    return min(times)
+    return min(by_turns(1, [function])[0][0] for _ in range(repeats))
 
 
 def models(data):
@@ -155,30 +262,22 @@ def models(data):
     arm = data.arm
 
     def chain(n_centers):
-        return make_pipeline(
-            PoseFeatures(arm, joints="all", append_azimuth=True),
-            CylindricalResidualTarget(
-                make_pipeline(
-                    StandardScaler(), RBFNetRegressor(n_centers, shared=True, random_state=0)
-                )
-            ),
-        )
+        network = RBFNetRegressor(n_centers, shared=True, random_state=0)
+        target = CylindricalResidualTarget(make_pipeline(StandardScaler(), network))
+        return make_pipeline(PoseFeatures(arm, joints="all", append_azimuth=True), target)
 
-    found = {"network, 60 centres": chain(60), "network, 266 centres": chain(266)}
-    for model in found.values():
-        model.fit(data.data, data.target)
-    found["model of the arm"] = ArmResidualRegressor(arm)
-    found["model of the arm"].fit(data.data, data.target, groups=data.groups)
-    return found
+    known = data.data, data.target
+    found = {f"network, {n} centres": chain(n).fit(*known) for n in (60, 266)}
+    model = ArmResidualRegressor(arm).fit(*known, groups=data.groups)
+    return found | {"model of the arm": model}
 
 
 def of_ur10(data_home):
     """The default model of 2000 poses of a real robot, and the other poses."""
     angles, points, _ = read_ur10("A", data_home)
-    rows, rest = np.split(np.random.default_rng(0).permutation(len(angles)), [2000])
-    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
-    model = ArmResidualRegressor(first.arm).fit(angles[rows], first.residuals_mm)
-    return model, np.concatenate([angles[rows], angles[rest]])
+    order = np.random.default_rng(0).permutation(len(angles))
+    known = order[:2000]
+    return learn_tracked(UR10, angles[known], points[known])[1], angles[order]
 
 
 def one_by_one(call, X, n_rows=200):
@@ -192,20 +291,18 @@ def in_c(model, folder, X, expected, fade):
     (folder / "loop.c").write_text(LOOP)
     out = np.empty((len(X), 3))
     place = ctypes.c_void_p
-    for compiler in filter(shutil.which, ("gcc", "clang")):
-        for name, flags in FLAGS.items():
-            library = folder / f"{compiler}{len(flags)}.so"
-            command = [compiler, "-std=c99", *flags, "-shared", "-fPIC", "-o", library]
-            subprocess.run([*command, source, folder / "loop.c", "-lm"], check=True)
-            loaded = ctypes.CDLL(str(library))
-            for what in ("correct", "std"):
-                rows = X if what == "correct" else X[: len(X) // 10]
-                arguments = (place(rows.ctypes.data), place(out.ctypes.data))
-                function = getattr(loaded, f"{what}_rows")
-                seconds = best(partial(function, *arguments, ctypes.c_long(len(rows))))
-                gap = np.abs(out - expected).max()
-                label = f"C, {compiler} {name}" + (", with std" if what == "std" else "")
-                yield label, 1e6 * seconds / len(rows), gap
+    for name, flags in FLAGS.items() if shutil.which("gcc") else ():
+        library = folder / f"gcc{len(flags)}.so"
+        command = ["gcc", "-std=c99", *flags, "-shared", "-fPIC", "-o", library]
+        subprocess.run([*command, source, folder / "loop.c", "-lm"], check=True)
+        loaded = ctypes.CDLL(str(library))
+        for what in ("correct", "std"):
+            rows = X if what == "correct" else X[: len(X) // 10]
+            arguments = (place(rows.ctypes.data), place(out.ctypes.data))
+            function = getattr(loaded, f"{what}_rows")
+            seconds = best(partial(function, *arguments, ctypes.c_long(len(rows))))
+            label = f"C, gcc {name}" + (", with std" if what == "std" else "")
+            yield label, 1e6 * seconds / len(rows), np.abs(out - expected).max()
 
 
 def in_python(model, _, X, expected, fade):
@@ -214,7 +311,7 @@ def in_python(model, _, X, expected, fade):
     gap = np.abs(compiled.predict(X) - expected).max()
     yield "`load_c`, one row per call", 1e6 * one_by_one(compiled.predict, X), gap
     yield "`load_c`, one batch", 1e6 * best(lambda: compiled.predict(X)) / len(X), gap
-    try:
+    with contextlib.suppress(ImportError):
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
@@ -223,23 +320,12 @@ def in_python(model, _, X, expected, fade):
         session = onnxruntime.InferenceSession(
             converted, options, providers=["CPUExecutionProvider"]
         )
-    except ImportError:
-        pass
-    else:
         gap = np.abs(session.run(None, {"X": X})[0] - expected).max()
         seconds = one_by_one(lambda row: session.run(None, {"X": row[None]}), X)
         yield "ONNX, one row per call", 1e6 * seconds, gap
-    yield (
-        "`predict`, one row per call",
-        1e6 * one_by_one(lambda row: model.predict(row[None]), X),
-        0,
-    )
+    seconds = one_by_one(lambda row: model.predict(row[None]), X)
+    yield "`predict`, one row per call", 1e6 * seconds, 0
     yield "`predict`, one batch", 1e6 * best(lambda: model.predict(X), 3) / len(X), 0
-
-
-def _digits(microseconds):
-    """Two digits, without an exponent."""
-    return f"{microseconds:.{0 if microseconds >= 10 else 1}f}"
 
 
 def flash_kb(source):
@@ -276,7 +362,9 @@ def table(n_rows, data_home):
             folder = Path(place)
             for way in (in_c, in_python):
                 for label, microseconds, gap in way(model, folder, X, expected, fade):
-                    found.setdefault(label, {})[name] = _digits(microseconds)
+                    found.setdefault(label, {})[name] = (
+                        f"{microseconds:.{0 if microseconds >= 10 else 1}f}"
+                    )
                     gaps[name] = max(gaps.get(name, 0.0), gap)
             for label, std in (("", False), (" with std", True)):
                 source, _ = export_c(model, folder / "arm.c", std=std, fade=fade)
@@ -294,45 +382,7 @@ def table(n_rows, data_home):
     return [*head, *body, "", note]
 
 
-def python(rounds=60, calls=20):
-    """Time `predict` of one row against that of a bare Ridge, by turns."""
-    data = make_single_point(n_positions=12, n_poses=30, random_state=0)
-    X, y, arm = data.data, data.target, data.arm
-    network = RBFNetRegressor(60, random_state=0)
-    inner = make_pipeline(StandardScaler(), network)
-    models = {
-        "Ridge": Ridge(),
-        "RBFNetRegressor": network,
-        "chain, pipeline": make_pipeline(
-            PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
-        ),
-        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
-    }
-    times = {name: [] for name in models}
-    for model in models.values():
-        model.fit(X, y)
-    row = X[:1].copy()
-    for _ in range(rounds):
-        for name, model in models.items():
-            start = time.process_time()
-            for _ in range(calls):
-                model.predict(row)
-            times[name].append((time.process_time() - start) / calls)
-    medians = {name: np.median(values) for name, values in times.items()}
-    print(f"{'one row, 60 centres':<36}{'CPU us':>8}{'ratio':>8}")
-    for name, seconds in medians.items():
-        print(f"{name:<36}{1e6 * seconds:>8.0f}{seconds / medians['Ridge']:>8.2f}")
-
-
-def main(argv=None):
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["calibrate", "python", "row"])
-    parser.add_argument("--rows", type=int, default=20_000, help="of a model")
-    parser.add_argument("--data", help="folder of the real data")
-    parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
-    args = parser.parse_args(argv)
-    if args.part != "row":
-        return (calibrations if args.part == "calibrate" else python)()
+def row(args):
     lines = table(args.rows, args.data)
     print("\n".join(lines))
     if args.write:
@@ -340,6 +390,42 @@ def main(argv=None):
         before, rest = text.split(START)
         after = rest.split(END)[1]
         PAGE.write_text(f"{before}{START}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", "utf-8")
+
+
+def python(args):
+    """Time `predict` of one row against that of a bare Ridge, by turns."""
+    data = make_single_point(n_positions=12, n_poses=30, random_state=0)
+    arm, network = data.arm, RBFNetRegressor(60, random_state=0)
+    inner = CylindricalResidualTarget(make_pipeline(StandardScaler(), network))
+    models = {
+        "Ridge": Ridge(),
+        "RBFNetRegressor": network,
+        "chain, pipeline": make_pipeline(PoseFeatures(arm, append_azimuth=True), inner),
+        "ArmResidualRegressor": ArmResidualRegressor(arm, orders=8),
+    }
+    one = data.data[:1].copy()
+    calls = [partial(m.fit(data.data, data.target).predict, one) for m in models.values()]
+    medians, _ = by_turns(60, calls, 20)
+    for name, seconds in zip(models, medians, strict=True):
+        print(f"{name}: {1e6 * seconds:.0f} us, {seconds / medians[0]:.2f} times Ridge's")
+
+
+PARTS = {"fit": fit, "calibrate": calibrations, "python": python, "row": row}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=PARTS)
+    problems = ["arm", "waves", *GENERATED]
+    parser.add_argument("--problem", default="fourier3", choices=problems, help="of fit")
+    parser.add_argument("--rows", type=int, help="of fit 300, of a model 20 000 unless given")
+    parser.add_argument("--repeats", type=int, default=3, help="of fit")
+    parser.add_argument("--no-peer", dest="peer", action="store_false")
+    parser.add_argument("--data", help="folder of the real data")
+    parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
+    args = parser.parse_args()
+    args.rows = args.rows or (300 if args.part == "fit" else 20_000)
+    PARTS[args.part](args)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,7 @@ from pathlib import Path
 import _one_thread  # noqa: F401
 import numpy as np
 from _arm_folds import DATA
-from _golden_arm import SECTIONS, seconds
-from _golden_network import numbers
+from _golden_numbers import SECTIONS, seconds
 
 import sklearn_raacmm
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
@@ -38,8 +37,6 @@ from sklearn_raacmm.datasets import make_single_point
 FOLDER = os.path.dirname(sklearn_raacmm.__file__)
 FILE = Path(__file__).with_name("golden.json")
 MOVED = 0.005  # a move keeps the numbers to rounding; a fold of two mechanisms may cost this much
-
-SECTIONS = {**SECTIONS, "network": numbers}
 
 
 def measured(names, data_home):

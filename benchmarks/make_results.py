@@ -26,8 +26,9 @@ from pathlib import Path
 
 import _data_sets
 import numpy as np
-from _comparison import ALL, PAPER, fetched
-from _regressors import ANGLES, MODELS
+from _arm_folds import MIXES
+from _data_sets import fetched
+from _regressors import ALL, ANGLES, MODELS, PAPER
 
 from sklearn_raacmm import (
     Arm,
@@ -75,13 +76,10 @@ def data_sets(everything, data_home):
     """
 
     def simulated(mix, seed):
-        return (
-            f"simulated, {mix}, seed {seed}",
-            _data_sets.simulated,
-            (mix, seed, *SIMULATED),
-        )
+        how = (mix, seed, *SIMULATED)
+        return f"simulated, {mix}, seed {seed}", _data_sets.simulated, how
 
-    first = [simulated(mix, 0) for mix in _data_sets.MIXES]
+    first = [simulated(mix, 0) for mix in MIXES]
     for arm in ("panda_3", "panda_2"):
         first.append((f"real, {arm}", _data_sets.panda, (arm, data_home)))
     rows = _data_sets.UR10_ROWS
@@ -90,7 +88,7 @@ def data_sets(everything, data_home):
     if everything:
         sets += [(*data, [name for name in SHOWN if name not in HEADLINE]) for data in first[:3]]
         for seed in range(1, SEEDS):
-            sets += [(*simulated(mix, seed), INDIVIDUALS) for mix in _data_sets.MIXES]
+            sets += [(*simulated(mix, seed), INDIVIDUALS) for mix in MIXES]
         sets += [(*data, [(PAPER, "RBF network, Cartesian")]) for data in first[3:]]
         # As many poses at each position as the paper has.
         title, make, (*how, _, n_folds) = simulated("typical", 0)
@@ -135,12 +133,11 @@ def few_poses(data_home, n_draws=5):
             ),
         }
         for name, (learn, test) in splits.items():
-            fold = _data_sets.calibrated(data, learn)
-            model = ArmResidualRegressor(fold.arm)
-            model.fit(data.data[learn], fold.residuals[learn])
-            left = fold.residuals[test] - model.predict(data.data[test])
+            arm, residuals = _data_sets.calibrated(data, learn)
+            model = ArmResidualRegressor(arm).fit(data.data[learn], residuals[learn])
+            left = residuals[test] - model.predict(data.data[test])
             distances[name].append(np.linalg.norm(left, axis=1))
-            before[name].append(np.linalg.norm(fold.residuals[test], axis=1))
+            before[name].append(np.linalg.norm(residuals[test], axis=1))
     return {
         name: rounded(
             {

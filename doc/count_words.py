@@ -2,7 +2,7 @@
 
 Prints the words of every page and of each kind of pages (as ``wc -w`` counts them, code and tables
 included), how many sentences have more than 25 and 30 words, and the longest docstrings. Exit code
-1 where a limit is exceeded, which ``tests/test_doc_words.py`` checks, too.
+1 where a limit is exceeded, which ``tests/test_doc.py`` checks, too.
 """
 
 import importlib

@@ -15,7 +15,7 @@ from _results import ALL, LINEAR, MIXES, PERFECT, REAL, THREE, UNCORRECTED, read
 DOC = Path(__file__).resolve().parent
 OURS, PROCESS = "#D55E00", "#0072B2"  # safe for colour-blind readers
 COLOURS = ("#009E73", "#CC79A7", "#56B4E9", "0.45")
-FLOOR = 1e-3  # as in ``benchmarks/bench_tables.py``: below, a table is solved
+FLOOR = 1e-3  # as in ``benchmarks/bench_accuracy.py --tables``: below, a table is solved
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "benchmarks", "font.size": 10}
 
 

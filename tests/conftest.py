@@ -1,6 +1,8 @@
 """Fixtures of the whole suite: the real data sets, read once, and skipped clearly where absent."""
 
+import importlib
 import os
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -70,15 +72,10 @@ def data_dir(name):
 
 
 def read_panda(folder):
-    """Read one Panda's ball-and-socket test.
+    """Angles (n, 7) rad, groups "placement/hole", placements and tool poses of a Panda's test.
 
-    Returns a namespace of
-
-    - ``angles`` (n, 7) rad;
-    - ``groups`` (n,) labels "placement/hole", points of one group coincide;
-    - ``placements`` (n,) labels, what to split by;
-    - ``tool_poses`` (n, 7), the controller's x, y, z in m and quaternion w, x, y, z; NaN in the
-      sockets where the authors' two files have different numbers of rows.
+    Tool poses (n, 7) are the controller's x, y, z in m and quaternion w, x, y, z; NaN in sockets
+    where the authors' two files have different numbers of rows.
     """
     angles, groups, placements, poses = [], [], [], []
     for path in sorted(folder.glob("*/hole_[01].csv")):
@@ -98,11 +95,7 @@ def read_panda(folder):
 
 
 def read_ur10(path):
-    """Read the UR10's tracker series.
-
-    Returns a namespace of ``angles`` (n, 6) rad (commanded), ``points`` (n, 3) mm in the tracker's
-    frame, ``groups`` (n,) number of the goal position, ``temperature`` (n,) degC.
-    """
+    """Commanded angles (n, 6) rad, the tracker's points in mm, goals, and temperature in degC."""
     header, *lines = path.read_text(encoding="utf-8-sig").splitlines()
     table = np.array(
         [[float(field.replace(",", ".")) for field in line.split(";")] for line in lines]
@@ -148,3 +141,17 @@ def ur10_b():
     """The UR10's second series, see `read_ur10`."""
     path = data_dir("ur10_tracker") / "measurements_joint_configurations.csv"
     return read_ur10(path)
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Return ``script(name)``: a module of doc/ or benchmarks/, which is forgotten afterwards."""
+    folders = ROOT / "doc", ROOT / "benchmarks"
+    for folder in folders:
+        monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr(os, "environ", os.environ.copy())  # scripts set the number of threads
+    before = set(sys.modules)
+    yield importlib.import_module
+    for name in set(sys.modules) - before:
+        if any((folder / f"{name}.py").exists() for folder in folders):
+            del sys.modules[name]

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import sklearn
-from scipy.sparse import csr_array
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.datasets import make_regression
@@ -37,8 +36,6 @@ FLOORS = {
 }
 # Estimators that take joint angles: as many columns as the arm has joints.
 OF_ANGLES = (PoseFeatures, ArmResidualRegressor)
-# Those whose target is a vector in space.
-OF_VECTORS = (ArmResidualRegressor,)
 
 ESTIMATORS = [
     PoseFeatures(),
@@ -79,7 +76,7 @@ def three_outputs(*args, n_targets=1, **options):
 
 def adapted(estimator, check):
     """The estimator, which resizes what it is given where the check's own data pass all else."""
-    if not isinstance(estimator, OF_VECTORS) or check.func.__name__ not in OWN_DATA:
+    if not isinstance(estimator, ArmResidualRegressor) or check.func.__name__ not in OWN_DATA:
         return estimator
     kind, n_joints = type(estimator), Arm.from_name("aacmm6").n_joints
 
@@ -95,12 +92,13 @@ def adapted(estimator, check):
 
 
 @pytest.fixture(autouse=True)
-def _as_many_columns_as_joints(monkeypatch):
+def _as_many_columns_as_joints(monkeypatch, request):
     """Resize the checks' X to the arm's number of joints, and y to vectors where they are needed.
 
     The checks feed 1 to 10 columns, an arm takes as many as it has joints. scikit-learn adapts
     its data to an estimator's tags in two functions: here they learn of arms as well.
     """
+    monkeypatch.setenv("SCIPY_ARRAY_API", "1")  # or checks of arrays would skip themselves
     adapt = estimator_checks._enforce_estimator_tags_X
     adapt_y = estimator_checks._enforce_estimator_tags_y
 
@@ -116,24 +114,15 @@ def _as_many_columns_as_joints(monkeypatch):
         return adapt(estimator, X, *args, **kwargs)
 
     def adapt_to_space(estimator, y):
-        return to_vectors(y) if isinstance(estimator, OF_VECTORS) else adapt_y(estimator, y)
+        return (
+            to_vectors(y) if isinstance(estimator, ArmResidualRegressor) else adapt_y(estimator, y)
+        )
 
     monkeypatch.setattr(estimator_checks, "_enforce_estimator_tags_X", adapt_to_arm)
     monkeypatch.setattr(estimator_checks, "_enforce_estimator_tags_y", adapt_to_space)
-
-
-@pytest.fixture(autouse=True)
-def _vectors_as_outputs(request, monkeypatch):
-    """Three outputs in the check of several, where the target is a vector in space."""
     params = getattr(getattr(request.node, "callspec", None), "params", {})
-    if isinstance(params.get("estimator", params.get("base")), OF_VECTORS):
+    if isinstance(params.get("estimator"), ArmResidualRegressor):
         monkeypatch.setattr(estimator_checks, "make_regression", three_outputs)
-
-
-@pytest.fixture(autouse=True)
-def _array_api_checks_run(monkeypatch):
-    """Keep the array API checks, which take NumPy arrays here, from skipping themselves."""
-    monkeypatch.setenv("SCIPY_ARRAY_API", "1")
 
 
 @parametrize_with_checks(ESTIMATORS)
@@ -202,12 +191,10 @@ class OfTorch(UserList):
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS[:5], ids=lambda e: type(e).__name__)
-def test_sparse_and_foreign_arrays_are_refused_in_a_sentence(estimator, monkeypatch):
+def test_foreign_arrays_are_refused_in_a_sentence(estimator, monkeypatch):
     n_joints = (getattr(estimator, "arm", None) or Arm.from_name("aacmm6")).n_joints
     X = np.random.default_rng(0).uniform(-1, 1, (40, n_joints))
     y = 0.05 * np.cos(X[:, :3])
-    with pytest.raises(TypeError, match="Sparse data was passed for X, but dense data is required"):
-        clone(estimator).fit(csr_array(X), y)
     # Not by config_context, which asks for a switch of SciPy's and another package besides.
     monkeypatch.setattr(_checks, "get_config", lambda: {"array_api_dispatch": True})
     with pytest.raises(TypeError, match="X is an array of torch, and array_api_dispatch is on"):

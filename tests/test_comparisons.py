@@ -1,9 +1,6 @@
 """The long comparisons run, small, and their numbers are those of loops written out by hand."""
 
 import functools
-import importlib
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,23 +13,10 @@ from sklearn_raacmm import Arm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
-SCRIPTS = Path(__file__).resolve().parent.parent / "benchmarks"
-OURS = ("_data_sets", "_comparison", "_regressors")
-
-
-@pytest.fixture
-def example(monkeypatch, tmp_path):
-    """Return ``example(name)``: a module of the benchmarks."""
-    monkeypatch.syspath_prepend(SCRIPTS)
-    monkeypatch.chdir(tmp_path)
-    yield importlib.import_module
-    for name in [name for name in sys.modules if name.startswith(OURS)]:
-        del sys.modules[name]
-
 
 @pytest.mark.parametrize("name", ["panda", "ur10"])
-def test_without_data_says_where_to_get_them(example, tmp_path, name, monkeypatch):
-    module = example("_data_sets")
+def test_without_data_says_where_to_get_them(script, tmp_path, name, monkeypatch):
+    module = script("_data_sets")
     fetch = "fetch_panda_ball_socket" if name == "panda" else "fetch_ur10_tracker"
     offline = functools.partial(getattr(module, fetch), download_if_missing=False)
     monkeypatch.setattr(module, fetch, offline)
@@ -96,8 +80,8 @@ def nested_fourier(cone, module, n_folds):
 
 
 @pytest.mark.exhaustive
-def test_quick_comparison(example, capsys):
-    module, data_sets = example("_regressors"), example("_data_sets")
+def test_quick_comparison(script, capsys):
+    module, data_sets = script("_regressors"), script("_data_sets")
     problem = data_sets.simulated("typical", 0, 4, 32, 2)
     records = data_sets.compare(problem, list(module.MODELS), jobs=1)
     printed = capsys.readouterr().out
@@ -127,8 +111,8 @@ def test_quick_comparison(example, capsys):
     assert uncorrected["length_300_mean_mm"] == pytest.approx(np.abs(errors).mean())
 
 
-def test_fourier_terms_span_products_of_waves(example):
-    module = example("_regressors")
+def test_fourier_terms_span_products_of_waves(script):
+    module = script("_regressors")
     angles = np.random.default_rng(0).uniform(-3, 3, (500, 6))
     X = module.fourier_terms(angles, 3, [1, 2, 3])
     assert X.shape[1] == 62  # half of the 62 triples of whole numbers of size 1 to 3, twice
@@ -142,9 +126,9 @@ def test_fourier_terms_span_products_of_waves(example):
 
 
 @pytest.mark.filterwarnings("ignore:At other poses")  # few goals are alike
-def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
+def test_compare_regressors_on_real_data(script, panda, ur10, monkeypatch):
     """Small pieces of the real series: what is uncorrected is what calibration left."""
-    module = example("_data_sets")
+    module = script("_data_sets")
     data = panda("panda_3")
     some = np.isin(data.placements, ["backleft", "frontcenter", "frontright"])
     some &= np.arange(len(some)) % 2 == 0
@@ -170,7 +154,7 @@ def test_compare_regressors_on_real_data(example, panda, ur10, monkeypatch):
     results = module.assess(problem, [0 * points for points in problem.measured])
     left = np.concatenate([fold.residuals[fold.test] for fold in problem.folds])
     assert results["mean_mm"] == pytest.approx(np.mean(np.linalg.norm(left, axis=1)))
-    prediction, costs = example("_regressors").run(
+    prediction, costs = script("_regressors").run(
         ("pose angles", "Gaussian process"), problem.folds[0], max_gp_rows=40
     )
     assert prediction.shape == (len(problem.folds[0].test), 3)

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 import warnings
 from pathlib import Path
 
@@ -168,32 +167,20 @@ def test_numbers_of_the_real_data(panda, ur10, data_folder):
     assert f"{len(ur10.angles):,} poses".replace(",", " ") in text
 
 
-@pytest.fixture
-def benchmark(monkeypatch):
-    """Return ``benchmark(name)``: the module of a script in benchmarks/."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    before = set(sys.modules)
-    yield __import__
-    for name in set(sys.modules) - before:
-        if not name.startswith(("sklearn", "scipy", "numpy")):
-            del sys.modules[name]
-
-
 @pytest.mark.exhaustive
-def test_noise_of_the_benchmark(benchmark):
-    error, inside = benchmark("bench_noise").of_kind("noise, 5 features", range(10))
+def test_noise_of_the_benchmark(script):
+    error, inside = script("bench_noise").of_kind("noise, 5 features", range(10))
     said = numbers("log.md", "| noise, 5, 20, 50 features | @, @, @ | @, @, @ |")
     assert said[0] == pytest.approx(error, rel=0.03)
     assert said[3] == pytest.approx(100 * inside, abs=0.3)
 
 
 @pytest.mark.exhaustive
-def test_good_centres_are_worth_what_is_said(benchmark):
-    script = benchmark("bench_selection")
-    problem = benchmark("_problems").generated("fourier3", 3000, 0)
+def test_good_centres_are_worth_what_is_said(script):
+    problem = script("_problems").generated("fourier3", 3000, 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        errors = script.compare(problem, [20], 0)
+        errors = script("bench_selection").compare(problem, [20], 0)
     said = numbers("log.md", "| `fourier3` | 20 | @ | @ | @ | @ |")
     np.testing.assert_allclose(said, np.ravel(errors[0])[:4], rtol=0.05)
 

@@ -13,7 +13,6 @@ from sklearn.model_selection import (
     GridSearchCV,
     GroupKFold,
     HalvingGridSearchCV,
-    cross_val_predict,
 )
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
@@ -75,9 +74,7 @@ def cone_test():
     arm = Arm.from_name("aacmm6")
     angles = rng.uniform(-0.9, 0.9, (180, 6)) + np.array([0, -1.3, 0.2, 1.2, 0, 0.4])
     angles[:, 0] = rng.uniform(-np.pi, np.pi, 180)
-    groups = np.repeat(np.arange(12), 15)
-    y = sagging(arm, angles) + rng.normal(scale=0.005, size=(180, 3))
-    return arm, angles, y, groups
+    return arm, angles, sagging(arm, angles) + rng.normal(scale=0.005, size=(180, 3))
 
 
 # -- the two forms --------------------------------------------------------------------------------
@@ -90,30 +87,16 @@ def cone_test():
     ids=["network", "ridge", "polynomial", "process"],
 )
 def test_both_forms_predict_the_same(cone_test, regressor, encoding):
-    arm, angles, y, _ = cone_test
+    arm, angles, y = cone_test
     a = form_a(arm, regressor, encoding=encoding).fit(angles[:120], y[:120])
     b = form_b(arm, regressor, encoding=encoding).fit(angles[:120], y[:120])
     assert_allclose(a.predict(angles), b.predict(angles), atol=1e-9)
     assert a.score(angles[120:], y[120:]) == pytest.approx(b.score(angles[120:], y[120:]))
-
-
-def test_degrees_in_form_b(cone_test):
-    arm, angles, y, _ = cone_test
-    b = form_b(arm, network(), angle_unit="deg").fit(np.rad2deg(angles), y)
-    a = form_a(arm, network()).fit(angles, y)
-    assert_allclose(b.predict(np.rad2deg(angles)), a.predict(angles), atol=1e-9)
-
-
-@pytest.mark.parametrize("regressor", [network(), gaussian_process()], ids=["network", "process"])
-def test_return_std(cone_test, regressor):
-    arm, angles, y, _ = cone_test
-    a, b = (form(arm, regressor).fit(angles, y) for form in (form_a, form_b))
-    mean_a, std_a = a.predict(angles, return_std=True)
-    _, std_b = b.predict(angles, return_std=True)
-    assert_allclose(std_a, std_b, rtol=1e-6)
-    assert_array_equal(mean_a, a.predict(angles))
-    assert std_a.shape == y.shape
-    assert np.all(std_a > 0)
+    if isinstance(regressor, RBFNetRegressor | GaussianProcessRegressor):
+        std = a.predict(angles, return_std=True)[1]
+        assert_allclose(std, b.predict(angles, return_std=True)[1], rtol=1e-6)
+        assert std.shape == y.shape
+        assert np.all(std > 0)
 
 
 # -- why it is done this way ----------------------------------------------------------------------
@@ -122,7 +105,7 @@ def test_return_std(cone_test, regressor):
 @pytest.mark.parametrize("form", [form_a, form_b])
 def test_what_is_learnt_on_one_side_holds_on_the_other(cone_test, form):
     """The base is isotropic: the cylindrical target transfers across azimuths, no other does."""
-    arm, angles, y, _ = cone_test
+    arm, angles, y = cone_test
     front = np.abs(arm.azimuth(angles)) < np.pi / 2
     truth = sagging(arm, angles)[~front]
     before = np.linalg.norm(truth, axis=1).mean()
@@ -134,23 +117,6 @@ def test_what_is_learnt_on_one_side_holds_on_the_other(cone_test, form):
     cartesian = form_a(arm, network()).set_params(azimuth=None).fit(angles[front], y[front])
     worse = np.linalg.norm(truth - cartesian.predict(angles[~front]), axis=1).mean()
     assert worse > 0.8 * before
-
-
-def test_correction_is_subtracted(cone_test):
-    """Single-point repeatability, 2S, of unseen positions goes down: equations (11) to (15)."""
-    arm, angles, _, groups = cone_test
-    seat = np.random.default_rng(2).uniform(200, 700, (12, 3))[groups]
-    points = seat + sagging(arm, angles)  # what an arm would say whose probe sits in 12 seats
-    residuals = position_residuals(points, groups)
-    predicted = cross_val_predict(
-        form_b(arm, network()), angles, residuals, groups=groups, cv=GroupKFold(4)
-    )
-    corrected = position_residuals(points - predicted, groups)
-
-    def spread(deviations):
-        return 2 * np.sqrt(np.square(deviations).sum(axis=1).sum() / (len(deviations) - 12))
-
-    assert spread(corrected) < 0.5 * spread(residuals)
 
 
 @pytest.mark.exhaustive
@@ -250,7 +216,7 @@ def weighted(form, arm, routing):
 @pytest.mark.parametrize("routing", [False, True])
 @pytest.mark.parametrize("form", [form_a, form_b])
 def test_sample_weight_reaches_the_network(cone_test, form, routing):
-    arm, angles, y, _ = cone_test
+    arm, angles, y = cone_test
     weight = np.where(np.arange(len(y)) % 3, 1.0, 0.01)
 
     # The chain, link by link.
@@ -267,7 +233,8 @@ def test_sample_weight_reaches_the_network(cone_test, form, routing):
 
 
 def test_groups_and_weights_in_one_grid_search_with_routing(cone_test):
-    arm, angles, y, groups = cone_test
+    arm, angles, y = cone_test
+    groups = np.repeat(np.arange(12), 15)
     weight = np.linspace(0.5, 1.5, len(y))
     with config_context(enable_metadata_routing=True):
         model, _ = weighted(form_b, arm, routing=True)

@@ -43,7 +43,7 @@ _PRICE_PER_LOG_ORDER = 2.0
 # --field``).
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
 # Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
-# cause that helped to 22 or more (``benchmarks/bench_extra.py``).
+# cause that helped to 22 or more (``benchmarks/bench_beyond_the_paper.py extra``).
 _PRICE_OF_EXTRA = 10.0
 # Prior standard deviation of a family that is not worth its price: its coefficients are nothing.
 UNUSED_SD = 1e-6

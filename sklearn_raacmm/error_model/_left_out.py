@@ -31,7 +31,7 @@ from sklearn_raacmm.utils import Finding, centred, group_means, report_findings,
 N_BLOCKS = 10
 # Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker 0.
 # Deviations from the means of positions show little of b: with this prior 94 % of all true errors
-# are inside, with 0 it is 92 % (``benchmarks/bench_guards.py --intervals``, 128 simulated tests).
+# are inside, with 0 it is 92 % (``benchmarks/bench_beyond_the_paper.py intervals``, 128 tests).
 _USUAL_LOG_B = 0.7
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0

@@ -1,30 +1,45 @@
-"""Golden numbers of the arm: its model, what happens after the lab, and calibration.
+"""Golden numbers of the arm's model, of what happens after the lab, of calibration and network.
 
-Each function takes the folder of the real data and returns numbers by name. Lengths are in mm.
+Each function takes the folder of the real data and returns numbers by name. Lengths are in mm. Of
+the network these are the held-out error in standard deviations of the truth, the share of new
+observations inside the 95 % interval, and the number of centres.
 """
 
 import time
+import warnings
 from functools import partial
 
 import numpy as np
 from _arm_folds import (
+    MIXES,
     NOMINAL_PANDA,
+    UR10,
+    learn,
+    learn_tracked,
     mean_deviation,
     pairs_known,
     panda_folds,
     read_panda,
     read_ur10,
+    scatter,
     simulated_folds,
     ur10_folds,
     ur10b_folds,
 )
-from bench_after_the_lab import Robot, one_draw
+from _problems import GENERATED, generated
+from bench_after_the_lab import Robot, known_of_series_b
 from bench_check import knock, poses_of_simulated_arm
 from bench_speed import simulated as simulated_cones
+from scipy.stats import norm
+from sklearn.model_selection import GroupKFold
+from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
+    CylindricalResidualTarget,
+    PoseFeatures,
+    RBFNetRegressor,
     calibrate,
     check_correction,
     position_residuals,
@@ -41,7 +56,7 @@ def of_folds(name, folds, tracked=False):
     """What the model with default parameters leaves in the folds, and what it consists of."""
     lefts, inside, models = [], [], []
     for arm, angles, y, groups, train in folds:
-        model = ArmResidualRegressor(arm).fit(angles[train], y[train], groups=groups[train])
+        model, _ = learn(arm, angles, y, groups, train)
         mean, std = model.predict(angles[~train], return_std=True, with_noise=True)
         left = y[~train] - mean
         left = left if tracked else position_residuals(left, groups[~train])
@@ -61,9 +76,6 @@ def of_folds(name, folds, tracked=False):
     }
 
 
-MIXES = ("typical", "gravity", "eccentricity")
-
-
 def simulated(data_home):
     """The model on three simulated arms; and learnt in one corner of each and used elsewhere."""
     found, ratios = {}, []
@@ -75,10 +87,8 @@ def simulated(data_home):
         distance = np.sqrt(x**2 + y**2 + z**2)
         for away in (np.abs(np.arctan2(y, x)), z, distance, -distance):
             train = np.isin(test.groups, np.argsort(away)[:8])
-            model = ArmResidualRegressor(test.arm)
-            model.fit(test.data[train], test.target[train], groups=test.groups[train])
-            left = test.target[~train] - model.predict(test.data[~train])
-            left = mean_deviation(position_residuals(left, test.groups[~train]))
+            _, left = learn(test.arm, test.data, test.target, test.groups, train)
+            left = scatter(left, test.groups[~train])
             ratios.append(left / mean_deviation(test.target[~train]))
     return found | {
         "learnt in a corner: deviation elsewhere over uncorrected, mean": np.mean(ratios),
@@ -106,24 +116,17 @@ def model_of_series_a(data_home):
     """A calibration and a model of poses of series A, and the other poses and points."""
     angles, points, _ = read_ur10("A", data_home)
     rows, others = np.split(np.random.default_rng(0).permutation(len(angles)), [2 * N_ROWS])
-    nominal = Arm.from_name("ur10", probe=(0, 0, 93))
-    first = calibrate(nominal, angles[rows], points=points[rows])
-    model = ArmResidualRegressor(first.arm).fit(angles[rows], first.residuals_mm)
+    first, model = learn_tracked(UR10, angles[rows], points[rows])
     return first, model, angles[others], points[others]
 
 
 def update(data_home):
     """A model of series A, registered and updated on series B: medians of three draws."""
     first, model, _, _ = model_of_series_a(data_home)
-    angles, points, _ = read_ur10("B", data_home)
     found = {}
     for n in (10, 60):
-        draws = []
-        for seed in range(3):
-            known = np.zeros(len(angles), bool)
-            known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
-            draws.append(one_draw(model, first.arm, angles, points, known))
-        bare, _, registered, updated = np.median(draws, axis=0)
+        medians = known_of_series_b(first.arm, model, n, range(3), data_home)
+        bare, _, registered, updated = medians
         name = f"A to B, {n} poses"
         found |= {f"{name}: no correction": bare, f"{name}: registered": registered}
         found |= {f"{name}: updated": updated}
@@ -133,7 +136,7 @@ def update(data_home):
     model.fit(test.data[old], test.target[old], groups=test.groups[old])
     fresh = update_correction(model, test.data[new], test.target[new], groups=test.groups[new])
     left = test.target[rest] - fresh.predict(test.data[rest])
-    left = mean_deviation(position_residuals(left, test.groups[rest]))
+    left = scatter(left, test.groups[rest])
     return found | {"update by one position, simulated: mean deviation": left}
 
 
@@ -203,9 +206,8 @@ def transfer(data_home):
     y = own.residuals(angles[known], groups=sockets[known])
     moved = transferred_model([model], own.arm, angles[known], y, groups=sockets[known])
     left = own.residuals(angles[~known], groups=sockets[~known]) - moved.predict(angles[~known])
-    left = mean_deviation(position_residuals(left, sockets[~known]))
     name = "transfer, panda_3 to panda_2"
-    found[f"{name}: mean deviation"] = left
+    found[f"{name}: mean deviation"] = scatter(left, sockets[~known])
     found[f"{name}: gain in nats"] = moved.updates_[0]["gain_nats"]
     return found
 
@@ -252,12 +254,95 @@ def calibration(data_home):
     return found
 
 
+# -- the network ----------------------------------------------------------------------------------
+
+SIZES, MANY_DRAWS = (10, 30, 100, 300, 1000), {10: 20, 30: 10, 100: 4, 300: 2}
+LEVEL = norm.ppf(0.975)
+
+
+def _of_generated(name, n):
+    """Error, coverage and number of centres of one problem, over some draws of few rows."""
+    errors, covered, centers = [], [], []
+    for seed in range(MANY_DRAWS.get(n, 1)):
+        problem = generated(name, n, seed)
+        model = RBFNetRegressor(random_state=0).fit(problem.X, problem.y)
+        mean, std = model.predict(problem.X_test, return_std=True)
+        scale = problem.truth.std(axis=0)
+        errors.append(np.mean(np.square((mean - problem.truth) / scale)))
+        covered.append(np.mean(np.abs(problem.observed - mean) <= LEVEL * std))
+        centers.append(len(model.centers_))
+    return np.sqrt(np.mean(errors)), np.mean(covered), np.mean(centers)
+
+
+def _of_arm(arm, joints, angles, residuals, folds, groups=None, scatter=None):
+    """Share of the residuals that a chain leaves in folds it has not seen, or of their scatter."""
+    left, whole = 0.0, 0.0
+    for train, test in folds:
+        inputs = {"joints": "all", "encoding": "periodic"} if joints else {}
+        chain = make_pipeline(
+            PoseFeatures(arm, append_azimuth=True, **inputs),
+            CylindricalResidualTarget(RBFNetRegressor(random_state=0)),
+        )
+        name = "cylindricalresidualtarget__groups"
+        labels = {} if groups is None else {name: groups[train]}
+        chain.fit(angles[train], residuals[train], **labels)
+        rest = residuals[test] - chain.predict(angles[test])
+        if scatter is not None:  # what a position's mean takes out is not known of either
+            rest = position_residuals(rest, scatter[test])
+        left += np.square(rest).sum()
+        whole += np.square(residuals[test]).sum()
+    return np.sqrt(left / whole)
+
+
+def _panda_folds(name, home):
+    """Arm, angles, residuals, labels and folds of whole placements."""
+    angles, groups, placements = read_panda(name, home)
+    known = pairs_known(np.unique(placements))
+    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known)
+    good = found.sample_weight > 0
+    angles, groups = angles[good], groups[good]
+    residuals = position_residuals(found.arm.forward(angles), groups)
+    folds = list(GroupKFold(4).split(angles, groups=placements[good]))
+    return found.arm, angles, residuals, groups, folds
+
+
+def _ur10_folds(home):
+    """The same of whole goals, of every fourth goal; none are labelled."""
+    angles, points, groups = read_ur10("A", home)
+    some = groups % 4 == 0
+    angles, points, groups = angles[some], points[some], groups[some]
+    found = calibrate(Arm.from_name("ur10", probe=(0, 0, 109)), angles, points=points)
+    folds = list(GroupKFold(3).split(angles, groups=groups))
+    return found.arm, angles, found.residuals(angles, points), None, folds
+
+
+def network(data_home):
+    """Golden numbers of the network by name; `data_home` is the folder of the real data."""
+    found = {}
+    warnings.simplefilter("ignore")
+    for name in GENERATED:
+        for n in SIZES:
+            error, covered, centers = _of_generated(name, n)
+            found[f"network, {name}, {n} rows, error"] = error
+            found[f"network, {name}, {n} rows, inside 95 %"] = covered
+            found[f"network, {name}, {n} rows, centres"] = centers
+    arms = {name: _panda_folds(name, data_home) for name in ("panda_2", "panda_3")}
+    arms["UR10"] = _ur10_folds(data_home)
+    for joints in (False, True):
+        for name, (arm, angles, residuals, groups, folds) in arms.items():
+            for labels in (None, groups) if groups is not None else (None,):
+                what = f"network, {name}, {'all joints' if joints else 'pose'}"
+                what += ", error" if labels is None else ", groups, error"
+                found[what] = _of_arm(arm, joints, angles, residuals, folds, labels, groups)
+    return found
+
+
 def seconds(data_home):
     """CPU seconds of fits, each the least of three or two: they are printed, not compared."""
     test = make_single_point(10, 30, random_state=0)
     angles, points, _ = read_ur10("A", data_home)
     rows = np.random.default_rng(0).permutation(len(angles))[: 2 * N_ROWS]
-    first = calibrate(Arm.from_name("ur10", probe=(0, 0, 93)), angles[rows], points=points[rows])
+    first = calibrate(UR10, angles[rows], points=points[rows])
 
     def cpu_seconds(repeats, arm, *args, **kwargs):
         times = []
@@ -283,4 +368,5 @@ SECTIONS = {
     "check": check,
     "transfer": transfer,
     "calibration": calibration,
+    "network": network,
 }
