@@ -41,7 +41,7 @@ from sklearn_raacmm.utils import chunk_size, chunks, group_means
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
 # Where less than this share of the poses is concerned, sums over them cost less than new ones
-# (``benchmarks/bench_fit.py``).
+# (``benchmarks/bench_speed.py fit``).
 _FEW_POSES = 0.4
 # Gram rows summed up at a time, at most: 40 MB of grids for 400 orders of six joints.
 _LARGEST_BATCH = 192
