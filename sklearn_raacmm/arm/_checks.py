@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, check_option, floats, report_findings
+from sklearn_raacmm.utils import Finding, check_option, floats
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -168,5 +168,5 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
         advice = 'if they are radians, pass angle_unit="rad" (raacmm: --unit rad).'
     else:
         return np.deg2rad(angles)
-    report_findings([Finding("angle-unit", text, advice, weight, joints=(joint,))])
+    Finding("angle-unit", text, advice, weight, joints=(joint,)).report()
     return angles if angle_unit == "rad" else np.deg2rad(angles)

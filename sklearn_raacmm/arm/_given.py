@@ -6,7 +6,7 @@
 from typing import Any
 
 from sklearn_raacmm.arm._arm import Arm
-from sklearn_raacmm.utils import Finding, report_findings
+from sklearn_raacmm.utils import Finding
 
 _BUILT_IN = "aacmm6"
 
@@ -25,7 +25,7 @@ def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
     text = f"{owner} was given no arm and takes the built-in arm {_BUILT_IN!r}, whose lengths are "
     text += "not those of your arm."
     advice = f'Pass arm=, or arm=Arm.from_name("{_BUILT_IN}") if you mean that one.'
-    report_findings([Finding("built-in-arm", text, advice)])
+    Finding("built-in-arm", text, advice).report()
     return Arm.from_name(_BUILT_IN)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._chain import edited, read_chain, rigid, turn_between, with_probe
 from sklearn_raacmm.arm._kinematics import reach_mm
-from sklearn_raacmm.utils import Finding, report_findings, warn_user
+from sklearn_raacmm.utils import Finding, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
 _PARALLEL = 1e-12
@@ -58,13 +58,13 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     rounded = [joint.rounded for joint in joints if joint.rounded]
     if rounded:
         moved_mm = sum(rounded) * reach_mm(arm)
-        report_findings([Finding(
+        Finding(
             "rounded-angles",
             f"{where}: angles of {len(rounded)} joints are taken as the right or half right angles "
             f"that they are nearly: they differ by up to {max(rounded):.2g} rad, which moves the "
             f"probe by up to {moved_mm:.2g} mm.",
             weight="doubt" if moved_mm > _MUCH_MM else "note",
-        )])  # fmt: skip
+        ).report()  # fmt: skip
     return arm, placed, joints, mount, text, where
 
 

@@ -75,6 +75,17 @@ class Finding:
         values = asdict(self)
         return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
 
+    def report(self) -> None:
+        """Refuse the data, collect the finding, or warn of it; of a note nobody is warned."""
+        collected = _COLLECTED.get()
+        if self.weight == "refuse":
+            raise FindingError(self)
+        if collected is not None:
+            if self not in collected:
+                collected.append(self)
+        elif self.weight != "note":
+            warn_user(FindingWarning(self))
+
 
 @contextmanager
 def numbered_rows(numbers: Any) -> Iterator[None]:
@@ -112,16 +123,9 @@ class FindingError(ValueError):
 
 
 def report_findings(findings: Iterable[Finding]) -> None:
-    """Refuse, collect or warn of findings; of a note nobody is warned."""
-    collected = _COLLECTED.get()
+    """Report them all."""
     for finding in findings:
-        if finding.weight == "refuse":
-            raise FindingError(finding)
-        if collected is not None:
-            if finding not in collected:
-                collected.append(finding)
-        elif finding.weight != "note":
-            warn_user(FindingWarning(finding))
+        finding.report()
 
 
 class collected_findings:  # noqa: N801  (a context manager, as those of the standard library)
@@ -155,9 +159,12 @@ def call_collecting(
                 result = function(*args, **kwargs)
         except ValueError as error:
             # One of them may be the reason; that which is raised is not said twice.
-            report_findings(one for one in found if one is not getattr(error, "finding", None))
+            for finding in found:
+                if finding is not getattr(error, "finding", None):
+                    finding.report()
             raise
-        report_findings(found)
+        for finding in found:
+            finding.report()
         return result, found
 
     return copy_context().run(inside)

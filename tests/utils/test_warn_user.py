@@ -16,7 +16,6 @@ from sklearn_raacmm.utils import (
     Finding,
     FindingWarning,
     collected_findings,
-    report_findings,
     warn_user,
 )
 
@@ -89,8 +88,9 @@ DOUBT = Finding("moved-position", "Position 'a' moved by 2 mm.", "Fasten it.")
 
 
 def test_a_finding_is_a_warning_and_a_note_is_none():
+    Finding("dwells", "300 rows are 3 poses.", weight="note").report()
     with pytest.warns(FindingWarning, match=r"Position 'a' moved by 2 mm\. Fasten it\.") as caught:
-        report_findings([Finding("dwells", "300 rows are 3 poses.", weight="note"), DOUBT])
+        DOUBT.report()
     assert [warning.message.finding for warning in caught] == [DOUBT]
     assert caught[0].filename == __file__
 
@@ -98,7 +98,8 @@ def test_a_finding_is_a_warning_and_a_note_is_none():
 def test_findings_are_collected_once_and_other_warnings_go_on():
     def collected():
         with collected_findings() as found:
-            report_findings([DOUBT, DOUBT])
+            DOUBT.report()
+            DOUBT.report()
             warnings.warn("other", UserWarning, stacklevel=1)
         assert found == [DOUBT]
 
