@@ -76,7 +76,8 @@ def reweigh(estimator, blocks, codes):
         parts = (network.with_noise(1 / NORMAL_SQUARE) for network in estimator.networks_)
         estimator.networks_ = tuple(parts)
     estimator.row_weight_ = factor
-    report_findings(many_without_weight(factor[counted]))
+    for finding in many_without_weight(factor[counted]):
+        finding.report()
 
 
 def evidence(value, n, far):
