@@ -19,7 +19,6 @@ from sklearn_raacmm.utils import (
     check_weights,
     encode_groups,
     floats,
-    report_findings,
 )
 
 # Reference points that are the same to so many digits of a mm are those of one position; points of
@@ -189,7 +188,7 @@ def found_positions(points: np.ndarray, y: np.ndarray, weights: Any = None) -> n
         f"{n} positions were found: the points that the {len(found)} rows of y are from coincide."
     )
     advice = "Give groups to name them; groups=False takes each row for itself."
-    report_findings([Finding("positions-found", said, advice, "note")])
+    Finding("positions-found", said, advice, "note").report()
     codes = np.zeros(len(y), dtype=int)
     codes[used] = found
     return codes

@@ -48,7 +48,6 @@ from sklearn_raacmm.utils import (
     one_warning,
     param_checks,
     refuse_disguised,
-    report_findings,
     whole_fit,
 )
 
