@@ -38,7 +38,6 @@ from sklearn_raacmm.utils import (
     many_without_weight,
     one_blas_thread,
     param_checks,
-    report_findings,
     whole_fit,
 )
 
@@ -284,7 +283,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         self.linear_model_ = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
-        report_findings(many_without_weight(fitted.pose_weight))
+        for finding in many_without_weight(fitted.pose_weight):
+            finding.report()
         return self
 
     # The fitted numbers in readable form; all of them are those of `linear_model_`.

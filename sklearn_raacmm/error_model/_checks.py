@@ -25,7 +25,6 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
-    report_findings,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -121,7 +120,7 @@ def _check_lengths(lengths, codes, labels, kinematics):
             "offsets: they may come out worse than without correction."
         )
         advice = "Keep it, give known lengths, or do not measure lengths with this model."
-        report_findings([Finding("distances-not-held", said, advice)])
+        Finding("distances-not-held", said, advice).report()
     return [check_length(entry, labels.tolist()) for entry in lengths]
 
 
@@ -150,7 +149,8 @@ def poses_of(rows, extra):
     dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)
     if not dwells.merges:
         return dwells, rows
-    report_findings(dwells.findings())
+    for finding in dwells.findings():
+        finding.report()
     angles = dwells.mean_angles(rows.X[:, :n_joints])
     rows = rows._replace(
         X=np.hstack([angles, dwells.mean(rows.X[:, n_joints:])]),

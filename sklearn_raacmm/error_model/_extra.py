@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.utils import Finding, report_findings, row_numbers
+from sklearn_raacmm.utils import Finding, row_numbers
 
 # What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
 _KINDS = {
@@ -77,7 +77,7 @@ def warn_of_constants(extra, values, weights):
                 f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
                 "of it, and predictions will not depend on it."
             )
-            report_findings([Finding("constant-column", said, "Does the sensor work?")])
+            Finding("constant-column", said, "Does the sensor work?").report()
 
 
 def check_values(extra, values):

@@ -31,7 +31,6 @@ from sklearn_raacmm.utils import (
     chunks,
     group_means,
     group_sums,
-    report_findings,
     stage,
     tukey_weights,
 )
@@ -223,7 +222,7 @@ def fit_with_constants(rows, positions, columns, with_field):
         "for the arm's."
     )
     weight = "doubt" if size > 2 * scatter else "note"
-    report_findings([Finding("constants-of-positions", said, advice, weight, size_mm=size)])
+    Finding("constants-of-positions", said, advice, weight, size_mm=size).report()
     if not known:
         return fitted
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))

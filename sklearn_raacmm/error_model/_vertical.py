@@ -13,7 +13,7 @@ import numpy as np
 from sklearn_raacmm.error_model._columns import GRAVITY, LOAD, columns_of
 from sklearn_raacmm.error_model._fit import WIDE_SD, fit_with_constants, of_pairs
 from sklearn_raacmm.inference import Problem
-from sklearn_raacmm.utils import Finding, report_findings, stage
+from sklearn_raacmm.utils import Finding, stage
 
 _GOLDEN = (1 + np.sqrt(5)) / 2
 _AXES = np.array([[0, 1, _GOLDEN], [0, -1, _GOLDEN], [1, _GOLDEN, 0], [-1, _GOLDEN, 0],
