@@ -25,7 +25,6 @@ from sklearn_raacmm.utils import (
     call_collecting,
     encode_groups,
     param_checks,
-    report_findings,
 )
 
 _CONSTRAINTS = {
@@ -245,7 +244,8 @@ def _say_what_moved(data, calibration, model, noise, rows):
         report_findings(moved_positions(left, data.angles, data.positions, noise**2, data.rows))
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
-    report_findings(drift_of(calibration.arm, data.angles[rows], left, codes))
+    for finding in drift_of(calibration.arm, data.angles[rows], left, codes):
+        finding.report()
 
 
 def _calibrated(data, angles, angle_unit):
@@ -268,7 +268,7 @@ def _calibrated(data, angles, angle_unit):
         )
     said = f"The points scatter by {scatter:.1f} mm after calibration."
     advice = "The table of the arm is probably wrong: look at it before you use the correction."
-    report_findings([Finding("much-scatter", said, advice, size_mm=scatter)])
+    Finding("much-scatter", said, advice, size_mm=scatter).report()
     return calibration
 
 

@@ -21,7 +21,6 @@ from sklearn_raacmm.utils import (
     ignored_findings,
     listed,
     natural_order,
-    report_findings,
 )
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.

@@ -26,7 +26,6 @@ from sklearn_raacmm.utils import (
     call_collecting,
     listed,
     one_blas_thread,
-    report_findings,
     validate_params,
 )
 
@@ -148,13 +147,13 @@ def _updated(model, new, date, accepted):
     linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
-        report_findings([Finding("few-poses", said, "Register only, or measure more poses.")])
+        Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
     for finding in what_is_wrong(model, poses):
         if finding.code not in accepted:
             advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
             finding = replace(finding, advice=advice, weight="refuse")
-        report_findings([finding])
+        finding.report()
     updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
@@ -165,7 +164,7 @@ def _updated(model, new, date, accepted):
             "are they of this arm, and residuals in its base frame, registered through the "
             "correction?"
         )
-        report_findings([Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"])])
+        Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"]).report()
     poses.weights = poses.weights * pose_weight
     updated.fading_, judgement = judged_fading(linear, poses, model.fading_)
     updated.judgement_ = judgement or model.judgement_
