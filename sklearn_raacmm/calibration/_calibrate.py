@@ -31,7 +31,6 @@ from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
     param_checks,
-    report_findings,
     slip_factors,
     validate_params,
     with_findings,
@@ -185,7 +184,8 @@ def calibrate(
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
     problem = check_problem(angles, groups, points, lengths, tools, stations)
     poses, angles, problem = one_row_a_pose(angles, problem)
-    report_findings(wrong_units(arm, angles, problem))
+    for finding in wrong_units(arm, angles, problem):
+        finding.report()
     if asked is not None:
         asked = asked[poses.first]
         problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)

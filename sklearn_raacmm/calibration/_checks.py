@@ -59,7 +59,7 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     if lonely:
         names = tuple(positions[i] for i in lonely)
         text = f"{len(lonely)} groups have one point and say nothing, such as {names[0]}."
-        report_findings([Finding("lonely-position", text, positions=names)])
+        Finding("lonely-position", text, positions=names).report()
     return problem
 
 
@@ -129,7 +129,8 @@ def one_row_a_pose(angles, problem):
     poses = find_poses(angles, codes, problem.points)
     if not poses.merges:
         return poses, angles, problem
-    report_findings(poses.findings())
+    for finding in poses.findings():
+        finding.report()
     names = ("index", "points", "correction", "tools", "stations")
     parts = {name: poses.mean(getattr(problem, name)) for name in names}
     problem = replace(problem, **parts)
