@@ -30,7 +30,6 @@ from sklearn_raacmm.utils._findings import (
     ignored_findings,
     numbered_rows,
     one_warning,
-    report_findings,
     row_numbers,
     with_findings,
 )

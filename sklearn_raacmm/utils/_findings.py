@@ -122,12 +122,6 @@ class FindingError(ValueError):
         self.finding = finding
 
 
-def report_findings(findings: Iterable[Finding]) -> None:
-    """Report them all."""
-    for finding in findings:
-        finding.report()
-
-
 class collected_findings:  # noqa: N801  (a context manager, as those of the standard library)
     """Collect the findings that are made within, instead of warning.
 
