@@ -202,7 +202,8 @@ def calibrate(
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
     result = _result(fit, given, before, groups)
-    report_findings(findings_of_fit(fit, result, bare, lengths, poses))
+    for finding in findings_of_fit(fit, result, bare, lengths, poses):
+        finding.report()
     rows = [np.flatnonzero(poses.pose == i).tolist() for i in result.outliers]
     result = replace(
         result,
@@ -210,7 +211,8 @@ def calibrate(
         sample_weight=result.sample_weight[poses.pose],
         outliers=tuple(chain(*rows)),
     )
-    report_findings(outliers(result))
+    for finding in outliers(result):
+        finding.report()
     return result
 
 

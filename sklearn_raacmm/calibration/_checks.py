@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_raacmm.arm import MAX_LENGTH_MM, reach_mm
 from sklearn_raacmm.calibration._problem import Problem, rows_of
 from sklearn_raacmm.measurements import UNITS, coarse_angles, find_poses
-from sklearn_raacmm.utils import Finding, encode_groups, floats, report_findings
+from sklearn_raacmm.utils import Finding, encode_groups, floats
 
 # A picometre: smaller than any length is known, large enough to divide by.
 _LEAST_SD_MM = 1e-9

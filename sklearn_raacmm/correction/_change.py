@@ -41,7 +41,6 @@ from sklearn_raacmm.utils import (
     floats,
     ignored_findings,
     one_blas_thread,
-    report_findings,
 )
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
@@ -396,7 +395,7 @@ def transferred_model(models, arm, X, y, groups=None):
     new.updates_ = (entry | {"n_arms": len(models), "gain_nats": float(gain)},)
     code, word = ("make-believed", "") if believed else ("make-not-believed", "not ")
     said = f"The {len(models)} earlier arms of this make are {word}believed: the evidence for them "
-    report_findings([Finding(code, f"{said}is {gain:.1f} nats.", weight="note")])
+    Finding(code, f"{said}is {gain:.1f} nats.", weight="note").report()
     return new
 
 
@@ -417,7 +416,7 @@ def _suitable_models(models, arm, n_columns):
             why = "it is a copy of another, and two copies are no two arms"
         if why:
             said = f"Earlier arm {number} of {len(models)} is passed over: {why}."
-            report_findings([Finding("earlier-arm-refused", said, "Leave it out of the list.")])
+            Finding("earlier-arm-refused", said, "Leave it out of the list.").report()
         else:
             kept.append(model)
     return kept

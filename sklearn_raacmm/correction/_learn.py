@@ -241,7 +241,8 @@ def _say_what_moved(data, calibration, model, noise, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        report_findings(moved_positions(left, data.angles, data.positions, noise**2, data.rows))
+        for finding in moved_positions(left, data.angles, data.positions, noise**2, data.rows):
+            finding.report()
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
     for finding in drift_of(calibration.arm, data.angles[rows], left, codes):

@@ -34,7 +34,6 @@ from sklearn_raacmm.utils import (
     floats,
     ignored_findings,
     listed,
-    report_findings,
 )
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
@@ -116,7 +115,7 @@ class Data:
             if not keep.all():
                 left_out = f"{', '.join(causes[~keep])}: left out of the model."
                 text = f"The evidence does not ask for {left_out}"
-                report_findings([Finding("cause-not-kept", text, weight="note")])
+                Finding("cause-not-kept", text, weight="note").report()
             seen.causes, seen.values = tuple(causes[keep].tolist()), self.values[:, keep]
         return seen
 

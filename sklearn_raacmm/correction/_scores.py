@@ -209,7 +209,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         advice = (
             "Measure a known distance: a bar in two cones, or a cone plate moved by a known step."
         )
-        report_findings([Finding(_UNKNOWN_LENGTHS, text, advice, "note", size_mm=per_metre)])
+        Finding(_UNKNOWN_LENGTHS, text, advice, "note", size_mm=per_metre).report()
     errors = np.array([entry[1:] for entry in lengths]).reshape(-1, 2)
     return CorrectionScores(
         measure="2S" if data.points is None else "mean deviation",

@@ -69,7 +69,8 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         and are_deviations(y, positions, weights)
     )
     angles = X[:, : arm.n_joints]
-    report_findings(check_targets(y, weights, arm, angles, positions, deviations, probes))
+    for finding in check_targets(y, weights, arm, angles, positions, deviations, probes):
+        finding.report()
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
     X = X if probes is None else np.hstack([X, probes])
     return Rows(arm, X, y, weights, codes, tuple(lengths)), positions
@@ -86,7 +87,7 @@ def _check_repeats(weights):
     if not _LEAST_WORTH * n <= worth <= _LARGEST_WORTH * n:
         said = f"By their sample_weight the {n} rows are worth {worth:.3g} rows: too little or too"
         advice = "A weight counts repeats: give weights of about 1."
-        report_findings([Finding("worth-of-rows", f"{said} much will be learnt.", advice)])
+        Finding("worth-of-rows", f"{said} much will be learnt.", advice).report()
     return weights
 
 

@@ -98,4 +98,4 @@ def check_values(extra, values):
                 f"was from {low:g} to {high:g}."
             )
             advice = "Does the sensor work, and is the unit the same as in the fit?"
-            report_findings([Finding("column-out-of-range", said, advice, rows=rows)])
+            Finding("column-out-of-range", said, advice, rows=rows).report()

@@ -25,7 +25,7 @@ from sklearn_raacmm.error_model._fit import (
     of_pairs,
 )
 from sklearn_raacmm.inference import Problem, combined, search_at
-from sklearn_raacmm.utils import Finding, centred, group_means, report_findings, stage
+from sklearn_raacmm.utils import Finding, centred, group_means, stage
 
 # Blocks left out in turn.
 N_BLOCKS = 10
@@ -172,7 +172,7 @@ def warn_where_unknown(share, most):
     if most == 0:
         said = "The correction is 0: it did not help at positions that were left out."
         advice = "Update it with new poses, or learn again."
-        report_findings([Finding("share-of-zero", said, advice)])
+        Finding("share-of-zero", said, advice).report()
         return
     faded = np.count_nonzero(share < _WARN_SHARE * most)
     if 2 * faded > len(share):
@@ -181,7 +181,7 @@ def warn_where_unknown(share, most):
             "are reduced to less than a tenth."
         )
         advice = "Measure there before you correct, or see `fading`."
-        report_findings([Finding("little-known", said, advice)])
+        Finding("little-known", said, advice).report()
 
 
 @stage("models without one block each")

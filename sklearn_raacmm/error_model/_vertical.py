@@ -49,7 +49,7 @@ def fit_with_vertical(rows, positions, columns, with_field):
             f"{shown[1]}: its columns follow the data."
         )
         advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
-        report_findings([Finding("vertical", said, advice)])
+        Finding("vertical", said, advice).report()
     return fitted
 
 

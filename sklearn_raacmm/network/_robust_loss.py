@@ -9,7 +9,7 @@ from sklearn_raacmm.network import _read
 from sklearn_raacmm.network._blocks import ArrayChunks
 from sklearn_raacmm.network._posterior import pack, predict_mean
 from sklearn_raacmm.network._search import EXACT_ROWS
-from sklearn_raacmm.utils import many_without_weight, report_findings
+from sklearn_raacmm.utils import many_without_weight
 
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
 # rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.

@@ -203,7 +203,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             weights, arm = np.ones(len(y)), self._arm()
             angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
             offsets = codes is not None and are_deviations(y, codes, weights)
-            report_findings(check_targets(y, weights, arm, angles, codes, offsets))
+            for finding in check_targets(y, weights, arm, angles, codes, offsets):
+                finding.report()
             y = to_cylindrical(y, direction)
         routing = get_config()["enable_metadata_routing"]
         if routing:
@@ -383,7 +384,8 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
     dwells = find_dwells(rows, codes, copies_count=True)
     if not dwells.merges:
         return X, y, groups, codes, fit_params
-    report_findings(dwells.findings())
+    for finding in dwells.findings():
+        finding.report()
     of_rows = [n for n, v in fit_params.items() if np.ndim(v) and len(v) == len(rows)]
     merged = {name: dwells.mean(np.asarray(fit_params[name])) for name in of_rows}
     X, groups, codes = (
