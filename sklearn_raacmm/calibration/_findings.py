@@ -9,19 +9,21 @@ import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian, reach_mm
 from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
-from sklearn_raacmm.calibration._lengths import wrong_lengths
-from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
-from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
-from sklearn_raacmm.measurements import (
-    PRICE,
-    base_motions,
-    moved_positions,
-    moved_set_up,
+from sklearn_raacmm.calibration._labels import (
     no_readings,
     places_of,
     renamed,
     same_places,
     wrong_labels,
+)
+from sklearn_raacmm.calibration._lengths import wrong_lengths
+from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
+from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
+from sklearn_raacmm.calibration._set_ups import moved_set_up
+from sklearn_raacmm.measurements import (
+    PRICE,
+    base_motions,
+    moved_positions,
 )
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 

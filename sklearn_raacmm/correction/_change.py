@@ -23,6 +23,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
+from sklearn_raacmm.correction._condition import Prior, condition, log_density, narrowed
 from sklearn_raacmm.error_model import (
     LEAST_POSITIONS,
     ArmResidualRegressor,
@@ -32,7 +33,6 @@ from sklearn_raacmm.error_model import (
     order_price,
     smooth_shares,
 )
-from sklearn_raacmm.inference import Prior, condition, log_density, narrowed
 from sklearn_raacmm.utils import (
     Finding,
     centred,

@@ -18,8 +18,8 @@ from sklearn_raacmm.correction._change import (
     prior_of,
     with_low_orders,
 )
+from sklearn_raacmm.correction._condition import Whitened
 from sklearn_raacmm.error_model import LEAST_POSITIONS
-from sklearn_raacmm.inference import Whitened
 from sklearn_raacmm.measurements import (
     FAR,
     explanations,

@@ -21,8 +21,8 @@ from scipy.stats import f as fisher
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._change import NewPoses, day, place_columns, with_today
+from sklearn_raacmm.correction._condition import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.inference import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.measurements import medians_of
 from sklearn_raacmm.utils import (
     centred,

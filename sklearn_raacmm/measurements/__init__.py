@@ -13,13 +13,6 @@ from sklearn_raacmm.measurements._explanations import (
     medians_of,
     of_own_points,
 )
-from sklearn_raacmm.measurements._labels import (
-    no_readings,
-    places_of,
-    renamed,
-    same_places,
-    wrong_labels,
-)
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     MOST_EXPLAINED,
@@ -28,8 +21,7 @@ from sklearn_raacmm.measurements._order import (
     drift_of,
     order_explained_by,
 )
-from sklearn_raacmm.measurements._set_ups import base_motions, moved_set_up
-from sklearn_raacmm.measurements._targets import check_targets
+from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
 __all__ = [
     "FAR",
@@ -47,13 +39,7 @@ __all__ = [
     "likeliest",
     "medians_of",
     "moved_positions",
-    "moved_set_up",
-    "no_readings",
     "of_own_points",
     "order_explained_by",
-    "places_of",
-    "renamed",
-    "same_places",
     "within_turn",
-    "wrong_labels",
 ]

@@ -10,7 +10,6 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
 from sklearn_raacmm.measurements._explanations import of_own_points
-from sklearn_raacmm.measurements._set_ups import base_motions
 from sklearn_raacmm.utils import Finding, align, centred
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
@@ -77,6 +76,12 @@ def _are_zero(y):
         text = "All residuals are 0: there is nothing to learn."
         advice = "Are the measured points the arm's own, arm.forward(angles)?"
         yield Finding("residuals-all-zero", text, advice, "note")
+
+
+def base_motions(points: np.ndarray, reach: float) -> np.ndarray:
+    """What shifts of the base, and turns of one over the reach in mm, do to points: (n, 3, 6)."""
+    turns = np.stack([np.cross(axis, points) / reach for axis in np.eye(3)], axis=2)
+    return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
 
 
 def _are_points(y, points, reach):

@@ -9,8 +9,8 @@ from sklearn.metrics import adjusted_rand_score
 from sklearn.model_selection import GroupKFold
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm.calibration._labels import places_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import places_of
 from sklearn_raacmm.utils import FindingError, FindingWarning
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated

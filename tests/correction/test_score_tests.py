@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2, kstest, ncx2
 
-from sklearn_raacmm.inference import Whitened, best_cause, score_tests
+from sklearn_raacmm.correction._condition import Whitened, best_cause, score_tests
 
 M = 24
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.inference import Prior, condition, log_density, narrowed
+from sklearn_raacmm.correction._condition import Prior, condition, log_density, narrowed
 
 N_FREE = 2
 

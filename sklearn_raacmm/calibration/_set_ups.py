@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.measurements import base_motions
 from sklearn_raacmm.utils import Finding, row_numbers
 
 # Share of the squares that a set-up of its own behind a row has to take away, beside what chance
@@ -21,12 +22,6 @@ _BESIDE, _JUMP = 10, 10.0
 _LEAST_MM = 0.005
 # Part of the squares of a move that is added: rows at one place cannot show a turn.
 _RIDGE = 1e-4
-
-
-def base_motions(points: np.ndarray, reach: float) -> np.ndarray:
-    """What shifts of the base, and turns of one over the reach in mm, do to points: (n, 3, 6)."""
-    turns = np.stack([np.cross(axis, points) / reach for axis in np.eye(3)], axis=2)
-    return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
 
 
 def moved_set_up(

@@ -11,7 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
-from sklearn_raacmm.measurements._explanations import PRICE
+from sklearn_raacmm.measurements import PRICE
 from sklearn_raacmm.utils import Finding, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
