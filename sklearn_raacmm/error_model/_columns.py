@@ -11,6 +11,7 @@ export to C writes the same table into its source.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from enum import IntEnum
 from functools import cached_property, lru_cache
 from itertools import compress, product
 from typing import Any, NamedTuple
@@ -31,9 +32,6 @@ FAMILIES = (
 # The families that `ArmResidualRegressor` names in `causes`.
 CAUSES = ("gravity", "kinematics", "wobble")
 FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE)
-# Kinds of columns: a small turn about an axis of a frame, a small shift along it, or a turn about
-# it in proportion to the torque about that axis of a load, or of a force on the probe.
-TURN, SHIFT, LOAD, PUSH = range(4)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
 # What places the base and is not in its table: shifts along and turns about x and y. Columns that
@@ -50,6 +48,22 @@ _LONG_RUN = 24
 _OF_END = 0.5
 # Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
 _CHUNK = 512
+
+
+class Effect(IntEnum):
+    """What a column does: a small turn about an axis of a frame, or a small shift along it.
+
+    Or a turn about it in proportion to the torque about that axis of a load, or of a force on the
+    probe, which pushes.
+    """
+
+    TURN = 0
+    SHIFT = 1
+    LOAD = 2
+    PUSH = 3
+
+
+TURN, SHIFT, LOAD, PUSH = Effect
 
 
 class Terms(NamedTuple):

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM
-from sklearn_raacmm.error_model import LOAD, PUSH, ArmResidualRegressor
+from sklearn_raacmm.error_model import ArmResidualRegressor, Effect
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
@@ -396,7 +396,7 @@ def _sizes(chain, linear, table, vectors):
     if np.any(table["order"]):
         waves = p("waves", chain.angles(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
-    loaded = np.flatnonzero(table["kind"] == LOAD)
+    loaded = np.flatnonzero(table["kind"] == Effect.LOAD)
     if len(loaded):
         # The torque of a load, as `error_model` has it.
         places = p("join", chain.frames(), chain.probe())
@@ -416,7 +416,7 @@ def _sizes(chain, linear, table, vectors):
     if not extra:
         return sizes
     values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
-    pushed = np.flatnonzero(table["kind"] == PUSH)
+    pushed = np.flatnonzero(table["kind"] == Effect.PUSH)
     if len(pushed):
         mean = np.array([reference[0] for _, reference in extra])
         force = p.affine(p("sub", values, mean), linear.layout.forces.T)

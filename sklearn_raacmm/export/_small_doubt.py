@@ -13,7 +13,7 @@ positive and negative, in the metric of columns at poses from far to near.
 
 import numpy as np
 
-from sklearn_raacmm.error_model import SHIFT, TURN
+from sklearn_raacmm.error_model import Effect
 from sklearn_raacmm.export._steps import typical_rows
 
 # Waves of one joint about one axis that are taken for themselves, if there are so many.
@@ -32,7 +32,7 @@ _ANGLES = 4096
 
 def axis_numbers(table, n_joints):
     """Which axis each column of a table turns about or goes along: turns first."""
-    return np.where(table["kind"] == SHIFT, 3 * (n_joints + 1), 0) + (
+    return np.where(table["kind"] == Effect.SHIFT, 3 * (n_joints + 1), 0) + (
         3 * table["frame"] + table["axis"]
     )
 
@@ -125,7 +125,9 @@ def _over_axes(values):
 
 def _blocks(table, of_axis):
     """Columns of each joint's waves about each axis, where there are many."""
-    waves = np.flatnonzero((table["kind"] == TURN) & (table["order"] != 0) & (table["by"] < 0))
+    waves = np.flatnonzero(
+        (table["kind"] == Effect.TURN) & (table["order"] != 0) & (table["by"] < 0)
+    )
     keys = np.stack([of_axis[waves], table["joint"][waves]])
     unique, place = np.unique(keys, axis=1, return_inverse=True)
     found = (waves[place.ravel() == i] for i in range(unique.shape[1]))

@@ -15,7 +15,6 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
-    MOST_EXPLAINED,
     coarse_angles,
     directions_of,
     drift_of,
@@ -25,7 +24,6 @@ from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
 __all__ = [
     "FAR",
-    "MOST_EXPLAINED",
     "PRICE",
     "UNITS",
     "base_motions",

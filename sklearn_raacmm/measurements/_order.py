@@ -16,9 +16,6 @@ from sklearn_raacmm.utils import Finding, centred, group_means
 
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad.
 _STANDS_STILL = 1e-5
-# Share of the variance of the row number that angles may tell where time is to be learnt: of two
-# robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
-MOST_EXPLAINED = 0.2
 _TREES, _FOLDS = 100, 5
 # Other orders of the visits of places in none of which as much may be explained: by chance in one
 # run of 300. Rows that are looked at, for speed; visits that rows without labels are divided into,

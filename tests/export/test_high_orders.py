@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.error_model import LOAD, SHIFT, Terms
+from sklearn_raacmm.error_model import Effect, Terms
 from sklearn_raacmm.error_model._columns import columns_of
 
 from ._chains import ways_out
@@ -61,8 +61,8 @@ def in_50_digits(model, row):
     for coef, column in zip(linear.coef, table[names].tolist(), strict=True):
         kind, frame, axis, unit, joint, order, load = column
         u, origin = frames[frame][:3, axis], places[frame]
-        value = u if kind == SHIFT else cross(u, probe - origin)
-        if kind == LOAD:
+        value = u if kind == Effect.SHIFT else cross(u, probe - origin)
+        if kind == Effect.LOAD:
             value = value * mpmath.fdot(u, cross(places[load] - origin, mpmath.matrix([0, 0, -1])))
         if order:
             wave = mpmath.cos if order > 0 else mpmath.sin
