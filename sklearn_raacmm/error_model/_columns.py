@@ -88,7 +88,7 @@ class Column(NamedTuple):
 
     name: str
     family: int
-    kind: int  # TURN, SHIFT, LOAD or PUSH
+    kind: int  # of `Effect`
     frame: int  # whose axis it is: 0 is the base
     axis: int  # 0, 1, 2: x, y, z of the frame
     unit: float  # rad or mm per unit coefficient; for LOAD per mm of lever, too
