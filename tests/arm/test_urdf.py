@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate
@@ -96,7 +96,7 @@ def angles():
 def test_points_are_those_of_the_file(text, angles):
     arm = Arm.from_urdf(text)
     q = angles[:, : arm.n_joints]
-    np.testing.assert_allclose(arm.forward(q), forward(text, q), rtol=0, atol=1e-9)
+    assert_allclose(arm.forward(q), forward(text, q), rtol=0, atol=1e-9)
     assert max(np.abs(arm.a).max(), np.abs(arm.d).max()) < 2000  # no origin far away
 
 
@@ -105,11 +105,11 @@ def test_built_in_arms_are_these_files(angles):
     assert panda.name == "panda"
     for field in ("a", "alpha", "d", "theta_offset", "probe"):
         expected = getattr(Arm.from_name("panda"), field)
-        np.testing.assert_allclose(getattr(panda, field), expected, atol=1e-9)
+        assert_allclose(getattr(panda, field), expected, atol=1e-9)
     # The UR10's file has another zero and counts the tool's frame otherwise: distances agree.
     ur10, built_in = Arm.from_urdf(UR10), Arm.from_name("ur10")
     assert (ur10.pose_joints, ur10.pose_frames) == ((4, 3), (2, 4))
-    np.testing.assert_allclose(np.abs(ur10.a[[2, 3]]), np.abs(built_in.a[[1, 2]]), atol=1e-9)
+    assert_allclose(np.abs(ur10.a[[2, 3]]), np.abs(built_in.a[[1, 2]]), atol=1e-9)
 
 
 def test_a_robot_drawn_without_care(angles):
@@ -120,7 +120,7 @@ def test_a_robot_drawn_without_care(angles):
         joints.append((f"j{i}", "revolute", *(" ".join(map(str, three)) for three in numbers)))
     text, q = urdf(*joints, ("tip", "fixed", "0.1 0.2 0.3", "1 2 3", "")), angles[:, :6]
     arm = Arm.from_urdf(text)
-    np.testing.assert_allclose(arm.forward(q), forward(text, q), rtol=0, atol=1e-9)
+    assert_allclose(arm.forward(q), forward(text, q), rtol=0, atol=1e-9)
 
 
 def test_a_base_beside_the_first_axis_is_warned_of(angles):
@@ -134,7 +134,7 @@ def test_a_base_beside_the_first_axis_is_warned_of(angles):
     ours, theirs = arm.forward(angles[:, :2]), forward(text, angles[:, :2])
     # The same but for a rigid motion.
     turn = Rotation.align_vectors(theirs - theirs[0], ours - ours[0])[0]
-    np.testing.assert_allclose(turn.apply(ours - ours[0]), theirs - theirs[0], atol=1e-6)
+    assert_allclose(turn.apply(ours - ours[0]), theirs - theirs[0], atol=1e-6)
 
 
 def test_axes_that_are_all_but_parallel_stay_near(angles):
@@ -174,9 +174,9 @@ def test_written_and_read_again(arm, angles, tmp_path):
     text = arm.to_urdf(tmp_path / "arm.urdf")
     assert (tmp_path / "arm.urdf").read_text(encoding="utf-8") == text
     q = angles[:, : arm.n_joints]
-    np.testing.assert_allclose(forward(text, q, False), arm.forward(q), rtol=0, atol=1e-9)
+    assert_allclose(forward(text, q, False), arm.forward(q), rtol=0, atol=1e-9)
     again = Arm.from_urdf(tmp_path / "arm.urdf", base="base_link", tip="probe")
-    np.testing.assert_allclose(again.forward(q), arm.forward(q), rtol=0, atol=1e-9)
+    assert_allclose(again.forward(q), arm.forward(q), rtol=0, atol=1e-9)
 
 
 def change(text, old, new):
@@ -212,7 +212,7 @@ def test_what_is_no_such_arm_is_named(text, message):
 
 def test_a_part_of_a_branching_robot(angles):
     arm = Arm.from_urdf(change(PANDA, "</robot>", FORK), tip="l8")
-    np.testing.assert_allclose(arm.forward(angles), forward(PANDA, angles), rtol=0, atol=1e-9)
+    assert_allclose(arm.forward(angles), forward(PANDA, angles), rtol=0, atol=1e-9)
     with pytest.raises(ValueError, match=r"no link 'l9' that could be the tip; try l\d"):
         Arm.from_urdf(PANDA, tip="l9")
     for ends in ({"tip": "l9"}, {"tip": "l4", "base": "l9"}, {"tip": "l2", "base": "l4"}):
@@ -233,7 +233,7 @@ def test_arms_from_lengths():
     shoulder = np.array([0, 0, 375])
     assert np.linalg.norm(straight - shoulder) == pytest.approx(1350)
     rolled = arm.forward([[0, 0, 0.7, 0, 0.4, 0]])[0]  # rolls alone move nothing
-    np.testing.assert_allclose(rolled, straight, atol=1e-9)
+    assert_allclose(rolled, straight, atol=1e-9)
     for elbow in (0.3, 1.2):
         bent = arm.forward([[0.5, 0.2, 0.9, elbow, 0.1, 0]])[0]
         cosines = math.sqrt(750**2 + 600**2 + 2 * 750 * 600 * math.cos(elbow))
@@ -241,9 +241,9 @@ def test_arms_from_lengths():
     seven = Arm.from_lengths("2-2-3", 375, 750, 500, 100, elbow_offset=5, name="mine")
     assert (seven.n_joints, seven.name) == (7, "mine")
     q = np.array([[0.5, 0.2, 0.9, 0.3, 0.1, 0.2, 0.0]])
-    np.testing.assert_allclose(seven.forward(q), seven.forward(q + np.eye(7)[[6]]), atol=1e-9)
+    assert_allclose(seven.forward(q), seven.forward(q + np.eye(7)[[6]]), atol=1e-9)
     six = Arm.from_lengths("2-2-2", 375, 750, 500, 100, elbow_offset=5)
-    np.testing.assert_allclose(seven.forward(q), six.forward(q[:, :6]), atol=1e-9)
+    assert_allclose(seven.forward(q), six.forward(q[:, :6]), atol=1e-9)
     with pytest.raises(ValueError, match="layout='3-2-2' is not one of '2-2-2', '2-2-3'"):
         Arm.from_lengths("3-2-2", 1, 1, 1, 1)
 
@@ -350,7 +350,7 @@ def test_names_and_limits_are_read_and_kept(tmp_path):
         Arm.from_urdf(arm.to_urdf()),
     ):
         assert again.names == NAMES
-        np.testing.assert_array_equal(again.limits, arm.limits)
+        assert_array_equal(again.limits, arm.limits)
     assert Arm.from_json(tmp_path / "arm.json") == arm
     assert arm.replace(limits=None) != arm
     assert not arm.limits.flags.writeable
@@ -358,29 +358,11 @@ def test_names_and_limits_are_read_and_kept(tmp_path):
 
 def test_calibrate_keeps_them():
     data = make_single_point(n_positions=5, n_poses=10, random_state=0)
-    names, limits = [f"A{i}" for i in range(1, 7)], [[-3, 3]] * 6
-    arm = calibrate(
-        data.nominal_arm.replace(names=names, limits=limits), data.data, data.groups
-    ).arm
-    assert arm.names == tuple(names)
+    names, limits = tuple("ABCDEF"), [[-3, 3]] * 6
+    nominal = data.nominal_arm.replace(names=names, limits=limits)
+    arm = calibrate(nominal, data.data, data.groups).arm
+    assert arm.names == names
     assert arm.limits.tolist() == limits
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"names": ["a"]}, "names must be 6 different names of joints, got"),
-        ({"names": ["a", "a", "b", "c", "d", "e"]}, "names must be 6 different"),
-        ({"names": "abcdef"}, "names must be 6 different"),
-        ({"names": ["a", "b", "c", "d", "e", 3]}, "names must be 6 different"),
-        ({"limits": [[0, 1]]}, r"limits must have shape \(6, 2\), got \(1, 2\)"),
-        ({"limits": [[1, 0]] + [[0, 1]] * 5}, "limits of joint 1 must go from low to high"),
-        ({"limits": [[0, 1]] * 5 + [[np.nan, 0]]}, "limits"),
-    ],
-)
-def test_wrong_names_and_limits(changes, message):
-    with pytest.raises(ValueError, match=message):
-        Arm.from_name("aacmm6", **changes)
 
 
 def test_the_file_has_the_calibrated_points_and_everything_else(angles, tmp_path):
@@ -391,9 +373,9 @@ def test_the_file_has_the_calibrated_points_and_everything_else(angles, tmp_path
     angles = angles[:, :6]
     chain = re.sub('<joint name="to_finger".*</joint>', "", text, flags=re.DOTALL)
     points = forward(chain, angles, False)
-    np.testing.assert_allclose(points, arm.forward(angles), rtol=0, atol=1e-9)
+    assert_allclose(points, arm.forward(angles), rtol=0, atol=1e-9)
     again = Arm.from_urdf(text, **ENDS)
-    np.testing.assert_allclose(again.forward(angles), arm.forward(angles), rtol=0, atol=1e-9)
+    assert_allclose(again.forward(angles), arm.forward(angles), rtol=0, atol=1e-9)
     assert (again.names, again.limits.tolist()) == (arm.names, arm.limits.tolist())
     # But for the origins of the chain's moving joints and of the tip, the text is the same.
     moved = "|".join([*NAMES, "to_ball"])
@@ -422,12 +404,12 @@ def test_kinematics_of_a_ur(angles, tmp_path):
     arm = Arm.from_urdf(tmp_path / "ur.yaml")
     assert arm.names == Arm.from_name("ur10").names
     table = Arm.from_name("ur5e")  # the maker's standard table, of the controller's base
-    np.testing.assert_allclose(arm.forward(angles), table.forward(angles), rtol=0, atol=1e-9)
+    assert_allclose(arm.forward(angles), table.forward(angles), rtol=0, atol=1e-9)
     other = calibrated(arm)
     other = other.replace(probe=(0, 0, other.probe[2]))  # a tool is no part of these files
     text = other.update_urdf(tmp_path / "ur.yaml", tmp_path / "new.yaml")
     again = Arm.from_urdf(text)
-    np.testing.assert_allclose(again.forward(angles), other.forward(angles), rtol=0, atol=1e-9)
+    assert_allclose(again.forward(angles), other.forward(angles), rtol=0, atol=1e-9)
     for line in ("# of the robot in cell 3", "  # m", "  hash: calib_12788084448423163542"):
         assert line in text
     yaml = pytest.importorskip("yaml")
@@ -488,7 +470,7 @@ def test_built_in_arms_turn_about_the_makers_axes(name):
             through = np.array([x, 0, z])
             point = through + Rotation.from_rotvec(angle * unit).apply(point - through)
         points.append(1000 * point)
-    np.testing.assert_allclose(arm.forward(rows), points, rtol=0, atol=1e-9)
+    assert_allclose(arm.forward(rows), points, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -124,8 +124,6 @@ def change_of(vector, out=0, up=0):
             change(PLAIN, "<robot name", PREFIX, "</robot>", '<xacro:arm d="2"/></robot>'),
             "holds xacro macros",
         ),
-        (change(PLAIN, "</robot>", FINGER), r"2 links .* tip \(finger, thumb\)"),
-        (change(PLAIN, 'type="continuous">', 'type="continuous"><mimic joint="end"/>'), "mimics"),
         ('<mujoco model="a"/>', "'mujoco', that of MuJoCo's MJCF: take the URDF"),
     ],
 )

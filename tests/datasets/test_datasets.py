@@ -4,6 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import cartesian_to_cylindrical, metrics
@@ -36,7 +37,7 @@ def _moved(machine, angles):
 def test_with_every_source_off_the_arm_is_its_drawing(poses):
     machine = SimulatedArm("none")
     assert machine.true_arm.replace(name="aacmm6") == machine.nominal_arm
-    np.testing.assert_array_equal(machine.forward(poses), machine.nominal_arm.forward(poses))
+    assert_array_equal(machine.forward(poses), machine.nominal_arm.forward(poses))
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_torques_are_the_slopes_of_the_potential_energy(poses):
         [(energy(poses + e) - energy(poses - e)) / (2 * step) for e in step * np.eye(6)]
     )
     torques = machine.gravity_torques(poses)
-    np.testing.assert_allclose(torques, -slopes, atol=1e-8)
+    assert_allclose(torques, -slopes, atol=1e-8)
     assert np.abs(torques).max() > 20
 
 
@@ -113,7 +114,7 @@ def test_bending_and_torsion_against_finite_rotations(poses):
     arm = machine.true_arm
     frames = arm.frames(poses)
     turns = 33e-6 * machine.gravity_torques(poses) * [1, 0.15, 1, 1, 1, 1]
-    np.testing.assert_allclose(  # a turned joint is a joint at another angle
+    assert_allclose(  # a turned joint is a joint at another angle
         machine.deviations(poses)["torsion"], arm.forward(poses + turns) - arm.forward(poses),
         atol=1e-4,
     )  # fmt: skip
@@ -131,9 +132,7 @@ def test_bending_and_torsion_against_finite_rotations(poses):
         center = frames[:, end, :, 3]
         exact = center + Rotation.from_rotvec(slope * axis).apply(exact - center)
         exact += 1e3 * sag * across
-    np.testing.assert_allclose(
-        machine.deviations(poses)["sag"], exact - arm.forward(poses), atol=5e-4
-    )
+    assert_allclose(machine.deviations(poses)["sag"], exact - arm.forward(poses), atol=5e-4)
 
 
 def test_eccentricity_of_the_base_has_two_harmonics_of_the_right_size():
@@ -147,8 +146,8 @@ def test_eccentricity_of_the_base_has_two_harmonics_of_the_right_size():
     amplitude = spectrum / np.hypot(points[0, 0], points[0, 1]) / ARCSEC
     assert 0.5 * 4 <= amplitude[1] <= 1.5 * 4
     assert 0.5 * 1.2 <= amplitude[2] <= 1.5 * 1.2
-    np.testing.assert_allclose(amplitude[3:], 0, atol=1e-6)
-    np.testing.assert_allclose(moved[:, [0, 2]], moved[[0]][:, [0, 2]].repeat(n, 0), atol=1e-9)
+    assert_allclose(amplitude[3:], 0, atol=1e-6)
+    assert_allclose(moved[:, [0, 2]], moved[[0]][:, [0, 2]].repeat(n, 0), atol=1e-9)
 
 
 def test_wobble_is_no_twist_error_in_disguise():
@@ -200,7 +199,7 @@ def test_small_errors_add_up_in_what_the_encoders_show():
     together = ArmErrors.only(**{k: v for source in sources for k, v in source.items()})
     whole, parts = shown(together), sum(shown(ArmErrors.only(**source)) for source in sources)
     assert np.abs(whole).max() > 0.1
-    np.testing.assert_allclose(parts, whole, atol=1e-3)
+    assert_allclose(parts, whole, atol=1e-3)
 
 
 # -- sources that are off by default -----------------------------------------------------------
@@ -209,7 +208,7 @@ def test_small_errors_add_up_in_what_the_encoders_show():
 def test_play_lags_behind_the_direction_of_each_joint(poses):
     machine = SimulatedArm(ArmErrors.only(play_arcsec=20), random_state=2)
     arm = machine.true_arm
-    np.testing.assert_array_equal(machine.forward(poses), arm.forward(poses))  # in the middle
+    assert_array_equal(machine.forward(poses), arm.forward(poses))  # in the middle
     moved = np.zeros((6, len(poses), 3))
     for joint in range(6):
         up = np.zeros(poses.shape)
@@ -221,10 +220,10 @@ def test_play_lags_behind_the_direction_of_each_joint(poses):
             / np.linalg.norm(arm.jacobian(poses)[:, :, joint], axis=1).sum()
         )
         assert 10 <= play / ARCSEC <= 30
-        np.testing.assert_allclose(ends[0], arm.forward(poses - play / 2 * up), atol=2e-5)
+        assert_allclose(ends[0], arm.forward(poses - play / 2 * up), atol=2e-5)
         moved[joint] = ends[0] - arm.forward(poses)
     together = machine.forward(poses, directions=np.ones(poses.shape))
-    np.testing.assert_allclose(together - arm.forward(poses), moved.sum(axis=0), atol=1e-9)
+    assert_allclose(together - arm.forward(poses), moved.sum(axis=0), atol=1e-9)
 
 
 def test_softening_grows_with_the_cube_of_the_load():
@@ -235,7 +234,7 @@ def test_softening_grows_with_the_cube_of_the_load():
     moved = np.linalg.norm(_moved(machine, out), axis=1)
     beyond_elbow = 500.557 + 97.811
     assert moved[0] == pytest.approx(5 * ARCSEC * beyond_elbow, rel=0.01)
-    np.testing.assert_allclose(moved / moved[0], np.abs(load / load[0]) ** 3, rtol=1e-6)
+    assert_allclose(moved / moved[0], np.abs(load / load[0]) ** 3, rtol=1e-6)
     assert moved[2] < moved[0] / 2
 
 
@@ -248,7 +247,7 @@ def test_drift_is_the_warming_that_the_thermometer_shows():
     machine = test.simulation.machine
     for row in (0, 7, 29):
         at = machine.forward(test.data[[row]], warming_k=test.temperature[row] - 20)
-        np.testing.assert_allclose(at, test.simulation.true_points[[row]], atol=2e-6)
+        assert_allclose(at, test.simulation.true_points[[row]], atol=2e-6)
     steady = make_single_point(3, 10, machine=ArmErrors.only(warming_k=1))
     assert set(steady.temperature) == {21.0}
 
@@ -294,7 +293,7 @@ def test_slipped_poses_have_left_their_cone():
     slipped = test.simulation.slipped
     assert 25 <= slipped.sum() <= 55  # binomial: 40 +- 5.7
     apart = test.simulation.true_points - test.simulation.positions[test.groups]
-    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 0.5 * slipped, atol=1e-9)
+    assert_allclose(np.linalg.norm(apart, axis=1), 0.5 * slipped, atol=1e-9)
     assert np.linalg.norm(apart[slipped].mean(axis=0)) < 0.2  # in all directions
     assert not make_single_point(2, 5).simulation.slipped.any()
 
@@ -303,8 +302,8 @@ def test_directions_are_those_in_which_the_rows_follow():
     test = make_single_point(2, 30, random_state=3)
     moved = np.diff(test.data, axis=0)
     clear = (np.abs(moved) > 0.01) & (np.abs(moved) < np.pi)
-    np.testing.assert_array_equal(test.directions[1:][clear], np.sign(moved[clear]))
-    np.testing.assert_array_equal(test.directions[0], test.directions[1])
+    assert_array_equal(test.directions[1:][clear], np.sign(moved[clear]))
+    assert_array_equal(test.directions[0], test.directions[1])
 
 
 def test_readings_are_noisy_and_quantised_as_asked():
@@ -312,7 +311,7 @@ def test_readings_are_noisy_and_quantised_as_asked():
     angles = np.random.default_rng(0).uniform(-3, 3, (3000, 6))
     readings = machine.read(angles, random_state=0)
     counts = readings / (0.5 * ARCSEC)
-    np.testing.assert_allclose(counts, counts.round(), atol=1e-6)
+    assert_allclose(counts, counts.round(), atol=1e-6)
     # 18 000 draws: the standard deviation is known to half a percent; 0.5^2 / 12 is added.
     expected = np.hypot(1.5, 0.5 / np.sqrt(12))
     error = (readings - angles) / ARCSEC
@@ -389,8 +388,8 @@ def test_calibration_and_a_perfect_model_each_leave_less():
     # Calibrated on other data, without the true table: it cannot be it.
     assert test.arm != truth.machine.true_arm
     true_points = truth.machine.forward(test.data)
-    np.testing.assert_allclose(truth.perfect_correction + true_points, test.points)
-    np.testing.assert_allclose(test.arm.forward(test.data), test.points)
+    assert_allclose(truth.perfect_correction + true_points, test.points)
+    assert_allclose(test.arm.forward(test.data), test.points)
 
 
 def test_noise_alone_makes_the_floor():
@@ -408,10 +407,10 @@ def test_gauges_have_their_lengths():
     gauge = make_gauge((300, 500), n_placements=4, n_poses=5, random_state=2)
     ends = gauge.simulation.positions
     assert gauge.pairs.shape == (8, 2)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.linalg.norm(ends[gauge.pairs[:, 1]] - ends[gauge.pairs[:, 0]], axis=1), gauge.lengths
     )
-    np.testing.assert_array_equal(gauge.lengths, [300] * 4 + [500] * 4)
+    assert_array_equal(gauge.lengths, [300] * 4 + [500] * 4)
     assert np.all(np.bincount(gauge.groups) == 5)
 
 
@@ -420,8 +419,8 @@ def test_same_seed_same_data_whatever_ran_before():
     np.random.seed(0)  # noqa: NPY002
     make_gauge(n_placements=2, random_state=8)
     again = make_single_point(3, 10, random_state=7)
-    np.testing.assert_array_equal(first.data, again.data)
-    np.testing.assert_array_equal(first.target, again.target)
+    assert_array_equal(first.data, again.data)
+    assert_array_equal(first.target, again.target)
     assert not np.array_equal(first.data, make_single_point(3, 10, random_state=8).data)
     # A seed is one individual, which both tests measure with, at other places.
     gauge = make_gauge(n_placements=2, random_state=7)
@@ -433,7 +432,7 @@ def test_an_individual_keeps_its_draws_when_sources_are_switched_off(poses):
     whole = SimulatedArm("typical", random_state=4).deviations(poses)
     alone = SimulatedArm(ArmErrors.only(wobble_arcsec=3, length_mm=0.2, angle_deg=0.02),
                          random_state=4).deviations(poses)  # fmt: skip
-    np.testing.assert_array_equal(whole["wobble"], alone["wobble"])
+    assert_array_equal(whole["wobble"], alone["wobble"])
     assert not alone["sag"].any()
 
 
@@ -443,7 +442,7 @@ def test_one_machine_can_be_measured_again_and_again():
     assert first.arm == second.arm
     assert not np.array_equal(first.simulation.positions, second.simulation.positions)
     drawn = make_single_point(2, 5, random_state=np.random.RandomState(0))
-    np.testing.assert_array_equal(
+    assert_array_equal(
         drawn.data, make_single_point(2, 5, random_state=np.random.RandomState(0)).data
     )
 
@@ -452,7 +451,7 @@ def test_forms_of_the_data():
     pandas = pytest.importorskip("pandas")
     plain = make_single_point(2, 5)
     assert plain.data.shape == (10, 6)
-    np.testing.assert_allclose(
+    assert_allclose(
         plain.target,
         plain.points - np.repeat([plain.points[:5].mean(0), plain.points[5:].mean(0)], 5, axis=0),
     )
@@ -460,7 +459,7 @@ def test_forms_of_the_data():
     assert list(X) == ["theta1", "theta2", "theta3", "theta4", "theta5", "theta6"]
     assert list(y) == ["dx", "dy", "dz"]
     assert isinstance(groups, pandas.Series)
-    np.testing.assert_array_equal(X, plain.data)
+    assert_array_equal(X, plain.data)
     frame = make_single_point(2, 5, as_frame=True).frame
     assert list(frame) == [*X, *y, "position"]
 

@@ -7,6 +7,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import calibrate
@@ -142,7 +143,7 @@ def test_panda(serve, tmp_path, data_folder, panda, arm):
     n_files = server.requests
     expected = panda(arm)
     order = np.lexsort(expected.angles.T), np.lexsort(test.data.T)
-    np.testing.assert_array_equal(test.data[order[1]], expected.angles[order[0]])
+    assert_array_equal(test.data[order[1]], expected.angles[order[0]])
     assert (test.groups[order[1]] == expected.groups[order[0]]).all()
     assert (test.placements[order[1]] == expected.placements[order[0]]).all()
     assert n_files == 2 * len(set(test.placements))
@@ -151,7 +152,7 @@ def test_panda(serve, tmp_path, data_folder, panda, arm):
     assert np.median(means) < 1e-9
     assert np.linalg.norm(test.target, axis=1).mean() < 0.4
     result = calibrate(test.nominal_arm, test.data, test.groups, lengths=test.lengths)
-    np.testing.assert_allclose(result.arm.forward(test.data), test.points)
+    assert_allclose(result.arm.forward(test.data), test.points)
     assert "MIT" in test.DESCR
     assert "2503.12584" in test.DESCR
 
@@ -161,11 +162,11 @@ def test_panda(serve, tmp_path, data_folder, panda, arm):
     )
     assert server.requests == n_files
     assert list(again.frame) == [*again.feature_names, "dx", "dy", "dz", "position", "placement"]
-    np.testing.assert_array_equal(again.frame["placement"], test.placements)
+    assert_array_equal(again.frame["placement"], test.placements)
     X, y, placements = fetch_panda_ball_socket(arm, data_home=tmp_path, return_X_y=True)
-    np.testing.assert_array_equal(X, test.data)
-    np.testing.assert_array_equal(y, test.target)
-    np.testing.assert_array_equal(placements, test.placements)
+    assert_array_equal(X, test.data)
+    assert_array_equal(y, test.target)
+    assert_array_equal(placements, test.placements)
 
 
 def test_panda_one_tampered_file(serve, tmp_path, data_folder):
@@ -190,21 +191,21 @@ def test_ur10(serve, tmp_path, data_folder, ur10):
     server, url = serve(data_folder("ur10_tracker"))
     test = fetch_ur10_tracker(data_home=tmp_path, base_url=url)
     assert server.requests == 1
-    np.testing.assert_array_equal(test.data, ur10.angles)
-    np.testing.assert_array_equal(test.tracker_points, ur10.points)
-    np.testing.assert_array_equal(test.groups, ur10.groups)
-    np.testing.assert_array_equal(test.temperature, ur10.temperature)
+    assert_array_equal(test.data, ur10.angles)
+    assert_array_equal(test.tracker_points, ur10.points)
+    assert_array_equal(test.groups, ur10.groups)
+    assert_array_equal(test.temperature, ur10.temperature)
     assert test.directions.shape == test.data.shape
     assert test.time[0] == np.datetime64("2020-07-14T16:39:04")
     assert np.count_nonzero(np.diff(test.time) < np.timedelta64(0, "s")) == 9
     for row in (1, 5000, 11000):  # rows that were measured one after the other
         turned = np.angle(np.exp(1j * (ur10.angles[row] - ur10.angles[row - 1])))
-        np.testing.assert_array_equal(test.directions[row], np.sign(turned))
+        assert_array_equal(test.directions[row], np.sign(turned))
     # The true points, points - target, are the tracker's moved as a rigid body.
     some = np.arange(0, len(test.data), 500)
     true = (test.points - test.target)[some]
     seen = test.tracker_points[some]
-    np.testing.assert_allclose(
+    assert_allclose(
         np.linalg.norm(true[:, None] - true, axis=2),
         np.linalg.norm(seen[:, None] - seen, axis=2),
         atol=1e-8,
