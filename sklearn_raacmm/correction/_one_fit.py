@@ -238,7 +238,7 @@ class Data:
         fitted.fit(self.inputs[rows], y, **{f"{prefix}{n}": v for n, v in given.items()})
         return fitted
 
-    def _model_for(self, model, arm):
+    def _model_for(self, model, arm) -> Any:
         """Copy of a model, or the default one, for this arm and for angles in rad."""
         if model is None:
             return ArmResidualRegressor(arm, extra=self.causes)
