@@ -271,13 +271,14 @@ def _judged(sets, limit, rule):
     found: dict[str, Any] = {}
     for side, one in zip(("before", "after"), sets, strict=False):
         errors, sizes, u = (np.asarray(part, dtype=float) for part in one[:3])
+        interval = one[3:] or (None,)
         limits = np.zeros(len(errors))  # without any the worst has the largest error
         if limit is not None:
             limits = np.minimum(limit[0] + limit[1] * sizes, limit[2])
         room = limits - np.abs(errors)
         worst = int(np.argmin(room))
         found |= {side: float(errors[worst]), f"u_{side}": float(u[worst])}
-        found |= {f"interval_{side}": one.interval, f"size_{side}": float(sizes[worst])}
+        found |= {f"interval_{side}": interval[0], f"size_{side}": float(sizes[worst])}
         if limit is not None:
             # What nobody has stated the uncertainty of proves nothing.
             guard = np.where(u > 0, _GUARD * u, np.inf) if rule == "guarded" else 0 * u

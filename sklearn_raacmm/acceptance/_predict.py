@@ -103,8 +103,9 @@ def predict_acceptance(
         pairs = zip(plan.artefacts, sizes, strict=True)
         run = plan.with_artefacts(replace(artefact, size_mm=size) for artefact, size in pairs)
         for test, own in rows.items():
-            for name, one in FUNCTIONS[test](Readings(run, own, ideal + draws[:, :, k])).items():
-                found.setdefault(name, []).append(np.abs(one.errors).max())
+            readings = Readings(run, own, ideal + draws[:, :, k])
+            for name, (errors, *_) in FUNCTIONS[test](readings).items():
+                found.setdefault(name, []).append(np.abs(errors).max())
     ends = {name: np.quantile(values, _ENDS) for name, values in found.items()}
     return {name: tuple(three.tolist()) for name, three in ends.items()}
 

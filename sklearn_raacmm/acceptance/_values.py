@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -58,15 +58,6 @@ VALUES: dict[str, Any] = {
 }  # fmt: skip
 
 
-class Candidates(NamedTuple):
-    """What a value is the worst of, each (k,) in mm, and its interval of 95 % from one run."""
-
-    errors: Any
-    sizes: Any
-    u: Any
-    interval: Any = None
-
-
 class Readings:
     """The rows of one test: labels, points, and the points that a controller believed in."""
 
@@ -111,10 +102,10 @@ def _spheres(readings, column, name, form_name=None):
     at = np.array([a.size_in_test for a in artefacts])
     errors = 2 * np.array([radius for _, radius, _ in fits]) - readings.run.tip_mm - at
     u = [np.hypot(a.u_size, FORM_IN_DIAMETER * a.form_mm) for a in artefacts]
-    found = {name: Candidates(errors, at, u)}
+    found = {name: (errors, at, u)}
     if form_name:
         forms = [np.ptp(distances) for *_, distances in fits]
-        found[form_name] = Candidates(forms, at, [a.form_mm / 2 for a in artefacts])
+        found[form_name] = (forms, at, [a.form_mm / 2 for a in artefacts])
     return found
 
 
@@ -123,14 +114,14 @@ def _articulation(readings):
     artefacts = [readings.artefact(rows) for rows in groups]
     found = [articulated_location_error(readings.points[rows], labels[rows]) for rows in groups]
     u = [np.hypot(FORM_IN_LOCATION * a.form_mm, a.fixture_mm) for a in artefacts]
-    return {"L_Dia": Candidates(found, [a.size_in_test for a in artefacts], u)}
+    return {"L_Dia": (found, [a.size_in_test for a in artefacts], u)}
 
 
 def _lengths(readings, name, has_tip=False):
     lengths, artefacts, _ = readings.lengths()
     sizes = np.array([a.size_in_test for a in artefacts])
     errors = lengths - has_tip * readings.run.tip_mm - sizes
-    return {name: Candidates(errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
+    return {name: (errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
 
 
 def _single_point(readings):
@@ -140,14 +131,14 @@ def _single_point(readings):
         twice = single_point_repeatability(points)
         interval = tuple(repeatability_interval(points).tolist())
         largest = single_point_repeatability(points, statistic="max")
-        found[f"2S {zone.lower()}"] = Candidates([twice], *more, interval)
-        found[f"largest {zone.lower()}"] = Candidates([largest], *more)
-        found[f"half range {zone.lower()}"] = Candidates([axis_repeatability(points).max()], *more)
+        found[f"2S {zone.lower()}"] = ([twice], *more, interval)
+        found[f"largest {zone.lower()}"] = ([largest], *more)
+        found[f"half range {zone.lower()}"] = ([axis_repeatability(points).max()], *more)
     return found
 
 
 def _volumetric(readings):
-    errors, sizes, u, _ = _lengths(readings, "")[""]
+    errors, sizes, u = _lengths(readings, "")[""]
     artefacts, n, rms = readings.lengths()[1], len(errors), np.sqrt(np.mean(errors**2))
     common, own = np.array([(a.u_size, a.fixture_mm) for a in artefacts]).T
     worst, ends = np.abs(errors).argmax(), [errors.argmax(), errors.argmin()]
@@ -159,9 +150,9 @@ def _volumetric(readings):
     one_bar = artefacts[ends[0]] is artefacts[ends[1]]
     u_range = np.linalg.norm(own[ends] if one_bar else np.array(u)[ends])
     return {
-        "volumetric largest": Candidates([abs(errors[worst])], [sizes[worst]], [u[worst]]),
-        "volumetric range": Candidates([np.ptp(errors)], [sizes.max()], [u_range]),
-        "volumetric 2 rms": Candidates([2 * rms], [sizes.max()], [u_rms], interval),
+        "volumetric largest": ([abs(errors[worst])], [sizes[worst]], [u[worst]]),
+        "volumetric range": ([np.ptp(errors)], [sizes.max()], [u_range]),
+        "volumetric 2 rms": ([2 * rms], [sizes.max()], [u_rms], interval),
     }
 
 
@@ -174,10 +165,11 @@ def _pose(readings):
         repeatability.append(off.mean() + 3 * off.std(ddof=1))
         accuracy.append(np.linalg.norm(mean - readings.believed[rows].mean(axis=0)))
     sizes = [0.0] * len(u)
-    return {n: Candidates(v, sizes, u) for n, v in (("AP", accuracy), ("RP", repeatability))}
+    return {n: (v, sizes, u) for n, v in (("AP", accuracy), ("RP", repeatability))}
 
 
-# Values of each test by their names, from its readings.
+# What each value of a test is the worst of, by the names of the values: errors and sizes (k,) mm,
+# standard uncertainties of the errors, and where it is known the interval of 95 % from one run.
 FUNCTIONS: dict[str, Any] = {
     "probing": partial(_spheres, column="position", name="P_Size", form_name="P_Form"),
     "articulation": _articulation,

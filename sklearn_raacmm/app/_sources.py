@@ -142,7 +142,7 @@ class Dialect:
             if self.decimal == "," and "." not in text:
                 text = text.replace(",", ".")
             if not _NO_NUMBER.search(text):
-                return np.array([float(cell) for cell in text.split("\n")])
+                return np.fromiter(map(float, text.split("\n")), dtype=float)
         return np.array([self.number(cell) for cell in cells], dtype=float)
 
     def text(self, value, digits=6):
