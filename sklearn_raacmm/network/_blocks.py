@@ -93,7 +93,8 @@ def _of_chunk(X, Y, weights, start, function, combine, width):
         options = {"ensure_2d": not weighs, "ensure_non_negative": weighs, "input_name": name}
         array = check_array(given, dtype=np.float64, **options)
         arrays.append(floats(name, array, finite=True))
-    return ArrayChunks(*arrays, start).reduce(function, combine, width)
+    X, Y, weights = arrays
+    return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)
 
 
 @one_blas_thread
