@@ -90,13 +90,8 @@ def _of_chunk(X, Y, weights, start, function, combine, width):
     arrays = []
     for name, given in (("X", X), ("y", Y), ("sample_weight", weights)):
         weighs = name == "sample_weight"
-        array = check_array(
-            given,
-            dtype=np.float64,
-            ensure_2d=not weighs,
-            ensure_non_negative=weighs,
-            input_name=name,
-        )
+        options = {"ensure_2d": not weighs, "ensure_non_negative": weighs, "input_name": name}
+        array = check_array(given, dtype=np.float64, **options)
         arrays.append(floats(name, array, finite=True))
     X, Y, weights = arrays
     return ArrayChunks(X, Y, weights, start).reduce(function, combine, width)

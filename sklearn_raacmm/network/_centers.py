@@ -61,7 +61,7 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
 
     Where all rows may become centres (`or_all`) None is returned if a moderate number is too small.
     """
-    alpha, asked = structure.alpha, n_centers if isinstance(n_centers, Integral) else 0
+    alpha, asked = structure.alpha, int(n_centers) if isinstance(n_centers, Integral) else 0
     if asked > len(rows):
         warn_user(
             f"n_centers={asked}, but there are only {len(rows)} distinct candidate rows: all of "

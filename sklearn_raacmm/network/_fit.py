@@ -191,14 +191,15 @@ def network_of(problem, outputs, order, structure, n_centers, stop):
         p + k + len(problem.spread),
     )
     root = psd_root(kernel_matrix(Z, Z, structure.kernel))
-    rss, objective, *solved = nested_least_squares(R, p, root, structure.alpha, problem.within)
+    found = nested_least_squares(R, p, root, structure.alpha, problem.within)
+    rss, objective, rotated, triangles = found
     of = problem.varying
     unit = np.sum(np.square(problem.spread[of])) * problem.n_total if len(of) else 1.0
     left = objective[:, of].sum(axis=1) / unit
     if not isinstance(n_centers, str | Integral) and k:
         reached = np.flatnonzero(rss[1:, of].sum(axis=1) / unit <= n_centers)
         k, stop = (int(reached[0]) + 1, "criterion") if len(reached) else (k, stop)
-    solution = first_weights(*solved, p + k)
+    solution = first_weights(rotated, triangles, p + k)
     plain = rss[k] / max(problem.n_total - p - k, 1)
     rows, order = R[: p + k, : p + k], order[:k]
     # One triangle, packed, from which those of all outputs follow.

@@ -82,7 +82,7 @@ class Network:
         shapes = dict(_SHAPES)
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
         shapes |= {} if self.codes is None else {"codes": ("k",)}
-        sizes = {"d1": 1 + np.size(state.get("length_scale"))}
+        sizes = {"d1": 1 + np.size(state.get("length_scale", ()))}
         check_shapes("Network", state, shapes, sizes, ("length_scale", "noise_variance"))
 
     @property
@@ -98,10 +98,8 @@ class Network:
 
     def with_noise(self, factor: float) -> Self:
         """The same with a larger variance of the noise, for one that was estimated too small."""
-        other = replace(self, noise_variance=factor * self.noise_variance)
-        if self.all_rows:
-            other = replace(other, signal_variance=factor * self.signal_variance)
-        return other
+        signal = self.signal_variance * (factor if self.all_rows else 1.0)
+        return replace(self, noise_variance=factor * self.noise_variance, signal_variance=signal)
 
     def scaled(self, X: np.ndarray) -> np.ndarray:
         """Rows as the radial functions see them, (n, d)."""

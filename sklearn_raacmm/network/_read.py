@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
 from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows, is_dask
@@ -30,7 +32,7 @@ def read_data(estimator, X, y, sample_weight, groups):
 
     Codes are None where groups have no constants: where their mean targets are not small.
     """
-    blocks = DaskChunks(X, y, sample_weight) if is_dask(X) else None
+    blocks: Any = DaskChunks(X, y, sample_weight) if is_dask(X) else None
     # Robust weights need the residuals of all rows.
     if blocks is None or len(blocks) <= IN_MEMORY_ROWS or estimator.loss == "tukey":
         if blocks is not None:

@@ -70,7 +70,8 @@ class Rows(NamedTuple):
     def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        return type(self)(*(array[kept] for array in self[:6]), codes)
+        arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
+        return self._replace(**arrays, codes=codes)
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
@@ -180,7 +181,7 @@ class Problem(NamedTuple):
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
         if self.chunks is None:
-            found = map(function, self.parts(width))
+            found: Any = map(function, self.parts(width))
         else:
             found = [self.chunks.reduce(partial(self._on_block, function), combine, width)]
         return reduce(combine, chain(found, map(function, self._ridge())))
