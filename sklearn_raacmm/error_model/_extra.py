@@ -3,20 +3,17 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
 from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.utils import Finding, row_numbers
 
-# What a column may be, and what may stand behind the word: nothing, the number of a joint, an axis.
-_KINDS = {
-    "temperature": ("", "joint"),
-    "time": ("",),
-    "direction": ("joint",),
-    "payload": ("",),
-    "force": ("axis",),
-}
+# What a column may be: the word, and behind some the number of a joint or an axis.
+_NAME = re.compile(
+    r"(?:temperature|time|payload)|(?:temperature|direction)\s+(?P<joint>\d+)|force\s+(?P<axis>[xyz])"
+)
 _FORMS = (
     '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
     '"payload", "force x", "force y", "force z"'
@@ -30,18 +27,13 @@ _MOST_JOINTS = 10**6
 
 def parsed(name, n_joints):
     """Kind of an extra column, and which joint (from 0) or axis (0 to 2) it is of; -1: of all."""
-    words = name.split() if isinstance(name, str) else []
-    kind, rest = (words[0], words[1:]) if words else ("", [])
-    forms = _KINDS.get(kind, ())
-    if not rest and "" in forms:
-        return kind, -1
-    if len(rest) == 1 and "axis" in forms and rest[0] in ("x", "y", "z"):
-        return kind, "xyz".index(rest[0])
-    if len(rest) == 1 and "joint" in forms and rest[0].isdecimal():
-        if not 1 <= int(rest[0]) <= n_joints:
-            raise ValueError(f"extra names {name!r}, but the arm has joints 1 to {n_joints}.")
-        return kind, int(rest[0]) - 1
-    raise ValueError(f"extra must hold names of columns, {_FORMS}; got {name!r:.60}.")
+    found = _NAME.fullmatch(name.strip()) if isinstance(name, str) else None
+    if found is None:
+        raise ValueError(f"extra must hold names of columns, {_FORMS}; got {name!r:.60}.")
+    kind, joint, axis = name.split()[0], found["joint"], found["axis"]
+    if joint and not 1 <= int(joint) <= n_joints:
+        raise ValueError(f"extra names {name!r}, but the arm has joints 1 to {n_joints}.")
+    return kind, "xyz".index(axis) if axis else int(joint or 0) - 1
 
 
 def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:

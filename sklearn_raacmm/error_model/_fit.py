@@ -272,7 +272,8 @@ def fit_linear_model(rows, columns, with_field) -> Any:
     The harmonics of the columns are those that are offered; `with_field` allows a smooth function
     of each angle. Families of extra columns that are not worth their price stay out.
     """
-    extra, unused = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA), []
+    extra: Any = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA)
+    unused: list[Any] = []
     while True:
         structures = structures_of(columns, with_field, unused)
         state, factor = _fit(rows, columns, structures)

@@ -176,18 +176,18 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         """
         X = _with_shape(X)
         validate_data(self, X, y, skip_check_array=True)
-        y = floats("y", y, finite=True)
-        check_consistent_length(X, y)
+        target: Any = floats("y", y, finite=True)
+        check_consistent_length(X, target)
         groups = fit_params.pop("regressor__groups", groups)
-        self._rotates = y.ndim == 2 and y.shape[1] == 3 and self.azimuth is not None
+        self._rotates = target.ndim == 2 and target.shape[1] == 3 and self.azimuth is not None
         if groups is None and self._rotates and (arm := self._arm()) is not None:
-            groups = found_positions(arm.forward(X), y)
+            groups = found_positions(arm.forward(X), target)
         groups = None if groups is False else groups
-        codes = None if groups is None else encode_groups(groups, len(y))[1]
+        codes = None if groups is None else encode_groups(groups, len(target))[1]
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
-                check_weights(value, y, name)
-        n_targets = 1 if y.ndim == 1 else y.shape[1]
+                check_weights(value, target, name)
+        n_targets = 1 if target.ndim == 1 else target.shape[1]
         self._drops_direction = self.azimuth == "appended" and (
             self._rotates or ends_in_direction(X)
         )
@@ -197,15 +197,15 @@ class CylindricalResidualTarget(PointCorrectionMixin):
                 "through unrotated."
             )
         if self._rotates:
-            X, y, groups, codes, fit_params = _poses(X, y, groups, codes, fit_params)
+            X, target, groups, codes, fit_params = _poses(X, target, groups, codes, fit_params)
         features, direction = self._split(X)
         if self._rotates:
-            weights, arm = np.ones(len(y)), self._arm()
+            weights, arm = np.ones(len(target)), self._arm()
             angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
-            offsets = codes is not None and are_deviations(y, codes, weights)
-            for finding in check_targets(y, weights, arm, angles, codes, offsets):
+            offsets = codes is not None and are_deviations(target, codes, weights)
+            for finding in check_targets(target, weights, arm, angles, codes, offsets):
                 finding.report()
-            y = to_cylindrical(y, direction)
+            target = to_cylindrical(target, direction)
         routing = get_config()["enable_metadata_routing"]
         if routing:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
@@ -213,10 +213,12 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         self.by_position_: bool = False
         try:
             if codes is not None:
-                y, fit_params = self._by_position(features, y, groups, codes, fit_params, routing)
-            self.regressor_.fit(features, y, **fit_params)
+                target, fit_params = self._by_position(
+                    features, target, groups, codes, fit_params, routing
+                )
+            self.regressor_.fit(features, target, **fit_params)
         except ValueError as error:
-            if y.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+            if target.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
                 raise
             raise ValueError(
                 f"{type(self.regressor_).__name__} learns one target at a time, but y has "
