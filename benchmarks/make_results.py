@@ -30,13 +30,7 @@ from _arm_folds import MIXES
 from _data_sets import fetched
 from _regressors import ALL, ANGLES, MODELS, PAPER
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    __version__,
-    calibrate,
-    position_residuals,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, __version__, calibrate, position_residuals
 from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,13 +13,7 @@ of 0.02 mm.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    calibrate,
-    check_correction,
-    update_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, check_correction, update_correction
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 LABORATORY = {"arcsec": (40, 60, 0, 50), "probe": (0, 0, 93), "shift": (2000, 0, 0)}

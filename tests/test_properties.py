@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import (
-    Arm,
-    CylindricalResidualTarget,
-    RBFNetRegressor,
-    cylindrical_to_cartesian,
-)
+from sklearn_raacmm import Arm, CylindricalResidualTarget, RBFNetRegressor, cylindrical_to_cartesian
 from sklearn_raacmm.metrics import (
     articulated_location_error,
     gauge_lengths,

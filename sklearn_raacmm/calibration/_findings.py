@@ -20,11 +20,7 @@ from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
 from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
 from sklearn_raacmm.calibration._set_ups import moved_set_up
-from sklearn_raacmm.measurements import (
-    PRICE,
-    base_motions,
-    moved_positions,
-)
+from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
 # Standard deviations by which a parameter is off the table: once in 1.7 million by chance.

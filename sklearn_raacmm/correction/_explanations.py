@@ -20,13 +20,7 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._condition import Whitened
 from sklearn_raacmm.error_model import LEAST_POSITIONS
-from sklearn_raacmm.measurements import (
-    FAR,
-    explanations,
-    likeliest,
-    medians_of,
-    of_own_points,
-)
+from sklearn_raacmm.measurements import FAR, explanations, likeliest, medians_of, of_own_points
 from sklearn_raacmm.utils import Finding
 
 # Rows that are looked at, evenly from all, and how many there have to be: for speed.

@@ -19,13 +19,7 @@ from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
-from sklearn_raacmm.utils import (
-    Finding,
-    FindingError,
-    call_collecting,
-    encode_groups,
-    param_checks,
-)
+from sklearn_raacmm.utils import Finding, FindingError, call_collecting, encode_groups, param_checks
 
 _CONSTRAINTS = {
     "angle_unit": [param_checks.StrOptions({"rad", "deg"})],

@@ -20,20 +20,9 @@ from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import UNUSED_SD, ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import (
-    directions_of,
-    find_poses,
-    order_explained_by,
-    within_turn,
-)
+from sklearn_raacmm.measurements import directions_of, find_poses, order_explained_by, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import (
-    Finding,
-    encode_groups,
-    floats,
-    ignored_findings,
-    listed,
-)
+from sklearn_raacmm.utils import Finding, encode_groups, floats, ignored_findings, listed
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.

@@ -21,13 +21,7 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import (
-    Finding,
-    call_collecting,
-    listed,
-    one_blas_thread,
-    validate_params,
-)
+from sklearn_raacmm.utils import Finding, call_collecting, listed, one_blas_thread, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.

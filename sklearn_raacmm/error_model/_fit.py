@@ -16,14 +16,7 @@ import numpy as np
 from sklearn_raacmm.error_model._columns import FAMILIES, FAMILIES_OF_EXTRA, Columns
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.inference import (
-    Problem,
-    State,
-    Structures,
-    beside_field,
-    search,
-    sums_of_pairs,
-)
+from sklearn_raacmm.inference import Problem, State, Structures, beside_field, search, sums_of_pairs
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,

@@ -18,12 +18,7 @@ from scipy.special import gammaln
 from scipy.stats import norm, t
 from sklearn.cluster import KMeans
 
-from sklearn_raacmm.error_model._fit import (
-    HIGHEST_OF_FEW,
-    LEAST_POSITIONS,
-    model_of,
-    of_pairs,
-)
+from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
 from sklearn_raacmm.inference import Problem, combined, search_at
 from sklearn_raacmm.utils import Finding, centred, group_means, stage
 

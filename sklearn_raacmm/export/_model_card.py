@@ -19,13 +19,7 @@ from sklearn.utils import check_consistent_length
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import hash_program
-from sklearn_raacmm.export._steps import (
-    check_fitted,
-    described,
-    extra_columns,
-    find_arm,
-    leaves,
-)
+from sklearn_raacmm.export._steps import check_fitted, described, extra_columns, find_arm, leaves
 from sklearn_raacmm.utils import encode_groups, floats
 
 # Characters shown of a text that comes from outside.

@@ -14,11 +14,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     cylindrical_to_cartesian,
     position_residuals,
 )
-from sklearn_raacmm.residuals._earlier import (
-    bp_network_chain,
-    database_chain,
-    polynomial_chain,
-)
+from sklearn_raacmm.residuals._earlier import bp_network_chain, database_chain, polynomial_chain
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
 from sklearn_raacmm.residuals._pose_features import (
     PoseFeatures,

@@ -7,13 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    calibrate,
-    check_correction,
-    update_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, check_correction, update_correction
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("aacmm6")

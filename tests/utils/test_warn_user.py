@@ -12,12 +12,7 @@ from sklearn.pipeline import make_pipeline
 
 import sklearn_raacmm
 from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, calibrate, elbow_angle
-from sklearn_raacmm.utils import (
-    Finding,
-    FindingWarning,
-    collected_findings,
-    warn_user,
-)
+from sklearn_raacmm.utils import Finding, FindingWarning, collected_findings, warn_user
 
 PACKAGE = str(Path(sklearn_raacmm.__file__).parent)
 ARM = Arm.from_name("aacmm6")
