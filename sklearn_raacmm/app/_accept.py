@@ -188,7 +188,7 @@ def _read_run(path, arm):
 
 def _read_tables(path):
     """Rows of each table by its headings without units; those of a folder may be missing."""
-    tables = dict.fromkeys(_TABLES, ()) if path.is_dir() else read_sheets(path)
+    tables: dict[str, Any] = dict.fromkeys(_TABLES, ()) if path.is_dir() else read_sheets(path)
     if missing := set(_TABLES) - tables.keys():
         raise TableError(f"{path} has no sheet {', no sheet '.join(sorted(missing))}.")
     for file in (path / f"{name}.csv" for name in _TABLES):

@@ -93,7 +93,7 @@ def _value(metavar, text, **more):
     return {"metavar": metavar, "help": text, **more}
 
 
-def _number(metavar, text, kind=float, **more):
+def _number(metavar, text, kind: Any = float, **more):
     return _value(metavar, text, type=kind, **more)
 
 

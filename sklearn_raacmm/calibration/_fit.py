@@ -118,7 +118,7 @@ class Fit:
         self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
         priors = (*self.priors, self.priors[0])
-        self.found = {i: _FOUND[i] for i, sd in enumerate(priors) if sd == "auto"}
+        self.found: dict[int, Any] = {i: _FOUND[i] for i, sd in enumerate(priors) if sd == "auto"}
         sds = [self.found[i][0] if i in self.found else sd for i, sd in enumerate(priors)]
         self.prior_sd = np.array(sds, dtype=float)[self.kind]
 

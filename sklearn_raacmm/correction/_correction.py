@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +34,14 @@ _LEAST_SHARE = 0.2
 _SHOWN = 10
 # What a tracker's frame is saved as.
 _BASE = "rotation", "translation_mm"
+
+
+class FittedModel(Protocol):
+    """Any fitted regressor; that of `learn_correction` is an `ArmResidualRegressor`."""
+
+    def predict(self, X: ArrayLike, /) -> Floats:
+        """Residuals (n_samples, 3), mm."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +74,7 @@ class Correction:
     """
 
     arm: Arm
-    model: Any
+    model: FittedModel
     base: tuple[Any, ...] | None
     facts: dict[str, Any]
     scores: CorrectionScores | None = None
@@ -262,8 +270,9 @@ class Correction:
             y = position_residuals(self.arm.forward(angles), positions)
         else:
             raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
+        model: Any = self.model  # of another kind is refused
         return check_correction(
-            self.model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
+            model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
             refitted=["base"] * new_base, false_alarm_rate=false_alarm_rate, date=date,
         )  # fmt: skip
 
@@ -374,12 +383,13 @@ class Correction:
         ValueError
             If the model knows no causes, so that only a registration helps.
         """
-        if not hasattr(self.model, "with_arm"):
+        model: Any = self.model
+        if not hasattr(model, "with_arm"):
             raise ValueError(
                 "this correction has no model of causes: register the new probe instead."
             )
         arm = self.arm.replace(probe=probe)
-        return replace(self, arm=arm, model=self.model.with_arm(arm))
+        return replace(self, arm=arm, model=model.with_arm(arm))
 
     def with_tool(self, tool: str) -> Self:
         """The same with another of the probes that it was learnt with.
@@ -504,15 +514,16 @@ class Correction:
                 correction=self._of_angles(model), free=free,
             )  # fmt: skip
 
-        linear = getattr(self.model, "linear_model_", None)
+        model: Any = self.model
+        linear = getattr(model, "linear_model_", None)
         codes = None if positions is None else encode_groups(positions, len(angles))[1]
         places = np.arange(len(angles)) if codes is None else codes
         if linear is None or len(np.unique(places)) < LEAST_POSITIONS:
-            return through(self.model), self.model
+            return through(model), model
         found = []
         correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
-        for fading in fadings_for(self.model.fading_, doubt):
-            one = copy(self.model)
+        for fading in fadings_for(model.fading_, doubt):
+            one = copy(model)
             one.fading_ = fading
             result = through(one)
             y, weights = result.residuals(angles, points, positions), result.sample_weight

@@ -41,9 +41,10 @@ def locked(folder: Any, shared: bool = False) -> Iterator[None]:
     The lock goes with the process that holds it. Windows has none for folders. Who does not share
     the folder also removes what `write_whole` has left there when it was killed.
     """
-    handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
+    handle = None
     try:
-        if handle is not None:
+        if fcntl is not None:
+            handle = os.open(folder, os.O_RDONLY)
             fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
         yield
         if not shared:

@@ -139,7 +139,7 @@ class ArmPosesDisplay(FittedDisplay):
         check_scalar(max_poses, "max_poses", Integral, min_val=1)
         if isinstance(magnification, str) and magnification == "auto":
             magnification = self._magnification()
-        if not (isinstance(magnification, Real) and 0 < magnification < np.inf):
+        if not (isinstance(magnification, Real) and 0 < float(magnification) < np.inf):
             raise ValueError(
                 f'magnification must be "auto" or positive, got {magnification!r:.60}.'
             )

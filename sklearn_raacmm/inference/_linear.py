@@ -354,7 +354,7 @@ class Problem:
         least = _LEAST_SHARE * self.guess
         variance = np.clip(variance, least, np.maximum(least, self.structures.largest))
         variance = np.where(self.known, self.structures.given, variance)
-        noise = max(noise, _LEAST_NOISE * self.start)
+        noise, found = max(noise, _LEAST_NOISE * self.start), last
         for _ in range(_HALVINGS):
             found = self.state(last.lines, last.with_field, variance, noise)
             if found.log_evidence >= last.log_evidence:
