@@ -137,7 +137,7 @@ class Fit:
         return Fit(self.nominal_arm, self.angles, problem, *how, self.priors).run()
 
     def arm(self, tool=0):
-        return unpack(self.nominal_arm, self.x, tool)
+        return self.nominal_arm.replace(**unpack(self.x, self.nominal_arm.n_joints, tool))
 
     def free_mask(self, is_free):
         """Free parameters of x: bases always are."""

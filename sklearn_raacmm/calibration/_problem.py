@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -74,11 +75,11 @@ def pack(arm):
     return np.concatenate([getattr(arm, name) for name in FIELDS])
 
 
-def unpack(arm, x, tool=0):
-    """The arm with the parameters of one vector; further tools follow the first one's probe."""
-    start = 4 * len(arm.a)
+def unpack(x, n_joints, tool=0):
+    """The parameters of one vector by their names; further tools follow the first one's probe."""
+    start = 4 * n_joints
     parts = [*np.split(x[:start], 4), x[start + 3 * tool :][:3]]
-    return arm.replace(**dict(zip(FIELDS, parts, strict=True)))
+    return dict(zip(FIELDS, parts, strict=True))
 
 
 def points_and_jacobian(arm, angles, x, problem):
@@ -87,10 +88,13 @@ def points_and_jacobian(arm, angles, x, problem):
     By table and probes, mm and rad.
     """
     n_table = 4 * len(arm.a)
+    # On trial: an `Arm` would check its fields at every step.
+    trial = SimpleNamespace(convention=arm.convention, joint_signs=arm.joint_signs)
     points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
     for tool in range(problem.n_tools):
         rows, start = rows_of(problem.tools, tool), n_table + 3 * tool
-        points[rows], own = parameter_jacobian(unpack(arm, x, tool), angles[rows])
+        vars(trial).update(unpack(x, len(arm.a), tool))
+        points[rows], own = parameter_jacobian(trial, angles[rows])
         jac[rows, :, :n_table] = own[:, :, :n_table]
         jac[rows, :, start : start + 3] = own[:, :, n_table:]
     return (points if problem.correction is None else points - problem.correction), jac
