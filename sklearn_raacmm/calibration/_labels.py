@@ -15,7 +15,7 @@ from sklearn_raacmm.measurements import PRICE
 from sklearn_raacmm.utils import Finding, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
-# the right places (``tests/measurements/test_labels.py``).
+# the right places (``tests/calibration/test_labels.py``).
 APART_MM = 40.0
 # Rows of which all distances are looked at: of 3000 they take 36 MB.
 _MOST_ROWS = 3000

@@ -3,8 +3,8 @@
 The network with a ridge in the kernel's norm is the posterior mean of a Gaussian process whose
 noise variance is `alpha` times its signal variance. Candidates are noise alone, a linear part, and
 radial functions of three kernels. The likelihood of these is maximised from several starts on a few
-hundred rows (`_coarse`), then on up to 1000 for kernels that may be the best (`_refine`). Compared
-are the objective of `_likelihood` and leave-one-out predictions on these rows (`score`).
+hundred rows (`_coarse`), then on up to 1000 for kernels that may be the best. Compared are the
+objective of `_likelihood` and leave-one-out predictions on these rows (`score`).
 """
 
 # Authors: The sklearn_raacmm developers
