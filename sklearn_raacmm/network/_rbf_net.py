@@ -271,6 +271,7 @@ class RBFNetRegressor(VersionedRegressor):
         self._fit_weighted(blocks, codes)
         if self.loss != "squared":
             reweigh(self, blocks, codes)
+        self._packed = self.networks_, pack(self.networks_)  # or the first `predict` would keep it
         return self
 
     def _fit_weighted(self, blocks, codes):
