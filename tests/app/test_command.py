@@ -387,9 +387,6 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
     ):
         table.write_text(text)
         refused(message, "arm", "--dh", table)
-    # On a wall.
-    assert main(["arm", "panda", "--up", "2,0,0", *out]) == 0
-    assert Arm.from_json(tmp_path / "arm.json") == Arm.from_name("panda", up=(1, 0, 0))
     # Written into the robot's own file.
     (tmp_path / "arm.urdf").write_text(URDF)
     own = Arm.from_urdf(URDF)

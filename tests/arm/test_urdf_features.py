@@ -79,17 +79,6 @@ def test_points_are_those_by_hand(text, ends, tmp_path):
     )
 
 
-def test_on_a_wall():
-    """World is a quarter turn about y away: what was up, z, points along the world's x."""
-    mount = """<link name="world"/><joint name="wall" type="fixed"><origin xyz="1 2 3"
-      rpy="0 1.5707963 0"/><parent link="world"/><child link="foot"/></joint></robot>"""
-    text = change(PLAIN, "</robot>", mount)
-    arm = Arm.from_urdf(text, base="foot")
-    assert_allclose(arm.forward(ANGLES), BY_HAND, atol=1e-10)
-    # Ry(90) takes (x, y, z) to (z, y, -x): heights are -x.
-    assert_allclose(arm.up, [-1, 0, 0], atol=1e-12)
-
-
 def test_a_chain_that_ends_in_a_joint_gets_a_link():
     """The probe of a calibrated arm is beside the last axis: 0.5 mm up, 0.2 along the link."""
     text = PLAIN[: PLAIN.index('  <joint name="end"')] + "</robot>\n"
@@ -119,7 +108,6 @@ def change_of(vector, out=0, up=0):
     ("text", "message"),
     [
         (change(PLAIN, "</robot>", RAIL), r"'rail' is prismatic; .* base='foot' begins behind it"),
-        (change(PLAIN, '<axis xyz="0 -1 0"/>', '<axis xyz="0 ${s} 0"/>'), "holds xacro macros"),
         (
             change(PLAIN, "<robot name", PREFIX, "</robot>", '<xacro:arm d="2"/></robot>'),
             "holds xacro macros",

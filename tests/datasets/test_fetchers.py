@@ -169,24 +169,6 @@ def test_panda(serve, tmp_path, data_folder, panda, arm):
     assert_array_equal(placements, test.placements)
 
 
-def test_panda_one_tampered_file(serve, tmp_path, data_folder):
-    folder = data_folder("panda_ball_socket")
-    mirror = tmp_path / "mirror"
-    for path in (folder / "panda_3").rglob("hole_?.csv"):
-        copy = mirror / path.relative_to(folder)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(path.read_bytes())
-    bad = mirror / "panda_3" / "frontleft" / "hole_1.csv"
-    bad.write_bytes(bad.read_bytes().replace(b"1", b"2", 1))
-    home = tmp_path / "home"
-    with pytest.raises(OSError, match=r"frontleft/hole_1.csv cannot be downloaded: .*checksum"):
-        fetch_panda_ball_socket(data_home=home, base_url=mirror.as_uri())
-    assert not (home / "panda_ball_socket" / "panda_3" / "frontleft" / "hole_1.csv").exists()
-    # Given the true file, it goes on where it stopped.
-    _, url = serve(folder)
-    assert len(fetch_panda_ball_socket(data_home=home, base_url=url).data) == 387
-
-
 def test_ur10(serve, tmp_path, data_folder, ur10):
     server, url = serve(data_folder("ur10_tracker"))
     test = fetch_ur10_tracker(data_home=tmp_path, base_url=url)

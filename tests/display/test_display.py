@@ -23,6 +23,7 @@ from sklearn_raacmm.display import (
 from sklearn_raacmm.metrics import repeatability_interval
 
 matplotlib = pytest.importorskip("matplotlib")
+draw_repeatability = RepeatabilityDisplay.from_predictions
 
 
 @pytest.fixture(autouse=True)
@@ -88,9 +89,7 @@ def test_repeatability_draws_2s_of_every_position(cone, model):
     assert display.figure_ is display.ax_.figure
     assert display.ax_.get_ylim()[0] == 0
     # Residuals lie about zero as points about their mean.
-    again = RepeatabilityDisplay.from_predictions(
-        cone.target, model.predict(cone.data), groups=cone.groups
-    )
+    again = draw_repeatability(cone.target, model.predict(cone.data), groups=cone.groups)
     assert_allclose(again.after, display.after, rtol=1e-6)
     assert again.floor is None
     assert list(drawn(again.ax_)) == ["before", "after"]
@@ -100,7 +99,7 @@ def test_repeatability_draws_2s_of_every_position(cone, model):
 
 def test_repeatability_has_intervals(cone):
     settings = {"groups": cone.groups, "statistic": "mean"}
-    display = RepeatabilityDisplay.from_predictions(cone.points, cone.target, **settings)
+    display = draw_repeatability(cone.points, cone.target, **settings)
     expected = repeatability_interval(cone.points, cone.groups, statistic="mean", aggregate=None)
     assert_allclose(display.before_interval, expected)
     factor = {"mm": 1, "µm": 1000}[display.unit_]
@@ -109,17 +108,13 @@ def test_repeatability_has_intervals(cone):
     ):
         drawn = [line[:, 1] for line in lines.get_segments()]
         assert_allclose(drawn, factor * shown)
-    without = RepeatabilityDisplay.from_predictions(
-        cone.points, cone.target, interval=None, **settings
-    )
+    without = draw_repeatability(cone.points, cone.target, interval=None, **settings)
     assert without.before_interval is None
-    largest = RepeatabilityDisplay.from_predictions(
-        cone.points, cone.target, groups=cone.groups, statistic="max"
-    )
+    largest = draw_repeatability(cone.points, cone.target, groups=cone.groups, statistic="max")
     assert largest.before_interval is None
     assert len(without.ax_.collections) == 0
     with pytest.raises(ValueError, match=r"between 0 and 1, got 95"):
-        RepeatabilityDisplay.from_predictions(cone.points, cone.target, interval=95, **settings)
+        draw_repeatability(cone.points, cone.target, interval=95, **settings)
 
 
 def test_length_errors_each_length_on_its_axes(gauge, bars, model):
@@ -231,9 +226,7 @@ def test_poses_stand_on_their_residuals(plt, cone, model):
 def test_given_axes_are_used(plt, cone, gauge, bars, model):
     _, axes = plt.subplots(4, 3)
     correction = model.predict(cone.data)
-    one = RepeatabilityDisplay.from_predictions(
-        cone.points, correction, groups=cone.groups, ax=axes[0, 0]
-    )
+    one = draw_repeatability(cone.points, correction, groups=cone.groups, ax=axes[0, 0])
     assert one.ax_ is axes[0, 0]
     two = LengthErrorDisplay.from_predictions(
         gauge.points, 0 * gauge.points, **bars, axes=axes[0, 1:]
@@ -266,7 +259,7 @@ def test_a_perfect_arm_is_drawn_without_warnings():
     points = np.repeat([[500.0, 0, 0], [800.0, 0, 0]], 3, axis=0)
     groups = np.repeat(["a", "b"], 3)
     labels = np.repeat(["$x^{1", "$x^{2"], 3)  # no formulae
-    display = RepeatabilityDisplay.from_predictions(points, 0 * points, groups=labels)
+    display = draw_repeatability(points, 0 * points, groups=labels)
     display.figure_.canvas.draw()
     display = LengthErrorDisplay.from_predictions(
         points, 0 * points, groups=groups, pairs=[["a", "b"]], lengths=300.0
@@ -350,7 +343,7 @@ def test_gear_ratios_are_named_where_orders_are_multiples():
 @pytest.mark.parametrize("value", ["axes", 3.5, np.ones(1), [None]])
 def test_what_is_no_axes_and_no_name(value):
     points, groups = np.random.default_rng(0).normal(size=(12, 3)), np.arange(12) // 6
-    draw = partial(RepeatabilityDisplay.from_predictions, points, 0 * points, groups=groups)
+    draw = partial(draw_repeatability, points, 0 * points, groups=groups)
     with pytest.raises(TypeError, match="Axes of matplotlib are needed to draw on, got"):
         draw(ax=value)
     with pytest.raises(TypeError, match="name must be a text for the legend, got"):

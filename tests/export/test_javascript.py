@@ -15,22 +15,16 @@ from sklearn_raacmm.datasets import make_single_point
 PAGE = Path(__file__).parents[2] / "doc" / "deployment.md"
 
 
-def node_with_runtime():
-    """Path of node, or why the test cannot run. NODE_PATH names a folder of node_modules."""
+def test_the_script_of_the_page(tmp_path):
+    pytest.importorskip("onnx", reason="needs the extra onnx")
+    from sklearn_raacmm.export import to_onnx
+
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not on PATH")
     asked = [node, "-e", 'require.resolve("onnxruntime-node")']
     if subprocess.run(asked, capture_output=True, check=False).returncode:
         pytest.skip("onnxruntime-node is not installed: npm install it, and name it in NODE_PATH")
-    return node
-
-
-def test_the_script_of_the_page(tmp_path):
-    pytest.importorskip("onnx", reason="needs the extra onnx")
-    from sklearn_raacmm.export import to_onnx
-
-    node = node_with_runtime()
     data = make_single_point(n_positions=6, n_poses=15, random_state=0)
     model = ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"])
     to_onnx(model.fit(data.data, data.target), tmp_path / "my_arm.onnx")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import sklearn
 from numpy.testing import assert_allclose
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 from scipy.stats import chi2
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_val_score
@@ -58,27 +58,15 @@ def test_axis_repeatability_against_numpy(scattered):
         assert_allclose(metrics.axis_repeatability(points, groups, **options), mean)
 
 
-def test_a_constant_per_position_is_free_for_a_model_but_costs_plain_r2(scattered):
-    points, groups = scattered
-    truth = points - np.array([points[groups == g].mean(axis=0) for g in groups])
-    offset = np.array([{"a": 0.1, "b": -0.2, "c": 0.05, "d": 0.0}[g] for g in groups])
-    prediction = truth + offset[:, None]
-    assert metrics.single_point_repeatability(truth - prediction, groups) < 1e-12
-    assert metrics.within_position_r2_score(truth, prediction, groups=groups) == pytest.approx(1)
-    assert sklearn.metrics.r2_score(truth, prediction) < 0
-    assert metrics.within_position_r2_score(truth, 0 * truth, groups=groups) == pytest.approx(0)
-    assert metrics.within_position_r2_score(truth, -truth, groups=groups) == pytest.approx(-3)
-
-
 def test_r2_is_that_of_a_regression_with_a_dummy_variable_per_position(scattered):
     points, groups = scattered
     x = np.random.default_rng(1).normal(size=(len(points), 2))
     dummies = (groups[:, None] == np.unique(groups)).astype(float)
-    y = points[:, 0]
+    y = points
     coef, full, *_ = np.linalg.lstsq(np.hstack([x, dummies]), y, rcond=None)
     only = np.linalg.lstsq(dummies, y, rcond=None)[1]
     score = metrics.within_position_r2_score(y, x @ coef[:2], groups=groups)
-    assert score == pytest.approx(1 - full[0] / only[0], rel=1e-6)
+    assert score == pytest.approx(1 - full.sum() / only.sum(), rel=1e-6)
 
 
 def _regression_problem():
@@ -186,15 +174,6 @@ def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
     assert metrics.probing_form_error(points) == pytest.approx(np.ptp(distances))
 
 
-def test_sphere_fit_is_exact_on_a_small_cap():
-    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    rim = np.column_stack([np.sin(0.2) * np.cos(angle), np.sin(0.2) * np.sin(angle)])
-    cap = np.column_stack([rim, np.full(12, np.cos(0.2))])
-    points = 10 * np.vstack([cap, [0, 0, 1]]) + [100, 200, 300]
-    center, radius, _ = _spheres.fit_sphere(points)
-    assert_allclose([*center, radius], [100, 200, 300, 10], atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("points", "radius"),
     [
@@ -214,26 +193,17 @@ def test_minimum_enclosing_sphere_in_closed_form(points, radius):
 
 
 @pytest.mark.parametrize("n", [5, 8, 200])
-def test_minimum_enclosing_sphere_against_a_constrained_optimizer(n):
+def test_no_smaller_sphere_holds_all_points(n):
+    """All lie within, and the centre is a mean of those on it: the condition of an optimum."""
     rng = np.random.default_rng(n)
     for _ in range(5):
         points = rng.normal(size=(n, 3)) * [1, 0.4, 0.1]
-        start = np.append(points.mean(axis=0), 9.0)
-        best = minimize(
-            lambda x: x[3],
-            start,
-            jac=lambda x: np.array([0.0, 0, 0, 1]),
-            constraints={
-                "type": "ineq",
-                "fun": lambda x, p=points: x[3] - ((p - x[:3]) ** 2).sum(axis=1),
-                "jac": lambda x, p=points: np.column_stack([2 * (p - x[:3]), np.ones(len(p))]),
-            },
-            method="SLSQP",
-            options={"ftol": 1e-14, "maxiter": 500},
-        )
         center, radius = _spheres.minimum_enclosing_sphere(points)
-        assert radius == pytest.approx(np.sqrt(best.fun), rel=1e-7)
-        assert (np.linalg.norm(points - center, axis=1) <= radius * (1 + 1e-9)).all()
+        away = (points - center) / radius
+        far = np.linalg.norm(away, axis=1)
+        assert far.max() <= 1 + 1e-9
+        on = away[far >= 1 - 1e-9].T
+        assert nnls(np.vstack([on, np.ones(on.shape[1])]), [0, 0, 0, 1])[1] < 1e-7
 
 
 def test_articulated_location_from_probed_points_is_that_of_the_centres():
