@@ -5,7 +5,7 @@
 
 from sklearn_raacmm.calibration._calibrate import calibrate
 from sklearn_raacmm.calibration._checks import check_length
-from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH, typical_scatter
+from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._problem import REGISTERED_PLACE_MM
@@ -20,5 +20,4 @@ __all__ = [
     "calibrate",
     "check_length",
     "lengths_of_places",
-    "typical_scatter",
 ]

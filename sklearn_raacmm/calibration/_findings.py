@@ -18,7 +18,7 @@ from sklearn_raacmm.calibration._labels import (
 )
 from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
-from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
+from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up
 from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
@@ -65,7 +65,7 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
     yield from _few_rows(fit.problem, result.rank, result.n_free)
-    scatter = typical_scatter(result)
+    scatter = result.typical_scatter_mm
     before = fit.nominal_arm, result.scatter_before_mm
     for part in (_labels(fit, result, poses, scatter), _lengths(fit, result)):
         found = list(part)
@@ -83,12 +83,6 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         yield from moved_positions(left, fit.angles, groups, fit.sigma**2, poses.first)
     yield from _set_up_moved(fit, poses)
     yield from _poses_alike(fit)
-
-
-def typical_scatter(result: CalibrationResult) -> float:
-    """Mean distance from where rows belong, without the outliers, mm."""
-    distance = np.linalg.norm(result.residuals_mm, axis=1)
-    return float(np.delete(distance, list(result.outliers)).mean())
 
 
 def _labels(fit, result, poses, scatter):

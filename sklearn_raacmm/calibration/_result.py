@@ -130,6 +130,12 @@ class CalibrationResult:
     converged: bool
     findings: tuple[Any, ...] = ()
 
+    @property
+    def typical_scatter_mm(self) -> float:
+        """Mean distance from where rows belong, without the outliers, mm."""
+        distance = np.linalg.norm(self.residuals_mm, axis=1)
+        return float(np.delete(distance, list(self.outliers)).mean())
+
     def residuals(
         self,
         angles: ArrayLike,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_arm
-from sklearn_raacmm.calibration import calibrate, typical_scatter
+from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.utils import align, centred, encode_groups, ignored_findings
 
 # Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
@@ -174,7 +174,7 @@ def _options(arm, other, columns, unit):
 def _scatter(arm, angles, positions, points, unit):
     """Mean scatter after calibration, mm."""
     where = {"groups": positions} if points is None else {"points": points}
-    return typical_scatter(calibrate(arm, angles, angle_unit=unit, **where))
+    return calibrate(arm, angles, angle_unit=unit, **where).typical_scatter_mm
 
 
 def _candidates(arm, unit, largest):
