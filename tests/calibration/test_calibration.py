@@ -9,13 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate, lengths_of_places
 from sklearn_raacmm.arm import FIELDS
-from sklearn_raacmm.arm._kinematics import parameter_jacobian
 from sklearn_raacmm.calibration import are_wrong
 from sklearn_raacmm.calibration._checks import check_problem, wrong_units
 from sklearn_raacmm.calibration._findings import wrong_table
 from sklearn_raacmm.calibration._fit import Fit
-from sklearn_raacmm.calibration._problem import Problem, pack, unpack
-from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.utils import FindingWarning
 
 
@@ -69,34 +67,21 @@ def scatter(arm, angles, groups):
 
 
 NOMINAL = {name: Arm.from_name(name) for name in ("aacmm6", "panda", "ur10")}
+AACMM6 = NOMINAL["aacmm6"]
 
 
 @pytest.fixture(scope="module")
 def noisy():
     """Angles and labels of a test with 0.05 mm of noise, and their calibration."""
-    angles, groups, _ = single_point_test(disturbed(NOMINAL["aacmm6"]), noise_mm=0.05)
-    return angles, groups, calibrate(NOMINAL["aacmm6"], angles, groups)
-
-
-@pytest.mark.parametrize("name", NOMINAL)
-def test_parameter_jacobian_against_central_differences(name):
-    arm = disturbed(NOMINAL[name])
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (20, arm.n_joints))
-    points, jac = parameter_jacobian(arm, angles)
-    assert_allclose(points, arm.forward(angles), atol=1e-9)
-    x = pack(arm)
-    for i in range(len(x)):
-        step = np.eye(len(x))[i] * 1e-5
-        more, less = (arm.replace(**unpack(one, arm.n_joints)) for one in (x + step, x - step))
-        slope = more.forward(angles) - less.forward(angles)
-        assert_allclose(jac[:, :, i], slope / 2e-5, atol=1e-5)
+    angles, groups, _ = single_point_test(disturbed(AACMM6), noise_mm=0.05)
+    return angles, groups, calibrate(AACMM6, angles, groups)
 
 
 @pytest.mark.parametrize("kind", ["single-point", "tracker", "tools and stations"])
 def test_fit_jacobian_against_differences(kind):
-    arm = disturbed(NOMINAL["panda"])
-    rng = np.random.default_rng(0)
-    angles = rng.uniform(-1, 1, (12, 7))
+    arm = disturbed(NOMINAL["aacmm6" if kind == "tracker" else "panda"])  # of both conventions
+    rng, n = np.random.default_rng(0), arm.n_joints
+    angles = rng.uniform(-1, 1, (12, n))
     if kind == "single-point":
         problem = Problem(rng.permutation(np.repeat([0, 1, 2], 4)), None, [(0, 2, 300.0, 2.0)])
     else:
@@ -104,7 +89,7 @@ def test_fit_jacobian_against_differences(kind):
         stations = None if labels is None else labels[::-1].copy()
         problem = Problem(None, rng.normal(0, 500, (12, 3)), [], None, labels, stations)
     fit = Fit(arm, angles, problem, "squared")
-    fit.prior_sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [7, 7, 7, 7, 3 * problem.n_tools])
+    fit.prior_sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [n, n, n, n, 3 * problem.n_tools])
     fit.sigma, fit.weights = 3.0, rng.uniform(0.5, 1, 12)
     x = fit.x + 1e-3 * rng.normal(size=len(fit.x))
     for station in range(problem.n_stations):  # turns are small ones about the last
@@ -117,13 +102,12 @@ def test_fit_jacobian_against_differences(kind):
 
 
 def test_single_point_data_are_explained_exactly_without_noise():
-    nominal = NOMINAL["aacmm6"]
-    truth = disturbed(nominal)
+    truth = disturbed(AACMM6)
     angles, groups, targets = single_point_test(truth)
     lengths = [(i, j, np.linalg.norm(targets[i] - targets[j]), 1e-3) for i, j in [(0, 1), (2, 3)]]
     # The prior shows in what is left; with one this weak it does not.
     result = calibrate(
-        nominal, angles, groups, lengths=lengths, prior_length_mm=20, prior_angle_rad=0.2
+        AACMM6, angles, groups, lengths=lengths, prior_length_mm=20, prior_angle_rad=0.2
     )
     assert result.scatter_before_mm > 0.1
     assert result.scatter_after_mm < 1e-4
@@ -138,7 +122,7 @@ def test_single_point_data_are_explained_exactly_without_noise():
 
 def test_scatter_is_what_it_says(noisy):
     angles, groups, result = noisy
-    given = scatter(NOMINAL["aacmm6"], angles, groups)
+    given = scatter(AACMM6, angles, groups)
     assert result.scatter_given_mm == pytest.approx(given, rel=1e-9)
     assert result.scatter_after_mm == pytest.approx(scatter(result.arm, angles, groups), rel=1e-9)
     sizes = np.linalg.norm(result.residuals_mm, axis=1)
@@ -149,7 +133,7 @@ def test_scatter_is_what_it_says(noisy):
 
 
 def test_what_single_points_cannot_see_stays_nominal_and_is_named(noisy):
-    nominal, (angles, groups, result) = NOMINAL["aacmm6"], noisy
+    nominal, (angles, groups, result) = AACMM6, noisy
     assert {"d1", "theta_offset1", "theta_offset6", "d6", "scale"} <= set(result.unidentified)
     assert {"alpha1", "alpha2", "theta_offset3", "theta_offset4"}.isdisjoint(result.unidentified)
     assert result.arm.d[0] == pytest.approx(nominal.d[0], abs=1e-4)
@@ -163,36 +147,32 @@ def test_what_single_points_cannot_see_stays_nominal_and_is_named(noisy):
 
 def test_noise_does_not_shrink_the_arm():
     # Points of an arm half the size scatter half as much: least squares alone would take it.
-    nominal = NOMINAL["aacmm6"]
-    angles, groups, targets = single_point_test(nominal, noise_mm=2.0)
-    result = calibrate(nominal, angles, groups, prior_length_mm=20)
+    angles, groups, targets = single_point_test(AACMM6, noise_mm=2.0)
+    result = calibrate(AACMM6, angles, groups, prior_length_mm=20)
     centres = [result.arm.forward(angles[groups == g]).mean(axis=0) for g in (0, 1)]
     true = np.linalg.norm(targets[0] - targets[1])
     assert np.linalg.norm(centres[0] - centres[1]) == pytest.approx(true, rel=0.01)
 
 
 def test_known_lengths_give_the_scale():
-    nominal = NOMINAL["aacmm6"]
-    truth = nominal.replace(a=1.003 * nominal.a, d=1.003 * nominal.d, probe=1.003 * nominal.probe)
+    truth = AACMM6.replace(a=1.003 * AACMM6.a, d=1.003 * AACMM6.d, probe=1.003 * AACMM6.probe)
     angles, groups, targets = single_point_test(truth, noise_mm=0.02)
     lengths = [
         (i, i + 1, np.linalg.norm(targets[i] - targets[i + 1]), 0.02) for i in range(0, 8, 2)
     ]
-    without = calibrate(nominal, angles, groups)
+    without = calibrate(AACMM6, angles, groups)
     with pytest.warns(FindingWarning, match=r"0.3 % larger .* all lengths of the table may"):
-        result = calibrate(nominal, angles, groups, lengths=lengths)
-    assert without.arm.d[2] == pytest.approx(nominal.d[2], abs=0.3)
+        result = calibrate(AACMM6, angles, groups, lengths=lengths)
+    assert without.arm.d[2] == pytest.approx(AACMM6.d[2], abs=0.3)
     assert "scale" in without.unidentified
     assert result.arm.d[2] == pytest.approx(truth.d[2], abs=0.1)
     assert "scale" not in result.unidentified
     assert result.scale_sd < 0.3 * without.scale_sd
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_tracker_data_give_arm_base_and_tool(seed):
-    nominal = NOMINAL["ur10"]
-    truth = disturbed(nominal, seed)
-    rng = np.random.default_rng(seed)
+def test_tracker_data_give_arm_base_and_tool():
+    nominal, rng = NOMINAL["ur10"], np.random.default_rng(0)
+    truth = disturbed(nominal)
     angles = rng.uniform(-2.5, 2.5, (400, 6))
     turn = Rotation.from_euler("xyz", rng.uniform(-3, 3, 3)).as_matrix()
     shift = rng.normal(0, 2000, 3)
@@ -209,56 +189,26 @@ def test_tracker_data_give_arm_base_and_tool(seed):
     assert result.arm.a[1] == pytest.approx(truth.a[1], abs=0.05)
 
 
-def test_the_trackers_frame_does_not_matter():
-    truth = disturbed(NOMINAL["aacmm6"])
-    rng = np.random.default_rng(0)
-    angles = rng.uniform(-2, 2, (100, 6))
-    points = truth.forward(angles) + rng.normal(0, 0.1, (100, 3))
-    turn = Rotation.from_euler("xyz", [2.0, -1.0, 3.0]).as_matrix()
-    first = calibrate(NOMINAL["aacmm6"], angles, points=points)
-    second = calibrate(NOMINAL["aacmm6"], angles, points=points @ turn.T + [5000, -300, 20])
-    assert_allclose(second.values[:27], first.values[:27], atol=2e-3)
-    assert_allclose(second.base_rotation, turn @ first.base_rotation, atol=1e-5)
-    assert second.scatter_after_mm == pytest.approx(first.scatter_after_mm, rel=1e-4)
-
-
 def test_order_and_names_of_groups_do_not_matter(noisy):
     angles, groups, first = noisy
     names = np.array(["c", "a", "h", "b", "g", "d", "f", "e"])[groups]
     order = np.random.default_rng(0).permutation(len(groups))
-    second = calibrate(NOMINAL["aacmm6"], angles[order], names[order])
+    second = calibrate(AACMM6, angles[order], names[order])
     assert_allclose(second.values, first.values, atol=1e-4)
-    degrees = calibrate(NOMINAL["aacmm6"], np.rad2deg(angles), groups, angle_unit="deg")
+    degrees = calibrate(AACMM6, np.rad2deg(angles), groups, angle_unit="deg")
     assert_allclose(degrees.values, first.values, atol=1e-4)
-
-
-def test_standard_deviations_are_those_of_repeated_tests():
-    nominal = NOMINAL["aacmm6"]
-    angles, groups, _ = single_point_test(nominal, n_positions=6, n_poses=20)
-    jac, rng = nominal.jacobian(angles), np.random.default_rng(0)
-    z = []
-    for _ in range(25):
-        noise = rng.normal(0, 0.05, (len(angles), 3))
-        moved = angles + (np.linalg.pinv(jac) @ noise[:, :, None])[:, :, 0]
-        result = calibrate(nominal, moved, groups, loss="squared")
-        identified = ~np.isin(result.names, result.unidentified)
-        known = identified & (result.standard_deviations < 0.05)
-        z.append(((result.values - result.nominal) / result.standard_deviations)[known])
-    z = np.concatenate(z)
-    assert len(z) > 200
-    assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15
 
 
 @pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
 def test_outliers_are_named_and_hardly_count(loss):
-    truth = disturbed(NOMINAL["aacmm6"])
+    truth = disturbed(AACMM6)
     angles, groups, _ = single_point_test(truth, noise_mm=0.02)
-    clean = calibrate(NOMINAL["aacmm6"], angles, groups, loss=loss)
+    clean = calibrate(AACMM6, angles, groups, loss=loss)
     bad = [17, 60, 201]
     spoilt = angles.copy()
     spoilt[bad, 1] += [4e-3, -6e-3, 5e-3]  # a few mm
-    result = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss=loss)
-    plain = calibrate(NOMINAL["aacmm6"], spoilt, groups, loss="squared")
+    result = calibrate(AACMM6, spoilt, groups, loss=loss)
+    plain = calibrate(AACMM6, spoilt, groups, loss="squared")
     assert set(bad) <= set(result.outliers)
     assert len(result.outliers) <= 5
     assert result.outliers[0] in bad
@@ -269,22 +219,8 @@ def test_outliers_are_named_and_hardly_count(loss):
     assert f"row {result.outliers[0]} ({groups[result.outliers[0]]})" in text
 
 
-def test_a_wrong_length_is_named_and_hardly_counts():
-    truth = disturbed(NOMINAL["aacmm6"])
-    angles, groups, targets = single_point_test(truth, noise_mm=0.02)
-    pairs = [(0, 1), (2, 3), (4, 5), (6, 7), (1, 2)]
-    lengths = [(i, j, np.linalg.norm(targets[i] - targets[j]), 0.05) for i, j in pairs]
-    right = calibrate(NOMINAL["aacmm6"], angles, groups, lengths=lengths)
-    lengths[2] = (4, 5, lengths[2][2] + 25, 0.05)
-    with pytest.warns(UserWarning, match=r"1 of 5 known lengths disagree.*4 to 5 is"):
-        result = calibrate(NOMINAL["aacmm6"], angles, groups, lengths=lengths)
-    assert result.length_errors_mm[2] == pytest.approx(-25, abs=0.5)
-    assert np.abs(np.delete(result.length_errors_mm, 2)).max() < 0.3
-    assert result.scatter_after_mm < 1.2 * right.scatter_after_mm
-
-
 def test_only_free_fields_change(noisy):
-    nominal, (angles, groups, _) = NOMINAL["aacmm6"], noisy
+    nominal, (angles, groups, _) = AACMM6, noisy
     result = calibrate(nominal, angles, groups, free=("theta_offset", "probe"))
     for field in ("a", "alpha", "d"):
         assert np.array_equal(getattr(result.arm, field), getattr(nominal, field))
@@ -330,16 +266,6 @@ def test_panda(panda, name, before, after, held_out):
     else:
         assert max(np.linalg.norm(result.residuals_mm, axis=1)) > 2
         assert data.placements[result.outliers[0]] == "high"
-
-
-def test_panda_keeps_a_length_that_was_not_given(panda):
-    data = panda("panda_3")
-    placements = np.unique(data.placements)
-    lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in placements[:3]]
-    result = calibrate(NOMINAL["panda"], data.angles, data.groups, lengths=lengths)
-    for p in placements[3:]:
-        holes = [result.arm.forward(data.angles[data.groups == f"{p}/{i}"]).mean(0) for i in "01"]
-        assert np.linalg.norm(holes[0] - holes[1]) == pytest.approx(50.0, abs=0.25)
 
 
 def test_panda_finds_the_plate_that_stood_one_hole_off(panda):
@@ -392,7 +318,7 @@ def test_ur10(ur10):
 def test_bad_input_gets_one_clear_sentence(change, message):
     good = {"angles": np.zeros((6, 6)), "groups": [0, 0, 1, 1, 2, 2]}
     with pytest.raises(ValueError, match=message):
-        calibrate(NOMINAL["aacmm6"], **{**good, **change})
+        calibrate(AACMM6, **{**good, **change})
 
 
 @pytest.mark.parametrize(
@@ -400,64 +326,28 @@ def test_bad_input_gets_one_clear_sentence(change, message):
     [(1e-3, "metres"), (0.1, "inches or centimetres"), (1 / 25.4, "inches or centimetres")],
 )
 def test_a_table_in_another_unit_is_named_by_it(factor, unit):
-    angles, groups, _ = single_point_test(NOMINAL["aacmm6"], 2, 4)
-    own, problem = NOMINAL["aacmm6"], check_problem(angles, groups, None, [], None, None)
+    angles, groups, _ = single_point_test(AACMM6, 2, 4)
+    own, problem = AACMM6, check_problem(angles, groups, None, [], None, None)
     small = own.replace(a=factor * own.a, d=factor * own.d, probe=factor * own.probe)
     (found,) = wrong_units(small, angles, problem)
     assert f"its lengths are most likely in {unit}. Give millimetres" in str(found)
 
 
 def test_groups_of_one_point_are_named_and_do_not_count():
-    truth = disturbed(NOMINAL["aacmm6"])
+    truth = disturbed(AACMM6)
     angles, groups, targets = single_point_test(truth, noise_mm=0.05)
-    first = calibrate(NOMINAL["aacmm6"], angles, groups)
+    first = calibrate(AACMM6, angles, groups)
     extra = poses_at(truth, targets[:3], 1, np.random.default_rng(5))
     more, labels = np.r_[angles, extra], np.r_[groups, [100, 101, 102]]
     with pytest.warns(UserWarning, match="3 groups have one point and say nothing, such as 100"):
-        second = calibrate(NOMINAL["aacmm6"], more, labels)
+        second = calibrate(AACMM6, more, labels)
     assert_allclose(second.values, first.values, atol=1e-4)
     assert second.sigma_mm == pytest.approx(first.sigma_mm, rel=1e-3)
     # ... unless a length makes use of them
     length = np.linalg.norm(targets[0] - targets[1])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        calibrate(NOMINAL["aacmm6"], more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
-
-
-@pytest.mark.filterwarnings("ignore:The points still scatter")  # no arm had these angles
-def test_degrees_given_as_radians_are_doubted_once():
-    arm = Arm.from_name("aacmm6")
-    angles = np.rad2deg(np.random.default_rng(0).uniform(-2, 2, (60, 6)))
-    with pytest.warns(UserWarning, match="two turns") as caught:
-        calibrate(arm, angles, np.repeat(np.arange(6), 10))
-    units = [w for w in caught if "more than two turns" in str(w.message)]
-    assert len(units) == 1
-    assert units[0].filename == __file__
-
-
-SINGLE_POINT = make_single_point(n_positions=10, n_poses=25, random_state=1)
-
-
-def known(*ends, factor=1.0):
-    """A length entry, mm; the labels are 0 to 9."""
-    a, b = (SINGLE_POINT.points[SINGLE_POINT.groups == label].mean(axis=0) for label in ends)
-    return *ends, factor * np.linalg.norm(a - b), 0.01
-
-
-@pytest.mark.filterwarnings("ignore:the calibration did not settle")
-@pytest.mark.parametrize(
-    ("lengths", "sentence"),
-    [
-        ([known(0, 1, factor=10)], "0 to 1 may be 298.009 mm, not 2980"),
-        ([known(0, 1)[:2] + known(0, 9)[2:]], r"not 1218.45 \(that is 0 to 9\)"),
-        ([known(0, 1, factor=1.1)], "10 % larger than cones and table say"),
-        ([known(i, i + 1, factor=0.1) for i in range(3)], "lengths may be in centimetres"),
-    ],
-)
-def test_lengths_that_make_no_sense_are_warned_of(lengths, sentence):
-    nominal = NOMINAL["aacmm6"].replace(probe=(0, 0, 98))
-    with pytest.warns(UserWarning, match=sentence):
-        calibrate(nominal, SINGLE_POINT.data, SINGLE_POINT.groups, lengths=lengths)
+        calibrate(AACMM6, more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
 
 
 def test_a_correction_that_makes_the_scatter_larger_is_warned_of():
@@ -486,15 +376,14 @@ def test_a_correction_that_makes_the_scatter_larger_is_warned_of():
 
 def test_a_plate_of_known_points_shows_the_scale_as_a_fit_of_its_places_does():
     """Against the plate fitted to the measured centres with a frame of its own and a scale."""
-    nominal = NOMINAL["aacmm6"]
-    truth = nominal.replace(a=1.002 * nominal.a, d=1.002 * nominal.d, probe=1.002 * nominal.probe)
+    truth = AACMM6.replace(a=1.002 * AACMM6.a, d=1.002 * AACMM6.d, probe=1.002 * AACMM6.probe)
     angles, groups, targets = single_point_test(truth, noise_mm=0.02)
     sd, turn = 0.004, Rotation.from_euler("xyz", [0.3, -1, 2]).as_matrix()
     plate = targets[:5] @ turn.T + [100, 20, -7]
     given = plate + np.random.default_rng(1).normal(0, sd, plate.shape)
     known = lengths_of_places([(i, *point, sd) for i, point in enumerate(given)])
     with pytest.warns(FindingWarning, match="0.2 % larger"):
-        result = calibrate(nominal, angles, groups, lengths=known)
+        result = calibrate(AACMM6, angles, groups, lengths=known)
     centres = np.array([result.arm.forward(angles[groups == g]).mean(axis=0) for g in range(5)])
 
     def left(x):  # a rotation vector, a shift, a scale
@@ -530,7 +419,7 @@ def test_places_that_are_none(places, message):
 @pytest.mark.parametrize("moved", [-62.1025, 10.1])
 def test_a_table_that_is_off_is_named_in_plain_words(moved):
     names = [f"{field}{i + 1}" for field in FIELDS[:-1] for i in range(6)]
-    nominal = np.concatenate([getattr(NOMINAL["aacmm6"], field) for field in FIELDS[:-1]])
+    nominal = np.concatenate([getattr(AACMM6, field) for field in FIELDS[:-1]])
     far, sd = np.full(len(names), 10.0), np.full(len(names), 0.1)
     a4 = names.index("a4")
     given = nominal.copy()

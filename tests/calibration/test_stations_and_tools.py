@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
+from sklearn_raacmm import Arm, calibrate
 
 from .test_calibration import poses_at
 
@@ -119,23 +119,3 @@ def test_a_correction_must_be_one():
 
     with pytest.raises(ValueError, match=r"shape \(20, 3\) in mm, got shape \(20,\)"):
         calibrate(ARM, angles, points=points, correction=Flat())
-
-
-@pytest.mark.exhaustive
-def test_the_ur10_of_another_day(ur10, ur10_b):
-    """A model of series A on series B: through the correction, and not beside it."""
-    rows = np.random.default_rng(0).choice(len(ur10.angles), 1000, replace=False)
-    first = calibrate(ARM, ur10.angles[rows], points=ur10.points[rows])
-    model = ArmResidualRegressor(first.arm)
-    model.fit(ur10.angles[rows], first.residuals_mm)
-    new = np.random.default_rng(1).permutation(len(ur10_b.angles))
-    known, rest = new[:60], new[60:]
-    left = {}
-    for name, correction in (("beside", None), ("through", model)):
-        given = {"points": ur10_b.points[known], "correction": correction, "free": ["probe"]}
-        result = calibrate(first.arm, ur10_b.angles[known], **given)
-        residuals = result.residuals(ur10_b.angles[rest], ur10_b.points[rest])
-        residuals -= model.predict(ur10_b.angles[rest])
-        left[name] = np.linalg.norm(residuals, axis=1).mean()
-    assert left["through"] < 0.32
-    assert left["beside"] > 2 * left["through"]

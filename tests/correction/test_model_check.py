@@ -196,21 +196,6 @@ def gauge_rows(seed, change):
     return angles, shown, groups, lengths
 
 
-def test_residuals_that_were_corrected_twice_are_not_held():
-    """Of an arm that nine positions showed: the mean beyond its limit, and p below 1e-4."""
-    for seed in range(2):
-        test = make_single_point(13, 16, random_state=seed)
-        old = test.groups < 9
-        fitted = ArmResidualRegressor(test.arm, orders=24)
-        fitted.fit(test.data[old], test.target[old], groups=test.groups[old])
-        angles, y, groups = test.data[~old], test.target[~old], test.groups[~old]
-        assert check_correction(fitted, angles, y, groups=groups).holds
-        twice = y - 2 * fitted.predict(angles)
-        check = check_correction(fitted, angles, twice, groups=groups)
-        assert check.p_value < 1e-4
-        assert check.record["mean_mm"] > check.record["mean_high_mm"]
-
-
 def test_a_mean_beyond_its_limit_does_not_hold(model):
     """One answer: the limits of the record are those of the test."""
     beyond = 0

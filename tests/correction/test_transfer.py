@@ -7,9 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.correction._change import _pooled, transferred_model
-from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 ARCSEC = np.pi / 180 / 3600
@@ -139,30 +138,6 @@ def test_gain_is_that_of_two_normal_densities(credulous):
     prior = alone.prior_sd_["harmonics"] ** 2 * np.eye(2)
     of_poses = log_density(waves[:, :, 2, :2], np.zeros(2), prior, alone.noise_sd_)
     assert entry["gain_nats"] == pytest.approx(of_make - of_poses, abs=1e-3)
-
-
-@pytest.mark.exhaustive
-def test_single_point_tests():
-    """Measuring arms that yield alike under their weight: 3 positions of the new one."""
-    options = {"orders": 6, "causes": ["gravity", "kinematics"]}
-
-    def test_of(seed, n_positions):
-        data = make_single_point(n_positions, 20, machine="gravity", random_state=seed)
-        return data.arm, data.data, data.target, data.groups
-
-    earlier = []
-    for seed in (100, 101):
-        arm, X, y, groups = test_of(seed, 10)
-        earlier.append(ArmResidualRegressor(arm, **options).fit(X, y, groups=groups))
-    arm, X, y, groups = test_of(0, 6)
-    near = groups < 3
-    new = transferred_model(earlier, arm, X[near], y[near], groups=groups[near])
-    assert new.offsets_
-    # A fit to three positions alone fades at others: it leaves as much as no correction.
-    left_over = y[~near] - new.predict(X[~near])
-    parts = (position_residuals(part, groups[~near]) for part in (y[~near], left_over))
-    without, after = (np.linalg.norm(part, axis=1).mean() for part in parts)
-    assert after < 0.85 * without
 
 
 def test_options_are_those_of_the_first_model(earlier):

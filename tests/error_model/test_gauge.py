@@ -8,7 +8,7 @@ from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.error_model._linear_model import place_fields
-from sklearn_raacmm.error_model._sums import Rows, without_motions
+from sklearn_raacmm.error_model._sums import without_motions
 from sklearn_raacmm.inference import Sums
 from sklearn_raacmm.utils import centred
 
@@ -147,9 +147,3 @@ def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
     left = moved - motions @ np.linalg.lstsq(motions, moved, rcond=None)[0]
     assert np.abs(left).max() < 1e-9 * np.abs(moved).max()
     assert np.linalg.matrix_rank(moved, tol=1e-9 * np.linalg.norm(moved)) == 7
-    codes = np.arange(60) // 15
-    y = rng.normal(size=(60, 3))
-    sums = Rows(arm, theta, y, np.ones(60), codes).sums(columns_of(arm, terms))
-    assert_allclose(sums.gram @ out, 0, atol=1e-12 * sums.gram.max())
-    assert_allclose(sums.moment @ out, 0, atol=1e-12 * np.abs(sums.moment).max())
-    assert_allclose(out.T @ sums.cross, 0, atol=1e-12 * np.abs(sums.cross).max())

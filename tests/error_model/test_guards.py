@@ -211,24 +211,6 @@ def test_rows_of_weight_0_change_nothing(cones, offsets):
         assert_array_equal(one, other)
 
 
-def test_weights_are_repeats(cones):
-    """With the judgement, the widening and the offsets, which scikit-learn's check has not."""
-    theta, y, groups, _ = cones
-    y = position_residuals(y, groups)
-    weights = np.random.default_rng(0).integers(0, 3, len(y))
-    repeat = np.repeat(np.arange(len(y)), weights)
-    model = small(offsets=True)
-    weighted = clone(model).fit(theta, y, sample_weight=weights, groups=groups)
-    repeated = clone(model).fit(theta[repeat], y[repeat], groups=groups[repeat])
-    assert_allclose(weighted.judgement_, repeated.judgement_, rtol=1e-6)
-    for one, other in zip(
-        weighted.predict(theta, return_std=True),
-        repeated.predict(theta, return_std=True),
-        strict=True,
-    ):
-        assert_allclose(one, other, atol=1e-7)
-
-
 # -- the share that is used -----------------------------------------------------------------------
 
 

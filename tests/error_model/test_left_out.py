@@ -156,19 +156,3 @@ def test_fading_is_wieners_factor():
     assert find_fading(*single_point, widening=4.0).factor == 1.0
     assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
     assert find_fading(*single_point[:2], None, widening=1.6).factor == 1.0
-
-
-def test_distance_std_is_that_of_the_difference():
-    test, _, y, _ = draw(2)
-    model = ArmResidualRegressor(test.arm, orders=2, causes=["kinematics"])
-    model.fit(test.data, y, groups=test.groups)
-    linear, X1, X2 = model.linear_model_, test.data[:20], test.data[-20:]
-    line = test.arm.forward(X2) - test.arm.forward(X1)
-    line /= np.linalg.norm(line, axis=1, keepdims=True)
-    along = np.einsum("nc,ncp->np", line, linear.columns(X2) - linear.columns(X1))
-    expected = np.sqrt(np.einsum("np,pq,nq->n", along, linear.half @ linear.half.T, along))
-    assert_allclose(model.distance_std(X1, X2), linear.std_scale * expected)
-    assert_allclose(model.distance_std(X2, X1), model.distance_std(X1, X2))
-    assert_array_equal(model.distance_std(X1, X1), 0)
-    with pytest.raises(ValueError, match="X1 has 20 poses and X2 has 19"):
-        model.distance_std(X1, X2[1:])

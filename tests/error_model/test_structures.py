@@ -67,14 +67,7 @@ def test_orders_of_gears_are_found_by_default():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("n_rows", "offsets"),
-    [
-        (3000, True),
-        (3000, False),
-        (12_000, True),
-    ],
-)
+@pytest.mark.parametrize(("n_rows", "offsets"), [(3000, True), (3000, False), (12_000, True)])
 def test_evidence_does_not_run_away(n_rows, offsets):
     """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""
     d = make_single_point(n_positions=n_rows // 30, n_poses=30, random_state=0)

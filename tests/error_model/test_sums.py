@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._sums import (
@@ -15,7 +14,7 @@ from sklearn_raacmm.error_model._sums import (
     waves,
     without_motions,
 )
-from sklearn_raacmm.inference import Sums, combined
+from sklearn_raacmm.inference import Sums
 
 from ._arms import ARM, draw_angles
 
@@ -37,11 +36,15 @@ def explicit_sums(theta, y, weights, codes, offered, terms):
     return gram, always.shape[2]
 
 
+@pytest.mark.parametrize("on_grid", [False, True])
 @pytest.mark.parametrize("chunk", [1024, 7])
 @pytest.mark.parametrize("with_offsets", [False, True])
 @pytest.mark.parametrize("some_orders", [False, True])
-def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeypatch):
+def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, on_grid, monkeypatch):
     monkeypatch.setattr(_sums, "_CHUNK", chunk)
+    if on_grid:
+        monkeypatch.setattr(_sums, "_MANY_ORDERS", 1)
+        monkeypatch.setattr(_sums, "_MANY_POSES", 1)
     rng = np.random.default_rng(3)
     n = 60
     theta, y, weights = draw_angles(ARM, n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
@@ -125,43 +128,6 @@ def test_grid_is_exact_to_the_last_digits(orders):
     assert_allclose(sums.result(), expected.reshape(3, -1), rtol=0, atol=atol)
     double = _sums_of_doubles(theta, columns[:, 0], orders)
     assert_allclose(double, columns[:, 0] @ np.exp(2j * phase), rtol=0, atol=2 * atol)
-
-
-@pytest.mark.parametrize("with_offsets", [False, True])
-def test_sums_of_candidates_are_the_same_on_the_grid(with_offsets, monkeypatch):
-    arm = Arm.from_name("aacmm6")
-    rng = np.random.default_rng(1)
-    theta, y, weights = (
-        rng.uniform(-2, 2, (300, 6)),
-        rng.normal(size=(300, 3)),
-        rng.uniform(1, 2, 300),
-    )
-    codes = np.arange(300) // 10 if with_offsets else None
-    offered = np.array([(j, k) for j in (1, 4) for k in range(1, 201)] + [(5, 3), (5, 9)])
-    columns = columns_of(arm, Terms(offered, True, True, False))
-    rows = Rows(arm, theta, y, weights, codes)
-    grid = candidate_sums(rows, columns)
-    of_grid = grid.rows([3, 250, 401])
-    monkeypatch.setattr(_sums, "_MANY_POSES", 1000)
-    plain = candidate_sums(rows, columns)
-    for name in ("cross", "own", "candidate_moment"):
-        value = getattr(plain, name)
-        assert_allclose(getattr(grid, name), value, atol=1e-12 * np.abs(value).max(), rtol=0)
-    assert_allclose(of_grid, plain.rows([3, 250, 401]), atol=1e-12 * plain.own.max(), rtol=0)
-
-
-def test_sums_of_all_blocks_less_one_are_those_of_the_others():
-    rng = np.random.default_rng(5)
-    theta, y, weights = draw_angles(ARM, 80), rng.normal(size=(80, 3)), rng.uniform(0.5, 2, 80)
-    codes, block = np.arange(80) // 10, np.arange(80) // 30
-    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
-    columns = columns_of(ARM, Terms(offered, True, True, True))
-    rows = Rows(ARM, theta, y, weights, codes)
-    parts = [rows.at(block == i).sums(columns) for i in range(3)]
-    whole = combined(parts, np.ones(3))
-    for number, part in enumerate(parts):
-        others = rows.at(block != number).sums(columns)
-        close_sums(combined((whole, part), (1, -1)), others)
 
 
 def test_high_orders_are_exact():

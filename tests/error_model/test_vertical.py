@@ -72,15 +72,6 @@ def test_the_data_show_where_gravity_pulls(on_a_wall):
     assert found < 1.1 * stated < 0.15 * none
 
 
-def test_an_arm_that_stands_as_stated_is_left_there():
-    for up in ((0, 0, 1), (0, 0, -1)):
-        machine = SimulatedArm("typical", random_state=1, up=up)
-        test = make_single_point(8, 25, machine=machine, random_state=1)
-        model = ArmResidualRegressor(test.arm, orders=4)
-        model.fit(test.data, test.target, groups=test.groups)
-        assert model.linear_model_.terms.up == ()
-
-
 def test_a_model_moves_to_another_mount():
     """Compliances are the arm's: what the wall has shown corrects the same arm upright."""
     rng = np.random.default_rng(0)

@@ -124,24 +124,6 @@ def test_sums_add_up(toys):
         assert_allclose(found, expected.rows(asked, (), np.array(beside)), atol=1e-12)
 
 
-def test_gram_rows_are_summed_up_once():
-    gram = np.random.default_rng(0).normal(size=(400, 400))
-    asked = []
-
-    def sum_up(pairs):
-        asked.extend(pairs.tolist())
-        return gram[columns_of(pairs)]
-
-    rows = GramRows(sum_up, 400)
-    for pairs, likely in (([4, 0], [7, 4]), ([7], []), ([0, 7, 4], []), (list(range(200)), [])):
-        assert_array_equal(rows(pairs, likely), gram[columns_of(pairs)])
-    beside = np.array([3, 150])
-    expected = gram[np.ix_(columns_of([9]), columns_of(beside))]
-    assert_array_equal(rows([9], (), beside), expected)
-    assert sorted(asked) == list(range(200))
-    assert asked[:3] == [4, 0, 7]  # what was likely was summed up on the way
-
-
 def test_directions_of_rounding_are_no_information():
     """A column that is the sum of two others up to rounding, under a wide prior."""
     rng = np.random.default_rng(0)

@@ -128,19 +128,6 @@ def test_variance_of_a_difference_of_means_against_its_covariance():
     assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_spread_of_a_process():
-    """Medians find the semivariogram of noise beside a smooth error, and of its pairs."""
-    rng = np.random.default_rng(0)
-    codes = np.repeat(np.arange(100), 20)
-    angles = rng.uniform(-1, 1, (2000, 6))
-    left = rng.normal(0, NOISE, (2000, 3)) + 0.1 * angles[:, :3]
-    poses = _moved_positions._sorted_poses(left, angles, codes)
-    _, half = _moved_positions._semivariogram(poses, 0.0)
-    assert np.all(np.diff(half) >= 0)
-    # Of two uniform angles: 0.01 / 3, and the noise. Medians of no normal differences: a third off.
-    assert_allclose(half.mean(), 0.01 / 3 + NOISE**2, rtol=0.35)
-
-
 # -- what users see -------------------------------------------------------------------------------
 
 

@@ -2,11 +2,8 @@
 
 import numpy as np
 import pytest
-from sklearn import config_context
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm import CylindricalResidualTarget, RBFNetRegressor
+from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _read
 from sklearn_raacmm.network._linear import without_constants
 from sklearn_raacmm.utils import centred
@@ -83,24 +80,6 @@ def test_outliers_do_not_teach():
     left = centred(model.predict(X) - f, groups)
     assert np.sqrt(np.mean(left**2)) < 0.05
     assert np.all(model.row_weight_[::20] < 0.1)
-
-
-def test_groups_reach_the_network_through_a_chain():
-    X, y, groups, _ = grouped_wave()
-    Y = np.column_stack([y, 2 * y, -y])
-    direct = make_pipeline(StandardScaler(), RBFNetRegressor(10))
-    direct.fit(X, Y, rbfnetregressor__groups=groups)
-    assert np.all(direct[-1].group_std_ > 0)
-    chain = CylindricalResidualTarget(
-        make_pipeline(StandardScaler(), RBFNetRegressor(10)), azimuth=None
-    )
-    chain.fit(X, Y, rbfnetregressor__groups=groups)
-    np.testing.assert_array_equal(chain.predict(X), direct.predict(X))
-    with config_context(enable_metadata_routing=True):
-        network = RBFNetRegressor(10).set_fit_request(groups=True)
-        chain = CylindricalResidualTarget(make_pipeline(StandardScaler(), network), azimuth=None)
-        chain.fit(X, Y, groups=groups)
-        np.testing.assert_array_equal(chain.predict(X), direct.predict(X))
 
 
 def test_groups_that_cannot_be(monkeypatch):

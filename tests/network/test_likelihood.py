@@ -96,21 +96,6 @@ def test_what_is_left_out_by_leaving_it_out(ratio):
     assert found == pytest.approx(density, rel=1e-8)
 
 
-def test_many_outputs_are_as_likely_as_each_alone():
-    q = 3
-    data = some_data(q=q, within=(0.1, 0.2, 0.1))
-    theta = np.append(THETA[:3], np.linspace(-1, -3, q))
-    together = exact_likelihood(data, "matern52", theta[:3], theta[3:])
-    alone = []
-    for i in range(q):
-        own = data.of_outputs(np.array([i]))
-        alone.append(exact_likelihood(own, "matern52", theta[:3], theta[3 + i : 4 + i]))
-    assert together[0] == pytest.approx(sum(one[0] for one in alone), rel=1e-9)
-    np.testing.assert_allclose(together[2], [one[2][0] for one in alone], rtol=1e-8)
-    widths = sum(one[1][:3] for one in alone)
-    np.testing.assert_allclose(together[1][:3], widths, rtol=1e-6, atol=1e-8)
-
-
 def test_weights_and_repeats_have_one_likelihood():
     data, counts = some_data(20, q=1, within=(0.0,)), np.random.default_rng(1).integers(1, 4, 20)
     often = data.some(np.repeat(np.arange(20), counts))

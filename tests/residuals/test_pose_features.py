@@ -3,7 +3,6 @@ import pandas as pd
 import polars as pl
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, PoseFeatures, elbow_angle, shoulder_wrist_distance
 
@@ -14,28 +13,13 @@ def random_angles(arm, n=40, seed=0):
     return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, arm.n_joints))
 
 
-def origins(arm, angles):
-    """Origins of all frames of one pose, by 4x4 products and scipy's rotations."""
-    pose, found = np.eye(4), [np.zeros(3)]
-    for i, angle in enumerate(angles):
-        joint, link = np.eye(4), np.eye(4)
-        theta = arm.joint_signs[i] * angle + arm.theta_offset[i]
-        joint[:3, :3] = Rotation.from_rotvec([0, 0, theta]).as_matrix()
-        joint[2, 3] = arm.d[i]
-        link[:3, :3] = Rotation.from_rotvec([arm.alpha[i], 0, 0]).as_matrix()
-        link[0, 3] = arm.a[i]
-        pose = pose @ joint @ link if arm.convention == "standard" else pose @ link @ joint
-        found.append(pose[:3, 3])
-    return np.array(found)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_pose_against_vectors(name):
     """theta_dis is what is left of a right angle between the line O2-O5 and the vertical."""
     arm = Arm.from_name(name)
     angles = random_angles(arm)
-    shoulder, wrist = arm.pose_frames
-    line = np.array([origins(arm, q)[wrist] - origins(arm, q)[shoulder] for q in angles])
+    shoulder, wrist = (arm.frames(angles)[:, frame, :, 3] for frame in arm.pose_frames)
+    line = wrist - shoulder
     from_vertical = np.arccos(line[:, 2] / np.linalg.norm(line, axis=1))
 
     features = PoseFeatures(arm).fit_transform(angles)

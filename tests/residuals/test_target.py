@@ -79,12 +79,6 @@ def test_position_residuals_against_pandas(labels, weighted):
     assert_allclose(position_residuals(points, groups, weight), expected, rtol=0, atol=1e-10)
 
 
-def test_rows_of_weight_zero_do_not_move_the_mean():
-    points = np.array([[0.0, 0, 0], [2, 0, 0], [100, 0, 0]])
-    residuals = position_residuals(points, ["A", "A", "A"], sample_weight=[1, 1, 0])
-    assert_allclose(residuals[:, 0], [-1, 1, 99])
-
-
 @pytest.mark.parametrize(
     ("groups", "weights", "message"),
     [
@@ -107,20 +101,6 @@ def test_rotation_against_scipy():
     turn = about_z(phi)
     assert_allclose(cylindrical_to_cartesian(vectors, phi), turn.apply(vectors), atol=1e-14)
     assert_allclose(cartesian_to_cylindrical(vectors, phi), turn.inv().apply(vectors), atol=1e-14)
-
-
-def test_components_are_those_of_polar_coordinates():
-    """Differences of radius, arc and height agree for small residuals, to second order."""
-    rng = np.random.default_rng(4)
-    reference = np.column_stack([rng.uniform(300, 900, (30, 2)), rng.uniform(0, 900, 30)])
-    points = reference + rng.normal(scale=0.05, size=(30, 3))
-    radius, phi = np.hypot(*points[:, :2].T), np.arctan2(points[:, 1], points[:, 0])
-    radius_ref = np.hypot(*reference[:, :2].T)
-    phi_ref = np.arctan2(reference[:, 1], reference[:, 0])
-    polar = np.column_stack(
-        [radius - radius_ref, radius_ref * (phi - phi_ref), points[:, 2] - reference[:, 2]]
-    )
-    assert_allclose(cartesian_to_cylindrical(points - reference, phi), polar, atol=1e-4)
 
 
 # -- CylindricalResidualTarget --------------------------------------------------------------------
@@ -416,13 +396,12 @@ def test_a_scaler_inside_is_scikit_learn_s_own(with_mean, with_std):
         assert_array_equal(model.predict(X), model.regressor_.predict(X))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_scaler_inside_still_refuses_what_it_refuses(bad):
+def test_a_scaler_inside_still_refuses_what_it_refuses():
     rng = np.random.default_rng(0)
     X, y = rng.normal(size=(40, 3)), rng.normal(size=(40, 3))
     inner = make_pipeline(StandardScaler(), Ridge())
     model = CylindricalResidualTarget(inner, azimuth=None).fit(X, y)
-    X[3, 1] = bad
+    X[3, 1] = np.nan
     with pytest.raises(ValueError) as expected:
         model.regressor_.predict(X)
     with pytest.raises(ValueError) as found:
