@@ -21,24 +21,30 @@ from sklearn_raacmm.datasets import make_single_point
 ARCSEC = np.pi / 180 / 3600
 MIXES = ("typical", "gravity", "eccentricity")
 UR10 = Arm.from_name("ur10", probe=(0, 0, 93))
+TOOLED_UR10 = Arm.from_name("ur10", probe=(0, 0, 109))
 NOMINAL_PANDA = Arm.from_name("panda", probe=(0, 0, 138))
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("SKLEARN_RAACMM_DATA", ROOT.parent / "shared" / "data"))
 
 
 def rms(values):
-    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def mean_deviation(residuals):
-    """Mean length of vectors."""
     return float(np.linalg.norm(residuals, axis=1).mean())
 
 
 def scatter(residuals, groups):
     """Mean length of vectors from their position's mean."""
     return mean_deviation(position_residuals(residuals, groups))
+
+
+def sides(test):
+    """How far each position of a simulated test is from one side of the volume, by its name."""
+    x, y, z = (test.simulation.positions - test.simulation.machine.shoulder).T
+    far = np.sqrt(x**2 + y**2 + z**2)
+    return {"side": np.abs(np.arctan2(y, x)), "low": z, "near": far, "far": -far}
 
 
 def geometric(ratios):
@@ -130,8 +136,7 @@ def tracked_folds(angles, points, groups, fold):
     """Arm, angles, residuals, groups and training rows of each of five folds."""
     for k in range(5):
         train = fold != k
-        nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-        result = calibrate(nominal, angles[train], points=points[train])
+        result = calibrate(TOOLED_UR10, angles[train], points=points[train])
         yield result.arm, angles, result.residuals(angles, points), groups, train
 
 

@@ -36,7 +36,7 @@ git clone https://github.com/platonics-delft/kinematics_calibration (commit 05a0
 panda_ball_socket) and https://github.com/christianlandgraf/ipa-robot-accuracy (commit 507fba6,
 Series_A/measurements_grid.csv, to ur10_tracker)."""
 UR10_ROWS = 1500
-# What `run` returns beside a prediction.
+# What `run` returns beside a prediction. These hang on the machine and its load.
 COSTS = ("fit_seconds", "predict_seconds_per_row", "pickle_bytes")
 
 

@@ -1,8 +1,7 @@
 """Golden numbers of the arm's model, of what happens after the lab, of calibration and network.
 
-Each function takes the folder of the real data and returns numbers by name. Lengths are in mm. Of
-the network these are the held-out error in standard deviations of the truth, the share of new
-observations inside the 95 % interval, and the number of centres.
+Each function takes the folder of the real data and returns numbers by name, lengths in mm, errors
+of the network in standard deviations of the truth.
 """
 
 import time
@@ -13,6 +12,7 @@ import numpy as np
 from _arm_folds import (
     MIXES,
     NOMINAL_PANDA,
+    TOOLED_UR10,
     UR10,
     learn,
     learn_tracked,
@@ -22,6 +22,7 @@ from _arm_folds import (
     read_panda,
     read_ur10,
     scatter,
+    sides,
     simulated_folds,
     ur10_folds,
     ur10b_folds,
@@ -83,9 +84,7 @@ def simulated(data_home):
         found |= of_folds(f"simulated {mix}", simulated_folds(mix))
     for mix in MIXES:
         test = make_single_point(24, 15, machine=mix, random_state=1)
-        x, y, z = (test.simulation.positions - test.simulation.machine.shoulder).T
-        distance = np.sqrt(x**2 + y**2 + z**2)
-        for away in (np.abs(np.arctan2(y, x)), z, distance, -distance):
+        for away in sides(test).values():
             train = np.isin(test.groups, np.argsort(away)[:8])
             _, left = learn(test.arm, test.data, test.target, test.groups, train)
             left = scatter(left, test.groups[~train])
@@ -246,8 +245,7 @@ def calibration(data_home):
         found[f"calibrate, {name}: outliers"] = len(result.outliers)
     angles, points, _ = read_ur10("A", data_home)
     rows, rest = np.split(np.random.default_rng(0).permutation(len(angles)), [N_ROWS])
-    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-    result = calibrate(nominal, angles[rows], points=points[rows])
+    result = calibrate(TOOLED_UR10, angles[rows], points=points[rows])
     left = result.residuals(angles[rest], points[rest])
     found["calibrate, UR10 and tracker: other poses"] = mean_deviation(left)
     found["calibrate, UR10 and tracker: standard deviation"] = result.sigma_mm
@@ -311,7 +309,7 @@ def _ur10_folds(home):
     angles, points, groups = read_ur10("A", home)
     some = groups % 4 == 0
     angles, points, groups = angles[some], points[some], groups[some]
-    found = calibrate(Arm.from_name("ur10", probe=(0, 0, 109)), angles, points=points)
+    found = calibrate(TOOLED_UR10, angles, points=points)
     folds = list(GroupKFold(3).split(angles, groups=groups))
     return found.arm, angles, found.residuals(angles, points), None, folds
 

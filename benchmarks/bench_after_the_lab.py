@@ -1,23 +1,17 @@
 """A correction on another day, with another probe, at a first test, and on a new arm of the make.
 
-    python benchmarks/bench_after_the_lab.py series              # two minutes
-    python benchmarks/bench_after_the_lab.py months              # two minutes
-    python benchmarks/bench_after_the_lab.py probes              # three minutes
-    python benchmarks/bench_after_the_lab.py plan                # two minutes
-    python benchmarks/bench_after_the_lab.py transfer --panda    # three minutes
-    python benchmarks/bench_after_the_lab.py mounts              # four minutes
+    python benchmarks/bench_after_the_lab.py transfer --panda    # three minutes, as the others
 
-``series``: a model of series A of a real UR10 is used on series B, with tracker and target set up
-anew: mean deviation at the poses of B that are not known, median of five draws. ``months``: a
-simulated robot with errors that no column describes. Months later every joint's offset has moved by
-10 arc seconds, its eccentricity by 4, the arm is 3 K warmer, and base and tool are new; judged at
-500 other poses. ``probes``: learnt with a probe of 100 mm at 14 cones, or with 100 and 250 mm at 7
-cones each; longer probes are registered by 15 poses in two cones, and judged at 8 others.
-``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses each. ``transfer``:
-robots of one make share their gears and compliances; models of four are the start for a new one.
-The misleading make has other gears, hardly any eccentricity, and compliances of the other sign.
-``mounts``: 2S at positions left out of arms on walls and ceilings, where ``up`` is stated and where
-it is found by the data; also over that of the same arm upright, of the worst arm.
+``series``: a model of series A of a real UR10 on series B, with tracker and target set up anew:
+mean deviation at the other poses of B, median of five draws. ``months``: a simulated robot with
+errors that no column describes; then every offset has moved by 10 arc seconds, its eccentricity by
+4, the arm is 3 K warmer, base and tool are new. ``probes``: learnt with a probe of 100 mm at 14
+cones, or with 100 and 250 mm at 7 each; longer ones are registered by 15 poses in two cones, and
+judged at 8 others. ``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses.
+``transfer``: robots of one make share gears and compliances; models of four are the start for a new
+one. The misleading make has other gears, hardly any eccentricity, and compliances of the other
+sign. ``mounts``: 2S at positions left out of arms on walls and ceilings, where ``up`` is stated and
+where the data find it; also over that of the same arm upright, of the worst arm.
 """
 
 from copy import copy
@@ -62,21 +56,18 @@ def show(title, columns, rows):
         print(f"  {name}: {', '.join(f'{value:.4g}' for value in values)}", flush=True)
 
 
-# -- another series of a tracker -----------------------------------------------------------------
+def left_another_day(model, arm, known, others):
+    """What is left at other poses: without correction, registered without it, through it, updated.
 
-
-def one_draw(model, arm, angles, points, known):
-    """Mean deviation in mm at the poses that are not `known`, each way."""
-    rest = ~known
-    data = {"points": points[known], "free": ["probe"]}
-    alone = calibrate(arm, angles[known], **data)
-    through = calibrate(arm, angles[known], **data, correction=model)
-    y = through.residuals(angles[known], points[known])
-    updated = update_correction(model, angles[known], y)
-    bare = alone.residuals(angles[rest], points[rest])
-    registered = through.residuals(angles[rest], points[rest])
-    old, new = (m.predict(angles[rest]) for m in (model, updated))
-    return [mean_deviation(r) for r in (bare, bare - old, registered - old, registered - new)]
+    `known` and `others` are angles and points.
+    """
+    angles, points = known
+    alone = calibrate(arm, angles, points=points, free=["probe"])
+    through = calibrate(arm, angles, points=points, free=["probe"], correction=model)
+    updated = update_correction(model, angles, through.residuals(*known))
+    bare, registered = alone.residuals(*others), through.residuals(*others)
+    old, new = (m.predict(others[0]) for m in (model, updated))
+    return [bare, bare - old, registered - old, registered - new]
 
 
 def known_of_series_b(arm, model, n, seeds, data_home=DATA):
@@ -86,7 +77,8 @@ def known_of_series_b(arm, model, n, seeds, data_home=DATA):
     for seed in seeds:
         known = np.zeros(len(angles), bool)
         known[np.random.default_rng(seed).permutation(len(angles))[:n]] = True
-        draws.append(one_draw(model, arm, angles, points, known))
+        parts = [(angles[some], points[some]) for some in (known, ~known)]
+        draws.append([mean_deviation(left) for left in left_another_day(model, arm, *parts)])
     return np.median(draws, axis=0)
 
 
@@ -99,15 +91,11 @@ def series(options):
     show("poses of B known; mm", ways, rows)
 
 
-# -- months later --------------------------------------------------------------------------------
-
-
 class WornRobot:
     """A robot with errors of its own, before and after the months."""
 
     def __init__(self, seed):
         rng = np.random.default_rng(seed)
-        self.arm = UR10
         self.amplitude, self.phase = rng.normal(0, 30, (6, 3)), rng.uniform(0, 6, (6, 3))
         self.cross = rng.normal(0, 3, (6, 6))
         self.offsets = rng.choice([-10.0, 10.0], 6)
@@ -122,7 +110,7 @@ class WornRobot:
             turns += self.amplitude[:, k] / (k + 1) * np.cos((k + 1) * angles - self.phase[:, k])
         turns[:, 0] += 10 * np.sin(17 * angles[:, 0])
         turns[:, 2] += 8 * np.cos(100 * angles[:, 2])
-        arm = self.arm
+        arm = UR10
         if months:
             turns += self.offsets + self.wear * np.cos(angles - self.wear_phase)
             arm = arm.replace(probe=arm.probe + self.tool)
@@ -138,16 +126,13 @@ def one_robot(seed, n_new):
     """Mean deviation, mm: no correction, registered, updated, new fits of a fifth and of all."""
     robot, rng = WornRobot(seed), np.random.default_rng([1, seed])
     old, new, far = (rng.uniform(-2, 2, (n, 6)) for n in (1500, n_new, 500))
-    first, model = learn_tracked(robot.arm, old, robot.measure(old, rng, 0))
+    first, model = learn_tracked(UR10, old, robot.measure(old, rng, 0))
     points, true = robot.measure(new, rng, 1), robot.measure(far, rng, 1)
     few = new[: n_new // 5], points[: n_new // 5]
-    bare = calibrate(first.arm, few[0], points=few[1], free=["probe"])
-    through = calibrate(first.arm, few[0], points=few[1], free=["probe"], correction=model)
-    updated = update_correction(model, few[0], through.residuals(*few))
-    left = [bare.residuals(far, true)]
-    left += [through.residuals(far, true) - m.predict(far) for m in (model, updated)]
+    bare, _, registered, updated = left_another_day(model, first.arm, few, (far, true))
+    left = [bare, registered, updated]
     for angles, measured in (few, (new, points)):
-        fresh, own = learn_tracked(robot.arm, angles, measured)
+        fresh, own = learn_tracked(UR10, angles, measured)
         left.append(fresh.residuals(far, true) - own.predict(far))
     return [mean_deviation(rest) for rest in left]
 
@@ -157,9 +142,6 @@ def months(options):
     robots = range(options.seeds or 2)
     rows = {n: np.mean([one_robot(seed, n) for seed in robots], axis=0) for n in (100, 300, 500)}
     show("poses of a new fit; mm", names, rows)
-
-
-# -- longer probes -------------------------------------------------------------------------------
 
 
 def with_probe(machine, length):
@@ -206,7 +188,6 @@ def fitted_to_two(machine, seed):
 
 
 def with_longer_probes(seed):
-    """2S in um for each probe and way."""
     machine = SimulatedArm("typical", random_state=seed)
     arm, model = fitted(machine.nominal_arm, *cone_test(machine, seed, 14, 30))
     of_two = fitted_to_two(machine, seed)
@@ -236,9 +217,6 @@ def probes(options):
     table = np.mean([with_longer_probes(seed) for seed in range(options.seeds or 4)], axis=0)
     ways = ("uncorrected", "not moved", "moved", "learnt with two, moved", "new fit")
     show("probe, mm; 2S in um", ways, dict(zip(PROBES_MM, table, strict=True)))
-
-
-# -- a plan of the first test --------------------------------------------------------------------
 
 
 def read(machine, plan, seed, angles=None):
@@ -271,9 +249,6 @@ def plan(options):
             found.setdefault(name, []).append([left_um(*learned, *rows) for rows in judged])
     rows = {name: np.mean(values, axis=0) for name, values in found.items()}
     show("first test; 2S in um", ("poses by chance", "of another plan"), rows)
-
-
-# -- a new arm of a make -------------------------------------------------------------------------
 
 
 class Robot:
@@ -382,7 +357,6 @@ def transfer_measuring_arms(seeds):
 
 
 def transfer_pandas(draws):
-    """A model of one Panda as the start for the other: within placements that are not known."""
     for old, new in (("panda_2", "panda_3"), ("panda_3", "panda_2")):
         angles, groups, _ = read_panda(old)
         starts = {"of 1": [fitted(NOMINAL_PANDA, angles, groups)[1]]}
@@ -407,8 +381,6 @@ def transfer(options):
     if options.panda:
         transfer_pandas(2)
 
-
-# -- on walls and ceilings -----------------------------------------------------------------------
 
 MOUNTS = {"upright": (0, 0, 1), "ceiling": (0, 0, -1), "45 degrees": (1, 0, 1), "wall": (1, 0, 0)}
 

@@ -1,29 +1,20 @@
 """What each idea beyond the paper is worth at positions left out, and what a correction may harm.
 
     python benchmarks/bench_beyond_the_paper.py ideas sim-gravity panda_3 --rows 1500
-    python benchmarks/bench_beyond_the_paper.py octants
-    python benchmarks/bench_beyond_the_paper.py harm
-    python benchmarks/bench_beyond_the_paper.py intervals
-    python benchmarks/bench_beyond_the_paper.py extra --seeds 8
     python benchmarks/bench_beyond_the_paper.py extra --real --rows 1500
 
 ``ideas``: mean deviation / maximum, mm, as each idea joins, or of the default alone
-(``--defaults``); half the width of a 95 % interval of the mean's difference to no correction, by
-resampling positions; 2S, about zero (tracker) or about the position's mean; of the default the
-share of residuals within 1.96 standard deviations, and the mean absolute error of gauges of 500 mm.
-Simulated arms have ten positions of 40 poses in five folds, Pandas lose each placement once, and
-the UR10 five folds of goal positions (``--rows`` draws so many poses) or of regions.
-
+(``--defaults``); half a 95 % interval of the mean's difference to no correction, by resampling
+positions; 2S; of the default the share of residuals within 1.96 standard deviations, and the mean
+error of gauges of 500 mm. Simulated arms have ten positions of 40 poses in five folds, Pandas lose
+each placement once, and the UR10 five folds of goal positions or of regions.
 ``octants``: a UR10 learns poses of one octant of its volume, and is used in the others.
-
 ``harm``: of 42 simulated arms two thirds of the positions are learnt; of eight more the third that
 lies to one side, below, near or far. Half of the arms are measured by a tracker.
-
 ``intervals``: which share of the true errors at positions left out of a single-point test lies
 within 1.96 standard deviations (median, lowest and mean of eight arms of each kind), and these
 deviations. What such a test cannot show (ten fields of place: motions, a scale and bends of the
 whole volume) is fitted to the true errors at the training positions and taken off.
-
 ``extra``: deviations with extra columns over those without. "cause": the column says what has moved
 the probe. "noise": the same arm without that cause, and a column that has nothing to do with it.
 """
@@ -35,16 +26,19 @@ import numpy as np
 from _arm_folds import (
     DATA,
     MIXES,
+    TOOLED_UR10,
     learn,
     mean_deviation,
     panda_folds,
     read_ur10,
+    sides,
     simulated_folds,
     ur10_folds,
     ur10b_folds,
 )
+from _data_sets import half_width
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import ArmErrors, fetch_ur10_tracker, make_gauge, make_single_point
 from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 
@@ -67,13 +61,9 @@ def statistics(left, groups, reference):
     length = np.linalg.norm(left, axis=1)
     _, index = np.unique(groups, return_inverse=True)
     counts = np.bincount(index)
-    sums = np.bincount(index, length - reference)
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, len(counts), (2000, len(counts)))
-    differences = sums[draws].sum(axis=1) / counts[draws].sum(axis=1)
-    low, high = np.quantile(differences, [0.025, 0.975])
     two_s = 2 * np.sqrt(np.bincount(index, length**2) / np.maximum(counts - 1, 1))
-    return length.mean(), (high - low) / 2, length.max(), two_s[counts > 1].mean()
+    half = half_width(length - reference, groups)
+    return length.mean(), half, length.max(), two_s[counts > 1].mean()
 
 
 def gauge_errors(mix):
@@ -143,14 +133,12 @@ def ideas(options):
 
 
 def octants(options):
-    """A UR10 learns in one octant, with an arm calibrated there or everywhere."""
     theta, points, goals = read_ur10("A")
     rows = np.random.default_rng(0).permutation(len(theta))[:2500]
     theta, points, goals = theta[rows], points[rows], goals[rows]
 
     def calibrated(mask):
-        nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-        result = calibrate(nominal, theta[mask], points=points[mask])
+        result = calibrate(TOOLED_UR10, theta[mask], points=points[mask])
         return result.arm, result.residuals(theta, points)
 
     everywhere = calibrated(np.ones(len(theta), dtype=bool))
@@ -186,22 +174,14 @@ MACHINES = {
     "play": ArmErrors(play_arcsec=8.0, drift_k=5.0),
 }
 POSES = 15  # at each position
-SIDES = ("side", "low", "near", "far")
 
 
 def training_positions(test, number, rng):
     """Positions that are learnt, and what they are called."""
-    place = test.simulation.positions - test.simulation.machine.shoulder
-    n = len(place)
+    n = len(test.simulation.positions)
     if number < N_ARMS - N_CORNERS:
         return rng.permutation(n)[: 2 * n // 3], "spread"
-    side = SIDES[number % len(SIDES)]
-    away = {
-        "side": np.abs(np.arctan2(place[:, 1], place[:, 0])),
-        "low": place[:, 2],
-        "near": np.linalg.norm(place, axis=1),
-        "far": -np.linalg.norm(place, axis=1),
-    }[side]
+    side, away = list(sides(test).items())[number % 4]
     return np.argsort(away)[: n // 3], side
 
 
@@ -211,7 +191,7 @@ def one_arm(number):
     n_train = int(rng.integers(10, 21))
     n_positions = 3 * n_train if number >= N_ARMS - N_CORNERS else 3 * n_train // 2
     kind = list(MACHINES)[number % len(MACHINES)]
-    tracker = number // len(SIDES) % 2 == 1
+    tracker = number // 4 % 2 == 1
     machine, seed = MACHINES[kind], FIRST_SEED + number
     test = make_single_point(n_positions, POSES, machine=machine, random_state=seed)
     kept, where = training_positions(test, number, rng)
@@ -352,18 +332,10 @@ def extra(options):
                 print(f"{case}, {how}, as {what}: {spread}", flush=True)
 
 
-PARTS = {
-    "ideas": ideas,
-    "octants": octants,
-    "harm": harm,
-    "intervals": intervals,
-    "extra": extra,
-}
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=PARTS)
+    parts = {part.__name__: part for part in (ideas, octants, harm, intervals, extra)}
+    parser.add_argument("part", choices=parts)
     parser.add_argument("sets", nargs="*", default=SETS, help=", ".join(SETS))
     parser.add_argument("--rows", type=int, help="of the UR10 (default: all, for extra 1500)")
     parser.add_argument("--defaults", action="store_true", help="only the default")
@@ -372,7 +344,7 @@ def main():
     parser.add_argument("--real", action="store_true", help="extra columns of the UR10")
     options = parser.parse_args()
     warnings.simplefilter("ignore", UserWarning)  # of what fades, and of lengths that disagree
-    PARTS[options.part](options)
+    parts[options.part](options)
 
 
 if __name__ == "__main__":

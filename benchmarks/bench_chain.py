@@ -1,18 +1,15 @@
-"""What positions are worth to the chain.
+"""What positions are worth to the chain, and its network on dirty and on few rows.
 
-    python benchmarks/bench_chain.py
     python benchmarks/bench_chain.py --slips
-    python benchmarks/bench_chain.py --few
 
 Every regressor is fitted twice: with ``fit(X, y, groups=positions)``, and with ``groups=False``. On
 simulated arms it learns at some positions and is judged at twenty others by the mean 2S that its
-correction leaves; on real arms at placements left out. Printed is what is left, as a
-share of what there was, and the ratio of both fits. The network alone takes ten CPU minutes.
+correction leaves; on real arms at placements left out. Printed is what is left, as a share of what
+there was, and the ratio of both fits. The network alone takes ten CPU minutes.
 
-``--slips`` and ``--few``: mean 2S at twelve other cones, in um, after a network of three inputs.
-Slips: of 12 cones x 30 poses 1 to 5 % of the rows are moved by 1 mm in a random direction; the
-network is also fitted to the other rows alone. Few: 10 x 12, 8 x 20 and 12 x 100 poses, beside
-scikit-learn's process.
+``--slips`` and ``--few``: mean 2S at twelve other cones, um, of a network of three inputs. Slips:
+1 to 5 % of 12 x 30 poses are moved by 1 mm; the network is also fitted to the other rows alone.
+Few: 10 x 12, 8 x 20 and 12 x 100 poses, beside scikit-learn's process.
 """
 
 import argparse
@@ -76,14 +73,12 @@ def simulated(mix, seed, n_positions, n_poses):
     learn, rest = some(order[:n_positions], n_poses), some(order[n_positions:], TEST_POSES)
     # Deviations from the mean of the poses that were drawn.
     codes = np.unique(test.groups[learn], return_inverse=True)[1]
-    means = np.array([test.points[learn][codes == c].mean(axis=0) for c in range(n_positions)])
-    y = test.points[learn] - means[codes]
+    y = position_residuals(test.points[learn], codes)
     fold = test.arm, test.data[learn], y, codes, test.data[rest], test.points[rest]
     return [fold], [test.groups[rest]]
 
 
 def real(name, data_home):
-    """The folds of a real arm."""
     problem = panda(name, data_home)
     folds = [
         (f.arm, f.angles[f.learn], f.residuals[f.learn], f.positions[f.learn], f.angles[f.test], m)
@@ -131,7 +126,6 @@ def left_um(test, others, regressor, rows=(), points=None):
 
 
 def slips():
-    """Print a line of each draw, and how often a limit is passed."""
     ratios = []
     for seed, draw in product(range(5), range(4)):
         test, learn, others = cones(seed, 12, 30)
@@ -155,7 +149,6 @@ def slips():
 
 
 def few():
-    """Print 2S of every arm, and the ratios to scikit-learn's process of each output."""
     kernel = ConstantKernel() * RBF(np.ones(3), (1e-2, 1e3)) + WhiteKernel(0.1, (1e-8, 1e2))
     peer = GaussianProcessRegressor(
         kernel, normalize_y=True, n_restarts_optimizer=1, random_state=0
@@ -173,7 +166,6 @@ def few():
 
 
 def main():
-    """Print what is left of everything, and medians over arms."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", nargs="*", type=int, default=[50, 51, 52, 53])
     parser.add_argument("--shapes", nargs="*", type=int, default=[0, 1], choices=[0, 1])

@@ -1,21 +1,15 @@
 """What checks find: of a correction, and of a table of measurements.
 
-    python benchmarks/bench_check.py changes --real       # two minutes
-    python benchmarks/bench_check.py kinds --real         # ten minutes
-    python benchmarks/bench_check.py dwells               # one minute
-    python benchmarks/bench_check.py set-ups              # one minute
-    python benchmarks/bench_check.py steps --real         # three minutes
-    python benchmarks/bench_check.py findings --real      # ten minutes
+    python benchmarks/bench_check.py findings --real    # ten minutes, as kinds; others one to three
 
-``changes``: an arm that has learned 500 poses is checked with 40 poses of another day: without a
-change, after a knock of one joint, with a loose probe, and 5 K warmer. ``kinds``: the same of arms
-whose errors no model describes completely, in single-point tests (12 cones learnt, 6 others
-checked) and tracker series. ``dwells``: 90 poses of which a logger wrote 100 rows each, beside one
-row a pose: mean distances in um at other positions. ``set-ups``: a tracker or a target that moved
-half way. ``steps``: looked for in what the model leaves of clean tests, in three orders, and after
-the socket of one position moved halfway through its poses. ``findings``: how often each is made
-where nothing is wrong, when half of the positions are learnt and 60 poses of the others update the
-model; then with the wrong sign. ``--real``: of a UR10 and of Pandas, too.
+``changes``: an arm that has learned 500 poses is checked with 40 of another day: without a change,
+after a knock of one joint, with a loose probe, and 5 K warmer. ``kinds``: the same of arms whose
+errors no model describes completely, in single-point tests and tracker series. ``dwells``: 90 poses
+of which a logger wrote 100 rows each, beside one row a pose: mean distances in um at other
+positions. ``set-ups``: a tracker or a target that moved half way. ``steps``: looked for in what the
+model leaves of clean tests, in three orders, and after the socket of one position moved halfway.
+``findings``: how often each is made where nothing is wrong, when half of the positions are learnt
+and 60 poses of the others update the model; then with the wrong sign.
 """
 
 from collections import Counter
@@ -150,7 +144,6 @@ def changes(options):
 
 
 def kind_of_arm(kind, errors, options):
-    """Single-point tests of one kind of arm."""
     counts = Counts(kind)
     for seed in range(options.arms):
         machine = SimulatedArm(errors, random_state=seed)
@@ -165,7 +158,6 @@ def kind_of_arm(kind, errors, options):
 
 
 def kind_of_series(kind, arm, model, poses, runs):
-    """Tracker series of one arm."""
     counts = Counts(kind)
     for run in range(runs):
         angles, y = poses(run)
@@ -212,11 +204,7 @@ def kinds(options):
             kind_of_panda(name, max(options.runs // 10, 5))
 
 
-# -- tables of measurements ----------------------------------------------------------------------
-
-
 def um(vectors):
-    """Mean length in micrometres."""
     return f"{1e3 * mean_deviation(vectors):.1f}"
 
 

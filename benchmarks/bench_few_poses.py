@@ -1,9 +1,6 @@
-"""What a correction is worth where poses or placements are few.
+"""What a correction is worth where poses or placements are few, and what its columns should cost.
 
-    python benchmarks/bench_few_poses.py
     python benchmarks/bench_few_poses.py --gears
-    python benchmarks/bench_few_poses.py --narrow
-    python benchmarks/bench_few_poses.py --constants
 
 Of thinned real Pandas some placements are drawn, and of their rows some, to learn from; the other
 placements are left out. Printed is, by the number of placements, what is left of the deviation over
@@ -13,15 +10,17 @@ often the model decided for no correction.
 ``--gears``: single-point tests of simulated arms with a gear at one joint, every other position
 left out. ``--narrow``: simulated arms in narrow ranges of their joints, 300 poses before a tracker.
 Calibration has taken the easy directions out of what is left, which is where a search of the
-families' variances can stay at zero.
-
-``--constants``: deviations from the mean, the median, the first or the last row of each position,
-and constants added to the errors of a tracker; printed is what the model leaves at eight other
-positions, mm: 2S, and of the tracker's arms the mean deviation from the truth.
+families' variances can stay at zero. ``--constants``: deviations from the mean, the median, the
+first or the last row of each position, and constants added to the errors of a tracker; 2S at eight
+other positions, and of the tracker's arms the mean deviation from the truth, mm. ``--prices``: of a
+harmonic by its order; measuring arms learnt at 6, 9 and 16 positions and robots with gears at 60,
+120 and 300 poses; geometric mean of what a rule leaves elsewhere over what the first leaves.
+``--field``: of all low orders together, also on arms whose encoders err by straight pieces.
 """
 
 import argparse
 import warnings
+from itertools import product
 
 import _one_thread  # noqa: F401
 import numpy as np
@@ -37,9 +36,11 @@ from _arm_folds import (
     read_panda,
     scatter,
 )
+from bench_after_the_lab import Robot
 
-from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.error_model import _fit
 from sklearn_raacmm.metrics import single_point_repeatability
 
 SETS = ("panda_2", "panda_3", "panda_6", "panda_7")
@@ -74,14 +75,13 @@ def panda_fit(angles, sockets, train):
 
 
 def pandas():
-    """Print a line for each number of placements."""
     found = {}
     for name in SETS:
         angles, sockets, placements = read_panda(name)
         labels = np.unique(placements)
         most = len(labels) - 1
         for k in sorted({k for k in (*PLACEMENTS, most) if k <= most}):
-            for n, draw in ((n, draw) for n in ROWS for draw in range(DRAWS)):
+            for n, draw in product(ROWS, range(DRAWS)):
                 rng = np.random.default_rng([k, n, draw])
                 inside = np.isin(placements, rng.permutation(labels)[:k])
                 some = rng.permutation(np.flatnonzero(inside))
@@ -101,7 +101,6 @@ def pandas():
 
 
 def gears(n_arms):
-    """Print what is left on simulated arms, gears found, and high orders that are none."""
     ratios, hits, false = [], 0, 0
     for seed in range(n_arms):
         rng = np.random.default_rng([9, seed])
@@ -121,7 +120,6 @@ def gears(n_arms):
 
 
 def narrow(n_draws, n_poses=300, width=0.25):
-    """One line a draw: what is left, and the deviations that the families were given."""
     ratios = []
     for seed in range(n_draws):
         rng = np.random.default_rng([21, seed])
@@ -143,17 +141,10 @@ def narrow(n_draws, n_poses=300, width=0.25):
     print(f"{n_draws} arms: {geometric(ratios)}, gained in {np.sum(np.less(ratios, 1))}")
 
 
-def twenty_positions(mix, seed):
-    """A simulated test, and its rows at twelve positions."""
-    test = make_single_point(20, 15, machine=mix, random_state=seed)
-    return test, test.groups < 12
-
-
 def constants(draws):
-    """Deviations from something else than the mean, and small constants."""
-    drawn = [(mix, seed) for mix in MIXES for seed in range(draws)]
-    for mix, seed in drawn:
-        test, train = twenty_positions(mix, seed)
+    for mix, seed in product(MIXES, range(draws)):
+        test = make_single_point(20, 15, machine=mix, random_state=seed)
+        train = test.groups < 12
         for name, origin in FROM.items():
             y = test.points.copy()
             for group in np.unique(test.groups):
@@ -163,8 +154,6 @@ def constants(draws):
             left = test.points[~train] - model.predict(test.data[~train])
             left = single_point_repeatability(left, test.groups[~train])
             print(f"{mix}, deviations from {name}: {left:.4f}", flush=True)
-    for mix, seed in drawn:
-        test, train = twenty_positions(mix, seed)
         truth = test.points - test.simulation.true_points
         moved = np.random.default_rng(seed).normal(size=(20, 3))[test.groups]
         for size in CONSTANTS_MM:
@@ -173,18 +162,100 @@ def constants(draws):
             print(f"{mix}, constants of {size:g} mm: {left:.4f}", flush=True)
 
 
+def stepped(order):
+    """Nothing up to order 2, the odds of 432 up to 72, 10 nats more above."""
+    return np.where(order <= 2, 0.0, np.where(order <= 72, np.log(432), np.log(432) + 10))
+
+
+def per_log(factor, start=1):
+    """So many nats per logarithm of the order over a start."""
+    return lambda order: factor * np.log(np.maximum(order / start, 1))
+
+
+RULES = {
+    "0, 6 and 16 nats": stepped,
+    "flat log(2400)": lambda order: np.full(len(order), np.log(2400)),
+}
+RULES |= {f"{factor:g} log k": per_log(factor) for factor in (1.5, 2, 2.5)}
+RULES |= {f"{factor:g} log k/2": per_log(factor, 2) for factor in (2, 2.5, 3)}
+FIELD_PRICES = {f"{price:g} nats": price for price in (1e9, 0.0, 4.0, 8.0, 16.0, 32.0, 64.0)}
+
+
+def single_point(mix, seed, n_positions):
+    """Training data at some positions, and what a prediction leaves at 8 others."""
+    test = make_single_point(24, 15, machine=mix, random_state=3000 + seed)
+    train, other = test.groups < n_positions, test.groups >= 16
+    fit = test.data[train], test.target[train], {"groups": test.groups[train]}
+
+    def left(model):
+        rest = test.target[other] - model.predict(test.data[other])
+        return scatter(rest, test.groups[other])
+
+    return test.arm, fit, left
+
+
+def tracked(make, seed, n_poses):
+    """The same of a robot with gears."""
+    robot, rng = Robot(make, 900 + seed), np.random.default_rng([11, make, seed])
+    angles, far = rng.uniform(-2, 2, (n_poses, 6)), rng.uniform(-2, 2, (500, 6))
+    found = calibrate(robot.nominal, angles, points=robot.measure(angles, rng))
+    true = found.residuals(far, robot.measure(far, rng, 0.0))
+    fit = angles, found.residuals_mm, {}
+    return found.arm, fit, lambda model: mean_deviation(true - model.predict(far))
+
+
+def pieces(seed, n_poses):
+    """The same of an arm whose encoders err by straight pieces between 41 knots."""
+    arm, rng = Arm.from_name("aacmm6"), np.random.default_rng([13, seed])
+    knots, tables = np.linspace(-np.pi, np.pi, 41), np.deg2rad(rng.normal(0, 8 / 3600, (6, 41)))
+
+    def errors(angles):
+        found = [np.interp(q, knots, table) for q, table in zip(angles.T, tables, strict=True)]
+        return np.einsum("nij,jn->ni", arm.jacobian(angles), found)
+
+    angles, far = rng.uniform(-2.5, 2.5, (n_poses, 6)), rng.uniform(-2.5, 2.5, (500, 6))
+    y, true = errors(angles) + rng.normal(0, 0.01, (n_poses, 3)), errors(far)
+    return arm, (angles, y, {}), lambda m: mean_deviation(true - m.predict(far))
+
+
+def prices(of_field, draws):
+    seeds = range(draws)
+    kinds = {
+        f"{mix} {n}": [single_point(mix, seed, n) for seed in seeds]
+        for mix in MIXES
+        for n in (6, 9, 16)
+    }
+    kinds |= {f"gears {n}": [tracked(s % 3, s, n) for s in seeds] for n in (60, 120, 300)}
+    kinds |= {f"pieces {n}": [pieces(s, n) for s in seeds] for n in (150, 500) * of_field}
+    first, rules = None, FIELD_PRICES if of_field else RULES
+    for title, rule in rules.items():
+        setattr(_fit, "_PRICE_OF_FIELD" if of_field else "order_price", rule)
+        logs = []
+        for of_kind in kinds.values():
+            models = [ArmResidualRegressor(arm).fit(X, y, **g) for arm, (X, y, g), _ in of_kind]
+            left = [of(model) for model, (_, _, of) in zip(models, of_kind, strict=True)]
+            logs.append(np.mean(np.log(left)))
+        first = logs if first is None else first
+        ratios = np.exp(np.subtract(logs, first))
+        cells = ", ".join(f"{kind} {value:.3f}" for kind, value in zip(kinds, ratios, strict=True))
+        whole = np.exp(np.mean(np.subtract(logs, first)))
+        print(f"{title}: {cells}; all {whole:.4f}", flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     which = parser.add_mutually_exclusive_group()
-    for name in ("gears", "narrow", "constants"):
+    for name in ("gears", "narrow", "constants", "prices", "field"):
         which.add_argument(f"--{name}", action="store_true")
-    parser.add_argument("--draws", type=int, help="20 arms, 1 of constants")
+    parser.add_argument("--draws", type=int, help="20 arms, 1 of constants, 6 of prices")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.gears or options.narrow:
         (gears if options.gears else narrow)(options.draws or 20)
     elif options.constants:
         constants(options.draws or 1)
+    elif options.prices or options.field:
+        prices(options.field, options.draws or 6)
     else:
         pandas()
 

@@ -1,23 +1,16 @@
 """Times that doc/log.md shows: of fits, of `calibrate`, and of one row of a model.
 
     python benchmarks/bench_speed.py fit --problem fourier3 --rows 300
-    python benchmarks/bench_speed.py fit --problem waves --rows 3000 --no-peer
-    python benchmarks/bench_speed.py fit --problem arm
-    python benchmarks/bench_speed.py calibrate
-    python benchmarks/bench_speed.py python
-    python benchmarks/bench_speed.py row              # prints the table
-    python benchmarks/bench_speed.py row --write      # and puts it into doc/log.md
+    python benchmarks/bench_speed.py row --write    # puts the table into doc/log.md
 
 Everything runs on one thread, what is compared by turns; printed are medians of the CPU time.
-
 ``fit``: beside a network an exact Gaussian process written by hand as well as one can with SciPy.
 "waves" ask for centres by the thousand. On an "arm", a single-point test, `ArmResidualRegressor` is
 compared with the same model of low orders only. ``calibrate``: beside what a laboratory writes in
-an afternoon, `scipy.optimize.least_squares` over the same parameters, with differences for
-derivatives and the same loss, but no search of priors, no standard deviations and no outliers.
-``python``: `predict` of one row beside that of scikit-learn's `Ridge`. ``row``: a fitted model in C
-(timed in a loop in C), in ONNX and in Python, and the files' sizes; flash is text and data of gcc
--O2. With ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there, too.
+an afternoon, `scipy.optimize.least_squares` over the same parameters, without priors, standard
+deviations and outliers. ``python``: `predict` of one row beside that of scikit-learn's `Ridge`.
+``row``: a fitted model in C (timed in a loop in C), in ONNX and in Python, and the files' sizes;
+with ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there, too.
 """
 
 import argparse
@@ -80,13 +73,6 @@ def by_turns(rounds, calls, calls_each=1):
     return np.median(times, axis=0), np.median(times[:, -1] / times[:, 0])
 
 
-# -- fits ----------------------------------------------------------------------------------------
-
-# Rows up to which the peer takes all for its widths, and how many beyond: an evaluation of 10 000
-# rows would take half a minute.
-MOST_ROWS, WIDTH_ROWS = 3000, 1000
-
-
 class ExactProcess:
     """A Gaussian process by maximum likelihood; the signal's variance is at its optimum.
 
@@ -100,11 +86,7 @@ class ExactProcess:
         d = X.shape[1]
         start = np.append(np.full(d, 0.5 * np.log(d)), np.log(0.1))
         bounds = [(-4, 7)] * d + [(np.log(1e-8), np.log(1e3))]
-        every = self.Z, self.y
-        if len(y) > MOST_ROWS:
-            self.Z, self.y = self.Z[:WIDTH_ROWS], self.y[:WIDTH_ROWS]
         found = minimize(self.loss, start, jac=True, method="L-BFGS-B", bounds=bounds)
-        self.Z, self.y = every
         factor = self.factor(found.x)[2]
         self.solved = lapack.dpotrs(factor, self.y, lower=1)[0]
         return self
@@ -158,7 +140,12 @@ def fit(args):
         (whole, low), _ = by_turns(args.repeats + 1, fits)
         print(f"{args.rows} poses: {whole:.2f} s, with orders up to 12 {low:.2f} s")
         return
-    problem = generated(args.problem, args.rows) if args.problem != "waves" else of_waves(args.rows)
+    if args.problem == "waves":
+        X, y = waves(args.rows + 1000, 6)
+        n = args.rows
+        problem = Problem(X[:n], y[:n], X[n:], y[n:], y[n:])
+    else:
+        problem = generated(args.problem, args.rows)
     models = [RBFNetRegressor(random_state=0), ExactProcess()][: 1 + args.peer]
     warm = generated("damped1", 30)
     for model in models:
@@ -171,14 +158,6 @@ def fit(args):
         error = np.sqrt(np.mean(left**2)) / np.std(problem.truth)
         print(f"{type(model).__name__} {taken:.3f} s, error {error:.4f}")
     print(f"{len(models[0].centers_)} centres; ratio {1 / ratio:.2f}")
-
-
-def of_waves(n):
-    X, y = waves(n + 1000, 6)
-    return Problem(X[:n], y[:n], X[n:], y[n:], y[n:])
-
-
-# -- calibration ---------------------------------------------------------------------------------
 
 
 def simulated(arm, n, n_groups, seed=0):
@@ -238,7 +217,6 @@ def by_hand(arm, angles, points, groups):
 
 
 def calibrations(args):
-    """Time `calibrate` and the fit by hand by turns."""
     arm = Arm.from_name("aacmm6")
     for n, n_groups in ((3000, None), (10_000, 40)):
         angles, points, groups = simulated(arm, n, n_groups)
@@ -249,11 +227,8 @@ def calibrations(args):
         print(f"{len(angles)} {kind} poses: {times}; ratio {ratio:.1f}")
 
 
-# -- one row -------------------------------------------------------------------------------------
-
-
 def best(function, repeats=5):
-    """Return the least CPU time of a call in s."""
+    """Least CPU time of a call, s."""
     return min(by_turns(1, [function])[0][0] for _ in range(repeats))
 
 
@@ -281,7 +256,7 @@ def of_ur10(data_home):
 
 
 def one_by_one(call, X, n_rows=200):
-    """Return the CPU time of a call of one row in s."""
+    """CPU time of a call of one row, s."""
     return best(lambda: [call(row) for row in X[:n_rows]], 3) / n_rows
 
 
@@ -306,7 +281,6 @@ def in_c(model, folder, X, expected, fade):
 
 
 def in_python(model, _, X, expected, fade):
-    """The same for ways that are called from Python, one row per call."""
     compiled = load_c(model, fade=fade)
     gap = np.abs(compiled.predict(X) - expected).max()
     yield "`load_c`, one row per call", 1e6 * one_by_one(compiled.predict, X), gap
@@ -340,7 +314,6 @@ def flash_kb(source):
 
 
 def table(n_rows, data_home):
-    """Lines of Markdown."""
     data = make_single_point(n_positions=12, n_poses=40, random_state=0)
     columns = {
         f"{name}{', fade exact' if fade == 'exact' else ''}": (model, data.data, fade)
@@ -393,7 +366,6 @@ def row(args):
 
 
 def python(args):
-    """Time `predict` of one row against that of a bare Ridge, by turns."""
     data = make_single_point(n_positions=12, n_poses=30, random_state=0)
     arm, network = data.arm, RBFNetRegressor(60, random_state=0)
     inner = CylindricalResidualTarget(make_pipeline(StandardScaler(), network))
@@ -410,12 +382,10 @@ def python(args):
         print(f"{name}: {1e6 * seconds:.0f} us, {seconds / medians[0]:.2f} times Ridge's")
 
 
-PARTS = {"fit": fit, "calibrate": calibrations, "python": python, "row": row}
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=PARTS)
+    parts = {"fit": fit, "calibrate": calibrations, "python": python, "row": row}
+    parser.add_argument("part", choices=parts)
     problems = ["arm", "waves", *GENERATED]
     parser.add_argument("--problem", default="fourier3", choices=problems, help="of fit")
     parser.add_argument("--rows", type=int, help="of fit 300, of a model 20 000 unless given")
@@ -425,7 +395,7 @@ def main():
     parser.add_argument("--write", action="store_true", help="the table of rows into doc/log.md")
     args = parser.parse_args()
     args.rows = args.rows or (300 if args.part == "fit" else 20_000)
-    PARTS[args.part](args)
+    parts[args.part](args)
 
 
 if __name__ == "__main__":

@@ -4,17 +4,12 @@
 
 measures again what ``benchmarks/golden.json`` holds and prints a table of name, before, now and
 their ratio, in which a star marks what has moved by more than 0.5 %. ``--write`` puts what was
-measured into the file. ``--only`` takes some of the sections: the arm's model on "simulated" arms,
-real "pandas" and the "ur10", "update" and registration, "check", "transfer", "calibration" and the
-"network". CPU seconds depend on the machine: they are shown beside the numbers and not compared.
-Everything runs on one thread. Without the network it takes two minutes.
+measured into the file, ``--only`` takes some of the sections. CPU seconds depend on the machine:
+they are shown beside the numbers and not compared. One thread; two minutes without the network.
 
 ``--walk`` counts, by Python's profiler hook, in how many of the package's files a function ran
 during a default fit of the arm's model and while a correction was learned, how often a call went
 from one of them to another, and how many of the package's frames were open at once.
-
-The real data are looked for in ``../shared/data`` beside the project, or in the folder that
-SKLEARN_RAACMM_DATA names.
 """
 
 import argparse

@@ -2,13 +2,11 @@
 
 ``doc/results.json`` holds every measured number of the README and of the pages "Evidence",
 "Which estimator?" and "The paper's experiment and ours". This command measures them again, writes
-the file and the README's tables, and says which numbers have moved.
-
-Without options it makes what the README shows, in about ten CPU minutes. ``--all`` makes all of it
-over night, ``--all --missing`` only what the file lacks, ``--only panda --models ridge trees`` a
-part, which ``--print`` only prints. Numbers that are not made again stay as they are; each entry
-says when it was made. Whoever stops the job with Ctrl-C keeps what was finished. Real data are
-downloaded the first time.
+the file and the README's tables, and says which numbers have moved: without options what the README
+shows, in about ten CPU minutes, ``--all`` all of it over night, ``--all --missing`` only what the
+file lacks, ``--only panda --models ridge trees`` a part. Numbers that are not made again stay as
+they are; each entry says when it was made. Whoever stops the job with Ctrl-C keeps what was
+finished. Real data are downloaded the first time.
 
 Lengths are in mm. mean, max: deviation from the position's mean point (UR10: from the tracker's
 point); two_s: single-point repeatability; less: reduction of its mean (UR10: of the deviation);
@@ -27,7 +25,7 @@ from pathlib import Path
 import _data_sets
 import numpy as np
 from _arm_folds import MIXES
-from _data_sets import fetched
+from _data_sets import COSTS, fetched
 from _regressors import ALL, ANGLES, MODELS, PAPER
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, __version__, calibrate, position_residuals
@@ -56,8 +54,6 @@ SHOWN = [*INDIVIDUALS, (PAPER, "kernel ridge"), (PAPER, "extra trees")]
 SEEDS = 3
 # Positions, poses at each, and outer folds of the simulated arms: the paper's ten positions.
 SIMULATED = (10, 60, 5)
-# Costs hang on the machine and its load: they are kept to two digits and not compared.
-COSTS = ("fit_seconds", "predict_seconds_per_row", "pickle_bytes")
 MOVED = 0.01  # relative change from which a number is said to have moved
 # Beside a published result on 724 poses, of which eight tenths were learnt from.
 FEW_POSES, PUBLISHED_POSES = 500, 724

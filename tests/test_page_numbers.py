@@ -169,7 +169,7 @@ def test_numbers_of_the_real_data(panda, ur10, data_folder):
 
 @pytest.mark.exhaustive
 def test_noise_of_the_benchmark(script):
-    error, inside = script("bench_noise").of_kind("noise, 5 features", range(10))
+    error, inside = script("bench_accuracy").of_kind("noise, 5 features", range(10))
     said = numbers("log.md", "| noise, 5, 20, 50 features | @, @, @ | @, @, @ |")
     assert said[0] == pytest.approx(error, rel=0.03)
     assert said[3] == pytest.approx(100 * inside, abs=0.3)
@@ -180,7 +180,7 @@ def test_good_centres_are_worth_what_is_said(script):
     problem = script("_problems").generated("fourier3", 3000, 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        errors = script("bench_selection").compare(problem, [20], 0)
+        errors = script("bench_rows").compare(problem, [20], 0)
     said = numbers("log.md", "| `fourier3` | 20 | @ | @ | @ | @ |")
     np.testing.assert_allclose(said, np.ravel(errors[0])[:4], rtol=0.05)
 

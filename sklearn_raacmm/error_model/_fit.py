@@ -31,8 +31,8 @@ from sklearn_raacmm.utils import (
 # What a harmonic costs per logarithm of its order.
 _PRICE_PER_LOG_ORDER = 2.0
 # Orders up to this may be there all together, smaller the higher they are: a smooth function of the
-# joint's angle. Order at which the decay begins; price in nats (``benchmarks/bench_prices.py
-# --field``).
+# joint's angle. Order at which the decay begins; price in nats
+# (``benchmarks/bench_few_poses.py --field``).
 _FIELD_ORDER, _DECAY_FROM, _PRICE_OF_FIELD = 48, 16.0, 16.0
 # Log evidence that a family of extra columns has to add, in nats: noise came to at most 5, a true
 # cause that helped to 22 or more (``benchmarks/bench_beyond_the_paper.py extra``).
@@ -147,7 +147,7 @@ def order_price(order: Any) -> Any:
     """Price in nats of harmonics of the orders k: ``2 log(k)``, for the odds fall with its square.
 
     Every encoder is a little eccentric, so that order 1 is free. On simulated arms factors from 1.5
-    to 2.5 leave the same within 0.5 % (``benchmarks/bench_prices.py``).
+    to 2.5 leave the same within 0.5 % (``benchmarks/bench_few_poses.py --prices``).
     """
     return _PRICE_PER_LOG_ORDER * np.log(order)
 

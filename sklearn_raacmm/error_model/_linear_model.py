@@ -41,7 +41,7 @@ _LEFT = 0.01
 # shown best does stays in the standard deviations (``benchmarks/bench_few_poses.py``).
 _LEAST_SHOWN = 0.05
 # Standard deviation of how much the base gives way over that of joints and links, where positions
-# do not show it (``benchmarks/bench_acceptance.py predict --first 200 --arms 46``).
+# do not show it (``benchmarks/bench_lengths.py predict --first 200 --arms 46``).
 _BASE = 0.3
 # Size of a column, relative to the largest, that moves nothing. Part of the difference of two
 # roots that is rounding.

@@ -136,7 +136,7 @@ def repeatability_interval(
     and the bias of roots, :math:`1 / 4 \nu`, is taken out. Of normal
     deviations 94 to 99 % of the intervals hold what they promise; of simulated arms more where the
     elbow swings from left to right, as tests have it, and fewer, in the worst case 81 %, where
-    poses are drawn at random (``benchmarks/bench_acceptance.py intervals``).
+    poses are drawn at random (``benchmarks/bench_lengths.py repeatability``).
 
     Examples
     --------

@@ -41,7 +41,8 @@ WIDTH_BOUNDS = (1e-2, 1e3)
 RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 # The penalty: size of A; kappa, and that of a first loose search, in standard errors of a slope;
 # inverse width, in units of 1 over sqrt(d) spreads, at which further narrowness is penalised. A
-# price that grows with the rows gave up a weak interaction (``benchmarks/bench_noise.py``).
+# price that grows with the rows gave up a weak interaction (see
+# ``benchmarks/bench_accuracy.py --noise``).
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 TINY = np.finfo(float).tiny
 

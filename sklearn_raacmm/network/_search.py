@@ -53,7 +53,7 @@ REVIVED = 3.0
 # trailed by 1.4 on 300 rows and led by 150 on 1000.
 TRAILING = 20.0
 # Nats by which a kernel other than the first has to lead in the end, lest noise be followed
-# (``benchmarks/bench_noise.py --margins``).
+# (``benchmarks/bench_accuracy.py --margins``).
 KERNEL_MARGIN = 10.0
 # And for each observation: rougher kernels take centres by the hundred, for 1 % of the error.
 KERNEL_MARGIN_OF_ROW = 0.02

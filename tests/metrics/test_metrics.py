@@ -325,7 +325,7 @@ def test_intervals_hold_what_they_promise(statistic, n_positions, n):
         held.append(np.mean((each[:, 0] < true) & (true < each[:, 1])))
         low, high = metrics.repeatability_interval(points, groups, statistic=statistic)
         held_mean.append(low < true.mean() < high)
-    # Four standard errors of 400 about what ``benchmarks/bench_acceptance.py intervals`` shows.
+    # Four standard errors of 400 about what ``benchmarks/bench_lengths.py repeatability`` shows.
     assert 0.92 < np.mean(held) < 0.985
     assert 0.90 < np.mean(held_mean) < 0.995
 
