@@ -75,7 +75,7 @@ def pack(arm):
     return np.concatenate([getattr(arm, name) for name in FIELDS])
 
 
-def unpack(x, n_joints, tool=0):
+def unpack(x, n_joints, tool=0) -> dict[str, Any]:
     """The parameters of one vector by their names; further tools follow the first one's probe."""
     start = 4 * n_joints
     parts = [*np.split(x[:start], 4), x[start + 3 * tool :][:3]]
