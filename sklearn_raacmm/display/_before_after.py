@@ -160,7 +160,8 @@ class RepeatabilityDisplay(FittedDisplay):
         _draw_sides(self, ax, slice(None), labels, (0.0, 1.35 * largest), "mean")
         statistic = _NAMES[self.statistic]
         ax.set(xlabel="position", ylabel=f"repeatability, {statistic} ({self.unit_})")
-        self.ax_, self.figure_ = ax, ax.figure
+        self.ax_: Any = ax
+        self.figure_: Any = ax.figure
         return self
 
 
@@ -300,7 +301,8 @@ class LengthErrorDisplay(FittedDisplay):
             _draw_sides(self, ax, rows, np.arange(1, len(rows) + 1), span, "mean |error|")
             ax.set(xlabel="placement", title=f"{size:g} mm")
         axes[0].set_ylabel(f"measured - calibrated ({self.unit_})")
-        self.axes_, self.figure_ = axes, axes[0].figure
+        self.axes_: Any = axes
+        self.figure_: Any = axes[0].figure
         return self
 
 

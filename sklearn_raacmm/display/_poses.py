@@ -176,7 +176,8 @@ class ArmPosesDisplay(FittedDisplay):
         ax.set_box_aspect(half, zoom=_ZOOM)
         ax.locator_params(nbins=5)
         ax.legend(fontsize="small", loc="upper left")
-        self.ax_, self.figure_ = ax, ax.figure
+        self.ax_: Any = ax
+        self.figure_: Any = ax.figure
         return self
 
     def _magnification(self):

@@ -172,7 +172,9 @@ class ResidualDisplay(FittedDisplay):
         elif self.after is not None:
             handles = axes[0, 0].get_legend_handles_labels()
             axes[0, 0].figure.legend(*handles, loc="outside lower center", ncols=4, markerscale=3)
-        self.axes_, self.figure_, self.unit_ = axes, axes[0, 0].figure, unit
+        self.axes_: Any = axes
+        self.figure_: Any = axes[0, 0].figure
+        self.unit_: str = unit
         return self
 
 

@@ -21,12 +21,14 @@ from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._extra import with_references
 from sklearn_raacmm.error_model._fit import offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
+    Judgement,
     find_fading,
     judge,
     leave_out,
     warn_where_unknown,
     with_honest_intervals,
 )
+from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
 from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.residuals import PointCorrectionMixin
@@ -271,7 +273,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
-        self.judgement_ = None
+        self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
             judged = *left_out[:2], fading, robust, rows.codes, positions
             fading, self.judgement_ = judge(rows.y, *judged)
@@ -280,7 +282,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 model = with_honest_intervals(model, *of_share)
         self.fading_ = fading
         model = replace(model, n_positions=float(positions.max() + 1))
-        self.linear_model_ = model
+        self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
         for finding in many_without_weight(fitted.pose_weight):

@@ -465,11 +465,13 @@ class RBFNetRegressor(VersionedRegressor):
         coef = block_diag(*(network.coef for network in self.networks_))
         return self._shaped([coef]).T
 
-    intercept_ = _each_output(lambda network: network.polynomial[0])
-    alpha_ = _each_output(lambda network: network.alpha * network.weight_unit)
-    noise_variance_ = _each_output(lambda network: network.noise_variance)
-    signal_variance_ = _each_output(lambda network: network.signal_variance)
-    group_std_ = _each_output(lambda network: np.sqrt(network.ratio * network.noise_variance))
+    intercept_: np.ndarray = _each_output(lambda network: network.polynomial[0])
+    alpha_: np.ndarray = _each_output(lambda network: network.alpha * network.weight_unit)
+    noise_variance_: np.ndarray = _each_output(lambda network: network.noise_variance)
+    signal_variance_: np.ndarray = _each_output(lambda network: network.signal_variance)
+    group_std_: np.ndarray = _each_output(
+        lambda network: np.sqrt(network.ratio * network.noise_variance)
+    )
 
     @property
     def linear_coef_(self) -> np.ndarray:
