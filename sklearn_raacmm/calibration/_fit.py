@@ -27,7 +27,7 @@ from sklearn_raacmm.calibration._problem import (
 )
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.inference import evidence_variance
-from sklearn_raacmm.utils import align, group_means, robust_scale
+from sklearn_raacmm.utils import align, centred, group_means, robust_scale
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
@@ -94,7 +94,9 @@ class Fit:
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say.
         n = arm.n_joints
-        felt = np.sum((jac - problem.mean(jac)) ** 2, axis=(0, 1))
+        of_one = problem.index
+        left = jac - jac.mean(axis=0) if of_one is None else centred(jac, of_one)
+        felt = np.sum(left**2, axis=(0, 1))
         length = np.zeros_like(nominal)
         rows = np.r_[:n, 2 * n : 3 * n]
         length[rows] = np.where(are_long(nominal[rows]), felt[rows] * nominal[rows], 0.0)
@@ -269,9 +271,9 @@ class Fit:
         points, jac = self._points_and_jacobian(x)
         jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
-            centres, centres_jac = (
-                group_means(v, problem.index, self.weights) for v in (points, jac)
-            )
+            both = np.concatenate([points[:, :, None], jac], axis=2)
+            means = group_means(both, problem.index, self.weights)
+            centres, centres_jac = means[:, :, 0], means[:, :, 1:]
             residuals = points - centres[problem.index]
             jac -= centres_jac[problem.index]
             scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
@@ -329,7 +331,7 @@ class Fit:
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
         points, problem = self.points(), self.problem
         if problem.points is None:
-            return points - problem.mean(points, weights)
+            return centred(points, problem.index, weights)
         for s in range(problem.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]

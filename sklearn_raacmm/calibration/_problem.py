@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
-from sklearn_raacmm.utils import group_means
 
 # What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
 # Of long lengths, of short ones, and of angles (``benchmarks/bench_lengths.py scale``).
@@ -57,12 +56,6 @@ class Problem:
         self.n_informative = int(self.informative.sum())
         # Coordinates that were measured, less those that the unknown fixed points take.
         self.n_coordinates = 3 * (self.n_informative - n_places)
-
-    def mean(self, values: np.ndarray, weights: np.ndarray | None = None) -> Any:
-        """Weighted mean of each sample's group, (n, ...), or the mean of all samples."""
-        if self.index is None:
-            return values.mean(axis=0)
-        return group_means(values, self.index, weights)[self.index]
 
 
 def rows_of(numbers, one):
