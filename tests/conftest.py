@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 # Before pytest collects a module of the package for its examples: one that came first would be
 # imported twice, and what the tests call would not know its classes.
 import sklearn_raacmm  # noqa: F401
-from sklearn_raacmm.utils import _chunks
+from sklearn_raacmm.utils import _rows
 
 ROOT = Path(__file__).resolve().parent.parent
 # Files and functions that take half a second of CPU time or more, found by ``pytest --durations``.
@@ -45,7 +45,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    _chunks.LIMIT = config.getoption("--chunk-rows")
+    _rows.LIMIT = config.getoption("--chunk-rows")
 
 
 def pytest_collection_modifyitems(config, items):

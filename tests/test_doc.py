@@ -16,7 +16,7 @@ import pytest
 import sklearn_raacmm
 from sklearn_raacmm import RBFNetRegressor, __version__
 from sklearn_raacmm._version import documentation_of
-from sklearn_raacmm.utils._versioned import VersionedEstimator, link_template
+from sklearn_raacmm.utils._estimators import VersionedEstimator, link_template
 
 ROOT = Path(__file__).resolve().parent.parent
 DOC = ROOT / "doc"

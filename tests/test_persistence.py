@@ -27,7 +27,7 @@ from sklearn_raacmm import (
 from sklearn_raacmm.correction._files import dump_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
-from sklearn_raacmm.utils import _versioned
+from sklearn_raacmm.utils import _estimators
 
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
 
@@ -64,7 +64,7 @@ def test_a_file_gives_the_same_predictions(fitted, data, tmp_path):
 
 
 def test_another_version_is_warned_of(fitted, monkeypatch):
-    monkeypatch.setattr(_versioned, "__version__", "0.0.7")
+    monkeypatch.setattr(_estimators, "__version__", "0.0.7")
     texts = {name: pickle.dumps(model) for name, model in fitted.items()}
     monkeypatch.undo()
     estimators = set()

@@ -1,4 +1,4 @@
-"""Shared by all subpackages: groups, checks of input, files, and decorators of fits."""
+"""Shared by all subpackages: rows and groups, checks of input, findings, files, estimators."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -11,13 +11,24 @@ from sklearn_raacmm.utils._checks import (
     check_features,
     check_flags,
     check_option,
+    check_shapes,
     check_weights,
     floats,
     is_plain,
     listed,
     refuse_disguised,
 )
-from sklearn_raacmm.utils._chunks import chunk_size, chunks
+from sklearn_raacmm.utils._estimators import (
+    Floats,
+    InconsistentPackageVersionWarning,
+    Pair,
+    TransformerMixin,
+    VersionedEstimator,
+    VersionedRegressor,
+    one_blas_thread,
+    param_checks,
+    validate_params,
+)
 from sklearn_raacmm.utils._files import check_places, digest_of, write_whole
 from sklearn_raacmm.utils._findings import (
     Finding as Finding,  # for type checkers of those who import it from here
@@ -31,41 +42,28 @@ from sklearn_raacmm.utils._findings import (
     numbered_rows,
     one_warning,
     row_numbers,
+    stage,
+    warn_user,
+    whole_fit,
     with_findings,
 )
-from sklearn_raacmm.utils._groups import (
+from sklearn_raacmm.utils._rows import (
+    TUKEY_CUT,
+    align,
     are_deviations,
     centred,
     check_groups,
+    chunk_size,
+    chunks,
     deviations_by_group,
     encode_groups,
     group_means,
     group_sums,
-    natural_order,
-)
-from sklearn_raacmm.utils._matrices import align
-from sklearn_raacmm.utils._robust import (
-    TUKEY_CUT,
     many_without_weight,
+    natural_order,
     robust_scale,
     slip_factors,
     tukey_weights,
 )
-from sklearn_raacmm.utils._shapes import check_shapes
-from sklearn_raacmm.utils._sklearn import (
-    Floats,
-    Pair,
-    TransformerMixin,
-    one_blas_thread,
-    param_checks,
-    validate_params,
-)
-from sklearn_raacmm.utils._versioned import (
-    InconsistentPackageVersionWarning,
-    VersionedEstimator,
-    VersionedRegressor,
-)
-from sklearn_raacmm.utils._warn_user import warn_user
-from sklearn_raacmm.utils._whole_fit import stage, whole_fit
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,19 +1,30 @@
-"""Findings about the data: made once, and the same in every place that shows them."""
+"""What a call reports: findings about the data, warnings at the user's line, stages of a fit.
+
+A finding is made once, and is the same in every place that shows it.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import contextlib
+import logging
+import os
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
 from functools import wraps
+from time import perf_counter
 from typing import Any, Literal, TypeVar, cast
 
-from sklearn_raacmm.utils._warn_user import warn_user
+import joblib
+import sklearn
+from sklearn.base import _fit_context
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_LOGGER = logging.getLogger("sklearn_raacmm")
 
 # Where findings are collected instead of warned of; None outside of `collected_findings`.
 _COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
@@ -21,6 +32,33 @@ _COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
 _ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
 # Rows that a finding lists.
 _LISTED = 100
+# Of a warning's way to the user: the package, what calls it in a pipeline or in several processes,
+# and what its decorators are made of.
+_FOLDERS = (
+    os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
+    *sklearn.__path__,
+    *joblib.__path__,
+)
+_SKIPPED = (*(folder + os.sep for folder in _FOLDERS), contextlib.__file__)
+
+
+def warn_user(message: str | Warning, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line that calls the package, however many of its functions are in between.
+
+    As ``warnings.warn(..., skip_file_prefixes=...)``, which Python 3.11 does not have. `category`
+    is that of a message that is text.
+    """
+    frame = sys._getframe(1)
+    while frame.f_code.co_filename.startswith(_SKIPPED) and frame.f_back is not None:
+        frame = frame.f_back
+    warnings.warn_explicit(
+        message,
+        category,
+        frame.f_code.co_filename,
+        frame.f_lineno,
+        frame.f_globals.get("__name__", "<unknown>"),
+        frame.f_globals.setdefault("__warningregistry__", {}),
+    )
 
 
 @dataclass(frozen=True)
@@ -191,3 +229,41 @@ def ignored_findings() -> Iterator[None]:
     with collected_findings(), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
+
+
+def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Function]:
+    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
+
+    The parameters are checked before, by scikit-learn; those of inner estimators again unless
+    `prefer_skip_nested_validation`.
+    The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
+    assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
+    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
+    """
+
+    def decorate(fit: Function) -> Function:
+        @_fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
+        @wraps(fit)
+        def wrapper(self, *args, **kwargs):
+            aside = object.__new__(type(self))
+            aside.__dict__ = dict(vars(self))
+            _, findings = call_collecting(fit, aside, *args, **kwargs)
+            aside.findings_ = tuple(findings)
+            self.__dict__ = aside.__dict__
+            return self
+
+        return cast(Function, wrapper)
+
+    return decorate
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Log one line when a stage of a fit has ended: its name and how long it took.
+
+    As a decorator, of every call of a function. The line goes to the logger "sklearn_raacmm" at
+    level INFO: ``logging.basicConfig(level=logging.INFO)`` shows it.
+    """
+    start = perf_counter()
+    yield
+    _LOGGER.info("%s: %.1f s", name, perf_counter() - start)

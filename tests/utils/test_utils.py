@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import _chunks, chunks, natural_order
+from sklearn_raacmm.utils import _rows, chunks, natural_order
 
 
 @pytest.mark.parametrize("limit", [None, 3])
 @pytest.mark.parametrize("n_rows", [0, 1, 9, 10, 11])
 @pytest.mark.parametrize("size", [0, 1, 5, 100])  # of 0 where a row alone is above the caller's aim
 def test_chunks_hold_each_row_once(n_rows, size, limit, monkeypatch):
-    monkeypatch.setattr(_chunks, "LIMIT", limit)
+    monkeypatch.setattr(_rows, "LIMIT", limit)
     parts = list(chunks(n_rows, size))
     assert np.concatenate([np.arange(100)[p] for p in parts] or [[]]).tolist() == [*range(n_rows)]
     assert all(0 < p.stop - p.start <= min(max(size, 1), limit or 100) for p in parts)
