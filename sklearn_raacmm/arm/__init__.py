@@ -13,7 +13,6 @@ from sklearn_raacmm.arm._kinematics import (
     carried,
     parameter_jacobian,
     points_of,
-    reach_mm,
 )
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
 
@@ -32,7 +31,6 @@ __all__ = [
     "limits_of",
     "parameter_jacobian",
     "points_of",
-    "reach_mm",
     "solve",
     "usual_pose",
 ]

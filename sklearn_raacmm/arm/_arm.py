@@ -73,6 +73,8 @@ class Arm:
     ----------
     n_joints : int
         Number of joints.
+    reach_mm : float
+        Length of the stretched arm, an upper bound of its reach.
 
     Notes
     -----
@@ -190,10 +192,15 @@ class Arm:
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<div><p>{escape(repr(self))}</p><table>{table}</table></div>"
 
-    @property
+    @cached_property
     def n_joints(self) -> int:
         """Number of joints."""
         return self.a.size
+
+    @cached_property
+    def reach_mm(self) -> float:
+        """Length of the stretched arm, an upper bound of its reach."""
+        return float(np.hypot(self.a, self.d).sum() + np.linalg.norm(self.probe))
 
     def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.

@@ -62,11 +62,6 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
     return points
 
 
-def reach_mm(arm: Any) -> float:
-    """Length of the stretched arm, an upper bound of its reach."""
-    return float(np.hypot(arm.a, arm.d).sum() + np.linalg.norm(arm.probe))
-
-
 def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin = np.cos(theta), np.sin(theta)

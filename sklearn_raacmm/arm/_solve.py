@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._kinematics import axis_vectors, frame_poses, points_of, reach_mm
+from sklearn_raacmm.arm._kinematics import axis_vectors, frame_poses, points_of
 from sklearn_raacmm.utils import floats, warn_user
 
 # Points are within this of the wanted ones, mm; an orientation's error counts times the reach.
@@ -94,7 +94,7 @@ def solve(
                 turned = Rotation.from_rotvec(turn).as_matrix() @ turned
         gap = _gaps(arm, aim, turned, angles[open_])
         off[open_, 0] = np.linalg.norm(gap[:, :3], axis=1)
-        off[open_, 1] = np.linalg.norm(gap[:, 3:], axis=1) / reach_mm(arm)
+        off[open_, 1] = np.linalg.norm(gap[:, 3:], axis=1) / arm.reach_mm
         going = np.linalg.norm(gap, axis=1) > _REACHED_MM
         open_, aim = open_[going], aim[going]
         if not len(open_):
@@ -137,7 +137,7 @@ def _gaps(arm, aim, turned, angles):
         return gap
     own = frame_poses(arm, angles)[:, -1, :, :3]
     left = Rotation.from_matrix(turned @ own.swapaxes(1, 2)).as_rotvec()
-    return np.hstack([gap, reach_mm(arm) * left])
+    return np.hstack([gap, arm.reach_mm * left])
 
 
 def _bare(arm, aim, turned, angles, low, high):
@@ -155,7 +155,7 @@ def _bare(arm, aim, turned, angles, low, high):
         jacobian = vectors[:, :, turns] * arm.joint_signs
         if turned is not None:
             axes = vectors[:, :, 3 * (arm.n_joints + 1) + turns] * arm.joint_signs
-            jacobian = np.concatenate([jacobian, reach_mm(arm) * axes], axis=1)
+            jacobian = np.concatenate([jacobian, arm.reach_mm * axes], axis=1)
         # A joint at its limit that is pushed further does not help.
         step = _shortest(jacobian, gap)
         stuck = ((own <= low) & (step < 0)) | ((own >= high) & (step > 0))

@@ -12,7 +12,6 @@ import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._chain import edited, read_chain, rigid, turn_between, with_probe
-from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.utils import Finding, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -57,7 +56,7 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     )  # fmt: skip
     rounded = [joint.rounded for joint in joints if joint.rounded]
     if rounded:
-        moved_mm = sum(rounded) * reach_mm(arm)
+        moved_mm = sum(rounded) * arm.reach_mm
         Finding(
             "rounded-angles",
             f"{where}: angles of {len(rounded)} joints are taken as the right or half right angles "

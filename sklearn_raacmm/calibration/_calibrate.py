@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm import FIELDS, Arm, check_angles, reach_mm
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles
 from sklearn_raacmm.calibration._checks import (
     check_correction,
     check_problem,
@@ -277,7 +277,7 @@ def _identified(fit, names):
     angle = np.array([name.startswith(ANGLES) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
-    unit = np.where(angle, 1 / max(reach_mm(fit.nominal_arm), 1e-3), 1.0)
+    unit = np.where(angle, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
     seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
     sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
     if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import parameter_jacobian, reach_mm
+from sklearn_raacmm.arm import parameter_jacobian
 from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import (
     no_readings,
@@ -148,7 +148,7 @@ def _few_rows(problem, rank, n_free):
 
 def _no_such_arm(arm, before, after):
     """A fit that has settled makes no sense."""
-    reach = reach_mm(arm)
+    reach = arm.reach_mm
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         text = f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm"
         advice = (
@@ -250,9 +250,9 @@ def _poses_alike(fit):
         return
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_TRIED, arm.n_joints))
     points, jac = parameter_jacobian(arm, angles)
-    free = [jac[:, :, -3:], base_motions(points, reach_mm(arm))]
+    free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
-        free.append(points[:, :, None] / reach_mm(arm))
+        free.append(points[:, :, None] / arm.reach_mm)
     # What a registration takes away again: base and probe.
     base = np.linalg.qr(np.concatenate(free, axis=2).reshape(3 * _TRIED, -1))[0]
     jac = jac.reshape(3 * _TRIED, -1)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.measurements import UNITS, likeliest
 from sklearn_raacmm.utils import Finding
 
@@ -104,7 +103,7 @@ def _causes(lengths, places, columns, covariance, bare, labels):
         value = log_likelihood(left, among=every[every != k])
         said = f"{_ends(lengths[k], labels)} may be {found[k]:.6g} mm, not {given[k]:g}"
         said += _other_ends(lengths[k], places, labels, covariance[k, k])
-        price = np.log(2 * reach_mm(bare.arm())) + np.log(n)
+        price = np.log(2 * bare.arm().reach_mm) + np.log(n)
         explained.append((value - price, ("wrong-length", said)))
     of_all = [("all lengths of the table may be wrong", _TABLE * found)]
     if n > 1:

@@ -21,7 +21,6 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
 from sklearn_raacmm.correction._condition import Prior, condition, log_density, narrowed
 from sklearn_raacmm.error_model import (
@@ -155,7 +154,7 @@ def place_columns(arm, angles, with_base):
         return tool
     points = arm.forward(angles)
     shift = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
-    turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2) / reach_mm(arm)
+    turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2) / arm.reach_mm
     return np.concatenate([tool, shift, turn], axis=2)
 
 

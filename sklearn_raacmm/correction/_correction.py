@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles, reach_mm
+from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._change import fadings_for
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
@@ -319,7 +319,7 @@ class Correction:
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         found, model = self._registered(angles, positions, points, lengths, list(free))
         turns = np.char.startswith(found.names, "base_r")
-        open_mm = reach_mm(self.arm) * found.standard_deviations[turns].max(initial=0.0)
+        open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
             raise ValueError(
                 f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, reach_mm
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
@@ -246,7 +246,7 @@ def _say_what_moved(data, calibration, model, noise, rows):
 def _calibrated(data, angles, angle_unit):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
     calibration = data.calibrate()
-    reach, scatter = reach_mm(calibration.arm), calibration.typical_scatter_mm
+    reach, scatter = calibration.arm.reach_mm, calibration.typical_scatter_mm
     if scatter <= MUCH_SCATTER_MM:
         return calibration
     for finding in calibration.findings:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.arm import Arm, check_arm, limits_of, reach_mm, solve
+from sklearn_raacmm.arm import Arm, check_arm, limits_of, solve
 from sklearn_raacmm.utils import Floats, floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
@@ -95,7 +95,7 @@ def plan_poses(
     check_arm(arm)
     check_scalar(n_positions, "n_positions", Integral, min_val=1)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
-    rng, reach = check_random_state(random_state), reach_mm(arm)
+    rng, reach = check_random_state(random_state), arm.reach_mm
     if region is not None:
         region = floats("region", region)
         if region.shape != (2, 3) or not np.all(region[0] <= region[1]):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of, reach_mm
+from sklearn_raacmm.arm import arm_for, check_angles, points_of
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES
 from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
@@ -98,10 +98,10 @@ def _check_vectors(y, arm):
             f"y has shape {y.shape}; Cartesian residuals (n_samples, 3) in mm are needed."
         )
     y = y.astype(np.float64, copy=False)
-    largest, limit = np.linalg.norm(y, axis=1).max(initial=0.0), _LARGEST_REACHES * reach_mm(arm)
+    largest, limit = np.linalg.norm(y, axis=1).max(initial=0.0), _LARGEST_REACHES * arm.reach_mm
     if largest > limit:
         raise ValueError(
-            f"y holds a residual of {largest:.4g} mm, but the arm reaches {reach_mm(arm):.4g} mm: "
+            f"y holds a residual of {largest:.4g} mm, but the arm reaches {arm.reach_mm:.4g} mm: "
             "residuals in mm are needed."
         )
     return y

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of, reach_mm
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of
 from sklearn_raacmm.error_model._extra import parsed
 from sklearn_raacmm.utils import chunks, group_sums
 
@@ -125,7 +125,7 @@ def _gravity(arm):
     about its end. Hence the frame before, in a smaller unit, but for the last frame: with it a
     longer probe than the one that was learnt came out four times worse.
     """
-    n, unit = arm.n_joints, ARCSEC / reach_mm(arm)
+    n, unit = arm.n_joints, ARCSEC / arm.reach_mm
     for frame, axis in product(range(n + 1), range(3)):
         before = range(max(frame - 1, 0), frame) if frame < n else ()
         for load in [*before, *range(frame + 1, n + 2)]:
@@ -141,7 +141,7 @@ def _kinematics(arm):
     A length moves the probe along the axis that carries it; an angle turns it about that axis. A
     table has no beta, which parallel axes need (Hayati).
     """
-    n, first, length = arm.n_joints, _first_frame(arm), ARCSEC * reach_mm(arm)
+    n, first, length = arm.n_joints, _first_frame(arm), ARCSEC * arm.reach_mm
     # Row i goes along and about z of one of its two frames, and x of the other.
     of_x, of_z = 1 - first, first
     moves = ((SHIFT, of_x, 0), (TURN, of_x, 0), (SHIFT, of_z, 2), (TURN, of_z, 2))
@@ -193,7 +193,7 @@ def _of_extra(arm, extra):
         # Turns of each frame about each of its axes, by the torque of a force on the probe.
         for frame, axis in product(range(arm.n_joints + 1), range(3)):
             name = f"force bends frame {frame} about {'xyz'[axis]}"
-            yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / reach_mm(arm))
+            yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / arm.reach_mm)
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
         if kind in ("temperature", "time"):

@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_raacmm.arm import Arm, points_of, reach_mm
+from sklearn_raacmm.arm import Arm, points_of
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     BASE_MOTIONS,
@@ -348,7 +348,7 @@ class LinearModel:
         width = max([len(column.name) for column in others], default=1)
         dtype = [("family", "U11"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
         # The columns of gravity are not all of one arc second: see `_gravity`.
-        arcsec = ARCSEC / reach_mm(self.arm)
+        arcsec = ARCSEC / self.arm.reach_mm
         size = np.array([c.unit / arcsec if c.kind == LOAD else 1.0 for c in others])
         family = [FAMILIES[column.family] for column in others]
         values = size * self.coef[n:], size * self.coef_sd[n:]

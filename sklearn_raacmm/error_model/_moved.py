@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.error_model._columns import TEMPERATURE, columns_of
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
@@ -65,7 +64,7 @@ def moved_model(linear, arm):
         matrix[row, n_waves + place] = 1.0 if same else before.unit / column.unit
     unknown = np.zeros((len(matrix), len(fresh)))
     unknown[fresh, range(len(fresh))] = linear.prior_sd.get("temperature", 0.0)
-    ratio = reach_mm(arm) / reach_mm(linear.arm)
+    ratio = arm.reach_mm / linear.arm.reach_mm
     prior_sd = {
         name: sd * ratio if name in _PER_REACH else sd for name, sd in linear.prior_sd.items()
     }

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
+from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
 from sklearn_raacmm.utils import Finding, align, centred, row_numbers
 
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
@@ -225,7 +225,7 @@ def of_own_points(
     if found is None:
         related = np.vdot(given, own) ** 2
         related /= max(np.vdot(own, own) * np.vdot(given, given), 1e-300)
-        coincide = np.median(np.linalg.norm(shown, axis=1)) < _ONE_CONE * reach_mm(arm)
+        coincide = np.median(np.linalg.norm(shown, axis=1)) < _ONE_CONE * arm.reach_mm
         if not coincide or related >= _RELATED:
             return False, []
         text = "y are not the deviations of the arm's own points at these angles:"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of, reach_mm
+from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
 from sklearn_raacmm.measurements._explanations import of_own_points
 from sklearn_raacmm.utils import Finding, align, centred
 
@@ -57,7 +57,7 @@ def check_targets(
     if arm is None:
         checks: list[Any] = [_are_too_large(about_means), _are_of_another_frame(y, _STRIKING_MM)]
     else:
-        points, reach = points_of(arm, angles, probes), reach_mm(arm)
+        points, reach = points_of(arm, angles, probes), arm.reach_mm
         checks = [_are_points(y, points, reach), _are_too_large(about_means, reach)]
         if not offsets:
             checks.append(_are_of_another_frame(y, _STRIKING_SHARE * reach, points))
@@ -130,7 +130,7 @@ def _are_of_another_frame(y, striking, points=None):
 
 def _are_what_calibration_takes(y, arm, angles, points, constants):
     """The arm's static parameters explain nearly all: it has not been calibrated."""
-    reach = reach_mm(arm)
+    reach = arm.reach_mm
     # In a small part of the volume a table explains whatever is smooth.
     if _rms(y) < _LARGE_MM or _rms(points - points.mean(axis=0)) < _WIDE * reach:
         return

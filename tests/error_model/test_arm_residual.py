@@ -10,7 +10,6 @@ from sklearn.base import clone
 from sklearn.model_selection import GroupKFold, cross_validate
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.error_model._columns import ARCSEC
 from sklearn_raacmm.metrics import gauge_lengths
@@ -218,7 +217,7 @@ def test_kinematic_errors_come_back_in_their_units():
     model = ArmResidualRegressor(ARM, causes=["kinematics"]).fit(theta, y)
     value = dict(zip(model.terms_["name"], model.terms_["value"], strict=True))
     sd = dict(zip(model.terms_["name"], model.terms_["sd"], strict=True))
-    length = ARCSEC * reach_mm(ARM)
+    length = ARCSEC * ARM.reach_mm
     assert abs(value["d3"] * length + 0.05) < 4 * sd["d3"] * length < 0.02
     assert abs(value["alpha4"] + 12) < 4 * sd["alpha4"] < 4
     assert len(model.harmonics_) <= 1

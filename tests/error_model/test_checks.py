@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.error_model._checks import _check_vectors, _have_offsets
 
 ARM = Arm.from_name("aacmm6")
@@ -61,9 +60,9 @@ def test_weights_that_are_no_repeats_are_named(scale):
 
 def test_a_residual_of_ten_reaches_is_in_another_unit():
     y = np.zeros((5, 3))
-    y[2, 1] = 9.9 * reach_mm(ARM)
+    y[2, 1] = 9.9 * ARM.reach_mm
     assert _check_vectors(y, ARM) is y
-    y[2, 1] = 10.1 * reach_mm(ARM)
+    y[2, 1] = 10.1 * ARM.reach_mm
     with pytest.raises(ValueError, match=r"y holds a residual of .* mm, but the arm reaches"):
         _check_vectors(y, ARM)
 

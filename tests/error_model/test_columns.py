@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.datasets import SimulatedArm
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
 from sklearn_raacmm.error_model._sums import Rows, length_equations
@@ -36,14 +35,14 @@ def test_kinematic_columns_are_changes_of_the_table_and_of_the_base(arm):
             field, index = "probe", "xyz".index(name[-1])
         else:
             field, index = name[:-1], int(name[-1]) - 1
-        step = ARCSEC * (1 if field in ("alpha", "theta_offset") else reach_mm(arm))
+        step = ARCSEC * (1 if field in ("alpha", "theta_offset") else arm.reach_mm)
         value = getattr(arm, field).copy()
         value[index] += step
         moved = arm.replace(**{field: value}).forward(theta) - arm.forward(theta)
         assert_allclose(column, moved, atol=1e-7)
     # Those that place the base, and turns about y.
     for axis, name in enumerate(("base_x", "base_y")):
-        assert_allclose(columns[name], np.tile(ARCSEC * reach_mm(arm) * np.eye(3)[axis], (20, 1)))
+        assert_allclose(columns[name], np.tile(ARCSEC * arm.reach_mm * np.eye(3)[axis], (20, 1)))
     one = np.full(20, ARCSEC)
     assert_allclose(columns["base_alpha"], turned(arm, theta, 0, 0, one), atol=1e-7)
     assert_allclose(columns["base_beta"], turned(arm, theta, 0, 1, one), atol=1e-7)
@@ -73,7 +72,7 @@ def test_gravity_columns_follow_potential_energy(arm, up):
         frame, axis = int(words[-3]), "xyz".index(words[-1])
         origin = frames[:, frame, :, 3]
         lifted = Rotation.from_rotvec(small * frames[:, frame, :, axis]).apply(place - origin)
-        torque = -(lifted + origin - place) @ arm.up / small / reach_mm(arm)
+        torque = -(lifted + origin - place) @ arm.up / small / arm.reach_mm
         share = 0.5 if load < frame else 1.0
         expected = turned(arm, theta, frame, axis, share * torque * ARCSEC)
         assert_allclose(column, expected, atol=2e-7, err_msg=name)

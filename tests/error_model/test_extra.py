@@ -12,7 +12,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
 
@@ -77,7 +76,7 @@ def test_a_force_turns_every_frame_by_its_torque(arm):
         frame, axis = int(name.split()[3]), "xyz".index(name[-1])
         origin, along = frames[:, frame, :, 3], frames[:, frame, :, axis]
         moved = Rotation.from_rotvec(1e-6 * along).apply(probe - origin) + origin - probe
-        torque = (moved * force).sum(axis=1) / 1e-6 / reach_mm(arm)
+        torque = (moved * force).sum(axis=1) / 1e-6 / arm.reach_mm
         turn = Rotation.from_rotvec(ARCSEC * torque[:, None] * along)
         assert_allclose(column, turn.apply(probe - origin) + origin - probe, atol=1e-6)
     assert len(columns) == 3 * (arm.n_joints + 1)
@@ -101,7 +100,7 @@ def test_rows_may_have_probes_of_their_own(arm):
         own = arm.replace(probe=arm.probe + np.array([5.0, -8.0, length]))
         found = columns_of(arm, terms).at(np.hstack([rows, np.tile(own.probe, (20, 1))]))
         expected = columns_of(own, terms).at(rows)
-        ratio, waves = reach_mm(arm) / reach_mm(own), 2 * len(terms.harmonics)
+        ratio, waves = arm.reach_mm / own.reach_mm, 2 * len(terms.harmonics)
         places = {name: waves + i for i, name in enumerate(columns_of(own, terms).names)}
         for i, name in enumerate(columns_of(arm, terms).names):
             is_length = name[:-1] in ("a", "d", "probe_", "base_")

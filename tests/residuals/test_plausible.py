@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.arm import reach_mm
 from sklearn_raacmm.measurements._targets import _are_points
 
 ARM = Arm.from_name("aacmm6")
@@ -112,7 +111,7 @@ def moved_points(share, n=40):
 
 def find_weights(y, points):
     """Weights of the findings on these targets."""
-    return [found.weight for found in _are_points(y, points, reach_mm(ARM))]
+    return [found.weight for found in _are_points(y, points, ARM.reach_mm)]
 
 
 def test_points_are_known_by_a_twentieth_of_their_spread():
