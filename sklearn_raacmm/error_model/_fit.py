@@ -16,7 +16,7 @@ import numpy as np
 from sklearn_raacmm.error_model._columns import FAMILIES, FAMILIES_OF_EXTRA, Columns
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.inference import Problem, State, Structures, beside_field, search, sums_of_pairs
+from sklearn_raacmm.inference import Problem, State, Structures, beside_field, refit, search
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
@@ -238,9 +238,7 @@ def _known_of_constants(rows, positions, fitted):
     few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
 
     def evidence(given):
-        problem = Problem(given.sums(few), structures)
-        start = problem.with_lines(state, lines)
-        return problem.with_variances(start, _CONSTANT_STEPS).log_evidence
+        return refit(given.sums(few), structures, state, lines, _CONSTANT_STEPS).log_evidence
 
     total = np.bincount(positions, rows.weights)
     n = 3 * len(total)
@@ -353,18 +351,17 @@ def _settled(rows, columns, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
-    some = sums_of_pairs(sums, pairs)
     for _ in range(_ROUNDS):
         left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
         old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
-        some = rows.sums_after(some, old, factor, few)
-        problem = Problem(some, structures)
-        found = problem.with_variances(problem.with_lines(state, lines), _REFIT_STEPS)
+        found = refit(rows.weighted(factor).sums(few), structures, state, lines, _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
-    return state, factor, rows.sums_after(sums, before, factor, columns)
+    if np.any(factor != before):
+        sums = rows.weighted(factor).sums(columns)
+    return state, factor, sums
 
 
 def _expected(rows, columns, state):

@@ -3,11 +3,7 @@ r"""Rows of a fit, and sums over them for the harmonics of every joint, many ord
 The columns of a harmonic of joint j are :math:`T_j \cos k\theta_j` and :math:`T_j \sin k\theta_j`,
 with :math:`T_j` the joint's column of the Jacobian. All orders share :math:`T_j`, so that the inner
 products with any other columns R need two steps: the contraction :math:`s = w\, T_j \cdot R` over
-x, y and z, and the sums :math:`\sum_n s_n \exp(i k \theta_n)` for all orders k. Few orders are
-summed up as they stand. For many of them every :math:`s_n` is spread over the nearest points of a
-fine grid of angles, by a smooth kernel; the fast Fourier transform of the grid, divided by that of
-the kernel, holds all orders to the last digits of double precision (a nonuniform fast Fourier
-transform [1]_). The time then hardly depends on the number of orders.
+x, y and z, and the sums :math:`\sum_n s_n \exp(i k \theta_n)` for all orders k.
 
 Of the Gram matrix of all candidates only the 2 x 2 blocks on its diagonal are summed up beforehand,
 and the rows of those candidates that the choice asks for.
@@ -15,12 +11,6 @@ and the rows of those candidates that the choice asks for.
 A single-point test compares poses that reach one point. It shows nothing of a motion of the base,
 or of a common scale of all lengths: sums are without these, and known lengths between positions
 show a part of it.
-
-References
-----------
-.. [1] A. H. Barnett, J. Magland, L. af Klinteberg, "A parallel nonuniform fast Fourier transform
-   library based on an exponential of semicircle kernel", SIAM J. Sci. Comput. 41(5), 2019,
-   C479-C504.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -30,31 +20,16 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
-from scipy.sparse import csr_array
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
-from sklearn_raacmm.inference import Extra, GramRows, Sums, combined
+from sklearn_raacmm.inference import Extra, GramRows, Sums
 from sklearn_raacmm.utils import chunk_size, chunks, group_means
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
-# Where less than this share of the poses is concerned, sums over them cost less than new ones
-# (``benchmarks/bench_speed.py fit``).
-_FEW_POSES = 0.4
-# Gram rows summed up at a time, at most: 40 MB of grids for 400 orders of six joints.
-_LARGEST_BATCH = 192
 # Divides the sums of positions without weight.
 _TINY = 1e-300
-# Orders and poses from which on the grid is faster: a fit of 3000 poses of the UR10 takes 1.3 times
-# as long without it.
-_MANY_ORDERS, _MANY_POSES = 128, 256
-# Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
-# beside the sharpest that the grid allows (``tests/error_model/test_sums.py``).
-_PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
-# Nodes of the integral that is the kernel's own transform: to the last digit with half of them.
-_NODES = 64
 
 
 class Rows(NamedTuple):
@@ -95,21 +70,6 @@ class Rows(NamedTuple):
         sums = without_motions(sums, columns)
         return sums._replace(extra=length_equations(self, columns)) if self.lengths else sums
 
-    def sums_after(self, sums, old, new, columns):
-        """The `sums` at the factors `new`, from those at `old`: few rows are summed up again."""
-        touched = old != new
-        if not touched.any():
-            return sums
-        if self.codes is not None:
-            touched = np.isin(self.codes, self.codes[touched])
-        # Rows that all had no weight, or all lose it, have no sums of their own.
-        empty = any(not np.any(factor[touched]) for factor in (old, new))
-        if self.lengths or empty or touched.mean() > _FEW_POSES:
-            return self.weighted(new).sums(columns)
-        rows = self.at(touched)
-        less, more = (rows.weighted(factor[touched]).sums(columns) for factor in (old, new))
-        return combined((sums, less, more), (1, -1, 1))
-
 
 def candidate_sums(rows, columns):
     """Sum up what the choice of harmonics needs, as `Sums`.
@@ -130,29 +90,23 @@ def candidate_sums(rows, columns):
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
     with_turns = columns.with_harmonics(every_turn)
     turns = np.empty((*y.shape, n_joints))
-    own = np.zeros((3, len(offered)))
-    gram: Any = 0.0
-    cross = [_WaveSums(orders, len(y)) for _, orders, _ in spans]
+    m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
+    gram, cross = np.zeros((m, m)), np.zeros((m, len(offered)), complex)
     for part, starts in parts:
         always = with_turns.at(angles[part])
         turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
         always = np.concatenate([always[:, :, 2 * n_joints :], y[part, :, None]], axis=2)
         weighted = _weighted_deviations(always, weights[part], starts, known)
-        flat = always.reshape(-1, always.shape[2])
-        gram = gram + flat.T @ weighted.reshape(flat.shape)
-        for sums, (joint, _, _) in zip(cross, spans, strict=True):
-            share = np.einsum("ncm,nc->nm", weighted, turns[part, :, joint])
-            sums.add(angles[part, joint], share)
-        own += _own_blocks(turns[part], angles[part], weights[part], starts, spans, known)
-    # Inner products of the columns with all candidates, of which there may be none.
-    products = [np.empty((len(gram), 0)), *(joint_sums.result() for joint_sums in cross)]
-    cross = np.concatenate(products, axis=1)
+        gram += always.reshape(-1, m).T @ weighted.reshape(-1, m)
+        for joint, orders, pairs in spans:
+            turn, wave = turns[part, :, joint], waves(angles[part, joint], orders)
+            share = np.einsum("ncm,nc->nm", weighted, turn)
+            cross[:, pairs] += _products(share, wave)
+            own[:, pairs] += _own_blocks(turn, wave, weights[part], starts, known)
+    cross = cross.view(float)
 
     def rows_of(pairs):
-        pairs, size = offered[pairs], _LARGEST_BATCH
-        batches = [pairs[i : i + size] for i in range(0, len(pairs), size)]
-        poses = angles, turns, weights, parts, known
-        return np.concatenate([_gram_rows(*poses, spans, batch) for batch in batches])
+        return _gram_rows(angles, turns, weights, parts, known, spans, offered[pairs])
 
     n_taken = 0 if known or codes is None else len(np.unique(codes))
     return Sums(
@@ -252,31 +206,28 @@ def _weighted_deviations(columns, weights, starts, known):
     return weighted
 
 
-def _own_blocks(turns, angles, weights, starts, spans, known):
-    """cos'cos, sin'sin and cos'sin of each candidate, (3, n_pairs)."""
-    out = np.empty((3, sum(len(orders) for _, orders, _ in spans)))
-    for joint, orders, pairs in spans:
-        turn, theta = turns[:, :, joint], angles[:, joint]
-        size = weights * np.square(turn).sum(axis=1)
-        double = _sums_of_doubles(theta, size, orders)
-        cc, ss = 0.5 * (size.sum() + double.real), 0.5 * (size.sum() - double.real)
-        cs = 0.5 * double.imag
-        if starts is not None:
-            means = waves(theta, orders)
-            total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)
-            for component in range(turn.shape[1]):
-                sums = np.add.reduceat((weights * turn[:, component])[:, None] * means, starts)
-                sums /= np.sqrt(total)[:, None]
-                cc -= np.square(sums.real).sum(axis=0)
-                ss -= np.square(sums.imag).sum(axis=0)
-                cs -= (sums.real * sums.imag).sum(axis=0)
-        out[:, pairs] = cc, ss, cs
-    return out
+def _products(columns, wave):
+    """Sums over poses of columns (n, m) times waves (n, n_orders), (m, n_orders) complex."""
+    return (columns.T @ wave.view(float)).view(complex)
+
+
+def _own_blocks(turn, wave, weights, starts, known):
+    """cos'cos, sin'sin and cos'sin of each candidate of one joint, (3, n_orders)."""
+    size = weights * np.square(turn).sum(axis=1)
+    double, whole = size @ np.square(wave), size.sum()
+    own = 0.5 * np.array([whole + double.real, whole - double.real, double.imag])
+    if starts is not None:
+        total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)
+        for component in turn.T:
+            sums = np.add.reduceat((weights * component)[:, None] * wave, starts)
+            sums /= np.sqrt(total)[:, None]
+            own -= np.array([sums.real**2, sums.imag**2, sums.real * sums.imag]).sum(axis=1)
+    return own
 
 
 def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
     """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
-    found = [_WaveSums(orders, len(angles)) for _, orders, _ in spans]
+    found = np.zeros((2 * len(pairs), spans[-1][2].stop), complex)
     (joints, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
     for rows, starts in parts:
         theta, turn, weight = angles[rows], turns[rows], weights[rows]
@@ -286,50 +237,14 @@ def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
         if starts is not None:
             columns = turn[:, :, twice] * wave[:, None]
             columns = _weighted_deviations(columns, weight, starts, known)
-        for sums, (joint, _, _) in zip(found, spans, strict=True):
+        for joint, orders, span in spans:
             if columns is None:  # the turns of the joints alone are contracted
                 along = np.einsum("ncj,nc->nj", turn, weight[:, None] * turn[:, :, joint])
                 share = np.take(along, twice, axis=1) * wave
             else:
                 share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
-            sums.add(theta[:, joint], share)
-    return np.concatenate([sums.result() for sums in found], axis=1)
-
-
-class _WaveSums:
-    """Sums over poses of columns times ``exp(i k theta)``, for the sorted orders of one joint."""
-
-    def __init__(self, orders, n_poses):
-        self.orders = orders
-        self._total: Any = 0.0
-        self._grid = _grid(int(orders[-1])) if _on_grid(orders, n_poses) else None
-
-    def add(self, theta, columns):
-        """Add some poses: angles (n,) in rad, columns (n, m)."""
-        if self._grid is None:
-            self._total = self._total + columns.T @ waves(theta, self.orders).view(float)
-        else:
-            self._total = self._total + _spread(theta, self._grid).T @ columns
-
-    def result(self):
-        """Real and imaginary part of each order by turns, (m, 2 n_orders)."""
-        if self._grid is None:
-            return self._total
-        found = rfft(np.ascontiguousarray(self._total.T), axis=1).take(self.orders, axis=1)
-        return np.conj(found * self._grid[2][self.orders]).view(float)
-
-
-def _sums_of_doubles(theta, size, orders):
-    """Sums over poses of sizes (n,) times ``exp(2 i k theta)``, (n_orders,) complex."""
-    if not _on_grid(orders, len(theta)):
-        return size @ np.square(waves(theta, orders))
-    sums = _WaveSums(2 * orders, len(theta))
-    sums.add(theta, size[:, None])
-    return sums.result().view(complex).ravel()
-
-
-def _on_grid(orders, n_poses):
-    return len(orders) >= _MANY_ORDERS and n_poses >= _MANY_POSES
+            found[:, span] += _products(share, waves(theta[:, joint], orders))
+    return found.view(float)
 
 
 def waves(theta, orders):
@@ -348,30 +263,3 @@ def waves(theta, orders):
         np.cos(phase, out=out.real[:, n:])
         np.sin(phase, out=out.imag[:, n:])
     return out
-
-
-@lru_cache(maxsize=16)
-def _grid(highest):
-    """Points around the circle, sharpness, and one over the transform of the kernel."""
-    size = next_fast_len(_PER_ORDER * highest, real=True)
-    sharpness = _SHARPNESS * np.pi * _WIDTH * (1 - highest / size)
-    nodes, shares = np.polynomial.legendre.leggauss(_NODES)
-    phase = np.outer(np.arange(highest + 1), nodes * _WIDTH * np.pi / size)
-    transform = np.cos(phase) @ (shares * _kernel(nodes, sharpness)) * _WIDTH / 2
-    return size, sharpness, 1 / transform
-
-
-def _kernel(x, sharpness):
-    """Exponential of a semicircle, between -1 and 1."""
-    return np.exp(sharpness * (np.sqrt(np.maximum(1 - x * x, 0.0)) - 1))
-
-
-def _spread(theta, grid):
-    """What each angle gives to the points of the grid around it, (n, size) sparse."""
-    size, sharpness, _ = grid
-    at = np.mod(theta / (2 * np.pi), 1.0) * size
-    points = np.ceil(at - _WIDTH / 2).astype(np.int32)[:, None] + np.arange(_WIDTH, dtype=np.int32)
-    values = _kernel((points - at[:, None]) * (2 / _WIDTH), sharpness)
-    ends = np.arange(0, values.size + 1, _WIDTH, dtype=np.int32)
-    points %= size
-    return csr_array((values.ravel(), points.ravel(), ends), shape=(len(theta), size))

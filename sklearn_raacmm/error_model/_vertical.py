@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_raacmm.error_model._columns import GRAVITY, LOAD, columns_of
 from sklearn_raacmm.error_model._fit import WIDE_SD, fit_with_constants, of_pairs
-from sklearn_raacmm.inference import Problem
+from sklearn_raacmm.inference import refit
 from sklearn_raacmm.utils import Finding, stage
 
 _GOLDEN = (1 + np.sqrt(5)) / 2
@@ -80,8 +80,7 @@ def _higher(fitted):
     start = state._replace(variance=variance)
 
     def at(up):
-        problem = Problem(_sums_at(up, parts, loads), structures)
-        return problem.with_variances(problem.with_lines(start, lines), _STEPS)
+        return refit(_sums_at(up, parts, loads), structures, start, lines, _STEPS)
 
     # A direction that has paid already is only made better.
     stated, price = few.up, 0.0 if few.terms.up else _PRICE

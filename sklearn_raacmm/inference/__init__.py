@@ -12,9 +12,8 @@ from sklearn_raacmm.inference._linear import (
     Sums,
     combined,
     evidence_variance,
-    sums_of_pairs,
 )
-from sklearn_raacmm.inference._search import beside_field, search, search_at
+from sklearn_raacmm.inference._search import beside_field, refit, search, search_at
 
 __all__ = [
     "Extra",
@@ -26,7 +25,7 @@ __all__ = [
     "beside_field",
     "combined",
     "evidence_variance",
+    "refit",
     "search",
     "search_at",
-    "sums_of_pairs",
 ]

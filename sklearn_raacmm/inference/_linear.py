@@ -146,22 +146,6 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1]), None])
 
 
-def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
-    """Sums with some of the candidates only, without what was observed beside them."""
-    columns = columns_of(pairs)
-
-    def sum_up(some):
-        return sums.rows(pairs[some])[:, columns]
-
-    return sums._replace(
-        cross=sums.cross[:, columns],
-        own=sums.own[:, pairs],
-        candidate_moment=sums.candidate_moment[columns],
-        rows=GramRows(sum_up, len(columns)),
-        extra=None,
-    )
-
-
 def columns_of(pairs: ArrayLike) -> np.ndarray:
     """First and second columns of some candidates."""
     pairs = np.asarray(pairs, dtype=int)

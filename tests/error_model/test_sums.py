@@ -6,15 +6,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._sums import (
-    Rows,
-    _sums_of_doubles,
-    _WaveSums,
-    candidate_sums,
-    waves,
-    without_motions,
-)
-from sklearn_raacmm.inference import Sums
+from sklearn_raacmm.error_model._sums import Rows, candidate_sums, waves
 
 from ._arms import ARM, draw_angles
 
@@ -36,15 +28,11 @@ def explicit_sums(theta, y, weights, codes, offered, terms):
     return gram, always.shape[2]
 
 
-@pytest.mark.parametrize("on_grid", [False, True])
 @pytest.mark.parametrize("chunk", [1024, 7])
 @pytest.mark.parametrize("with_offsets", [False, True])
 @pytest.mark.parametrize("some_orders", [False, True])
-def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, on_grid, monkeypatch):
+def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeypatch):
     monkeypatch.setattr(_sums, "_CHUNK", chunk)
-    if on_grid:
-        monkeypatch.setattr(_sums, "_MANY_ORDERS", 1)
-        monkeypatch.setattr(_sums, "_MANY_POSES", 1)
     rng = np.random.default_rng(3)
     n = 60
     theta, y, weights = draw_angles(ARM, n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
@@ -77,57 +65,6 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, on_grid
     for _ in range(2):  # summed up, and remembered
         assert_allclose(found.rows(asked, [1, 2]), rows[columns], atol=1e-11 * rows.max())
     assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
-
-
-@pytest.mark.parametrize("with_offsets", [False, True])
-def test_sums_follow_weights_that_change(with_offsets):
-    """Sums over the poses concerned are added and taken off: as summed up from the start."""
-    rng = np.random.default_rng(6)
-    theta, y = draw_angles(ARM, 80), rng.normal(size=(80, 3))
-    codes = np.arange(80) // 10
-    old = np.ones(80)
-    new = np.where(codes < 3, rng.uniform(0, 2, 80), old)
-    new[:10] = 0  # a whole position is lost
-    offered = np.array([(j, k) for j in range(6) for k in range(1, 20)])
-    columns = columns_of(ARM, Terms(offered, True, True, True))
-    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 80), codes if with_offsets else None)
-    found = rows.sums_after(rows.sums(columns), old, new, columns)
-    kept = new > 0
-    own = np.unique(codes[kept], return_inverse=True)[1] if with_offsets else None
-    poses = Rows(ARM, theta[kept], y[kept], (rows.weights * new)[kept], own)
-    expected = candidate_sums(poses, columns)
-    if with_offsets:
-        expected = without_motions(expected, columns)
-    close_sums(found, expected)
-
-
-def close_sums(found, expected):
-    for name in Sums._fields[:7]:
-        value = getattr(expected, name)
-        atol = 1e-10 * np.abs(value).max()
-        assert_allclose(getattr(found, name), value, atol=atol, err_msg=name)
-    for asked in ([2, 50, 51], [51, 7]):
-        assert_allclose(found.rows(asked), expected.rows(asked), atol=1e-10 * expected.own.max())
-
-
-@pytest.mark.parametrize(
-    "orders", [np.arange(1, 401), np.arange(1, 1001), np.r_[1:130, 200, 640], np.arange(3, 400, 3)]
-)
-def test_grid_is_exact_to_the_last_digits(orders):
-    """Also where poses come in parts, and at angles of several turns of either sign."""
-    rng = np.random.default_rng(len(orders))
-    theta = np.r_[rng.uniform(-9, 9, 294), 0.0, -1e-17, np.pi, -np.pi, 2 * np.pi, 1e-300]
-    columns = rng.normal(size=(300, 3))
-    sums = _WaveSums(orders, 300)
-    assert sums._grid is not None
-    for rows in (slice(7), slice(7, 300)):
-        sums.add(theta[rows], columns[rows])
-    phase = theta[:, None] * orders
-    expected = np.stack([columns.T @ np.cos(phase), columns.T @ np.sin(phase)], axis=2)
-    atol = 4e-16 * orders[-1] * np.linalg.norm(columns, axis=0).max() * 9  # of the phases
-    assert_allclose(sums.result(), expected.reshape(3, -1), rtol=0, atol=atol)
-    double = _sums_of_doubles(theta, columns[:, 0], orders)
-    assert_allclose(double, columns[:, 0] @ np.exp(2j * phase), rtol=0, atol=2 * atol)
 
 
 def test_high_orders_are_exact():
