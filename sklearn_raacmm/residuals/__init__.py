@@ -14,7 +14,6 @@ from sklearn_raacmm.residuals._cylindrical import (
     cylindrical_to_cartesian,
     position_residuals,
 )
-from sklearn_raacmm.residuals._earlier import bp_network_chain, database_chain, polynomial_chain
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
 from sklearn_raacmm.residuals._pose_features import (
     PoseFeatures,
@@ -28,13 +27,10 @@ __all__ = [
     "CylindricalResidualTarget",
     "PointCorrectionMixin",
     "PoseFeatures",
-    "bp_network_chain",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
-    "database_chain",
     "elbow_angle",
     "found_positions",
-    "polynomial_chain",
     "position_residuals",
     "shoulder_wrist_distance",
 ]
