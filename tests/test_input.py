@@ -171,7 +171,6 @@ FUNCTIONS = [
     ("axes", lambda points: metrics.axis_repeatability(points, GROUPS), "points"),
     ("R2", lambda p: metrics.within_position_r2_score(p, RESIDUALS, groups=GROUPS), "points"),
     ("gauge", partial(pairs, metrics.gauge_lengths), "points groups"),
-    ("block", partial(pairs, metrics.block_lengths), "points groups"),
     ("length_error", metrics.length_error, "mm mm_too"),
     ("size", partial(metrics.probing_size_error, diameter=10), "points"),
     ("form", metrics.probing_form_error, "points"),
