@@ -188,7 +188,6 @@ FUNCTIONS = [
         "points groups",
     ),
     ("ResidualDisplay", partial(shown, display.ResidualDisplay, "before", arm=ARM), "angles"),
-    ("ArmPosesDisplay", partial(shown, display.ArmPosesDisplay, "chains", arm=ARM), "angles"),
     ("describe", lambda q: export.describe(FITTED, q)["training"]["rows"], "angles"),
     (
         "describe, positions",
@@ -429,7 +428,6 @@ calibrated = partial(calibrate, ARM, ANGLES, GROUPS)
 updated = partial(update_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
 checked = partial(check_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
 interval = partial(metrics.repeatability_interval, TEST.points, TEST.groups)
-poses = partial(display.ArmPosesDisplay.from_predictions, ANGLES, RESIDUALS)
 
 
 def fitted(**params):
@@ -525,9 +523,6 @@ def refused():
     yield partial(repeatability, groups=GROUPS), "statistic", ["3s"], "'3s' is not"
     bars = partial(display.LengthErrorDisplay.from_predictions, y_pred=RESIDUALS, **BARS)
     yield bars, "points", [RESIDUALS], "not residuals"
-    yield poses, "max_poses", [0], "max_poses"
-    yield poses, "magnification", ["big"], "magnification must be"
-    yield poses, "arm", ["panda"], "must be an Arm"
     yield export.fingerprint, "model", [None], "not an estimator"
     yield partial(export.export_c, LINEAR, "a.c"), "card", [True, 3, ["card"]], "describe gives"
     for function in (partial(export.export_c, LINEAR), partial(app.read_table, n_joints=6)):
