@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.compose import TransformedTargetRegressor
 from sklearn.ensemble import ExtraTreesRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -16,8 +17,10 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold
+from sklearn.neighbors import KNeighborsRegressor
+from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer, StandardScaler
+from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures, StandardScaler
 
 from sklearn_raacmm import (
     ArmResidualRegressor,
@@ -26,7 +29,6 @@ from sklearn_raacmm import (
     RBFNetRegressor,
 )
 from sklearn_raacmm.metrics import repeatability_scorer
-from sklearn_raacmm.residuals import bp_network_chain, database_chain, polynomial_chain
 
 # What the regressor is given: parameters of PoseFeatures by the name that the tables use.
 PAPER = "pose angles"
@@ -92,8 +94,10 @@ def _fourier(arm, orders, joints):
 
 
 def _polynomial(arm, inputs, degree):
-    model = polynomial_chain(arm, degree=degree, **INPUTS[inputs])
-    return _named(model, "regressor", {"ridge__alpha": ALPHAS})
+    # Powers of numbers far from 1 differ by more than a ridge can serve.
+    terms = PolynomialFeatures(degree, include_bias=False)
+    ridge = make_pipeline(terms, StandardScaler(), Ridge())
+    return _chain(arm, ridge, inputs, {"ridge__alpha": ALPHAS})
 
 
 def _chain(arm, regressor, inputs, grid):
@@ -149,14 +153,15 @@ def _kernel_ridge(arm, inputs, widths):
 
 
 def _neighbours(arm, inputs):
-    model = database_chain(arm, **INPUTS[inputs])
-    return _named(model, "regressor", {"kneighborsregressor__n_neighbors": [3, 10, 30]})
+    nearest = KNeighborsRegressor(weights="distance")
+    return _chain(arm, nearest, inputs, {"n_neighbors": [3, 10, 30]})
 
 
 def _perceptron(arm, inputs):
-    model = bp_network_chain(arm, max_iter=200, random_state=0, **INPUTS[inputs])
-    name = "regressor__transformedtargetregressor"
-    return _named(model, name, {"regressor__alpha": [1.0, 10.0]})
+    network = MLPRegressor((64, 64), solver="lbfgs", max_iter=200, random_state=0)
+    # Any usual weight decay outweighs hundredths of a millimetre.
+    scaled = TransformedTargetRegressor(network, transformer=StandardScaler())
+    return _chain(arm, scaled, inputs, {"regressor__alpha": [1.0, 10.0]})
 
 
 def _trees(arm, inputs):

@@ -91,7 +91,6 @@ SECTIONS = {
         "plot_paper_figures",
         "plot_compare_regressors",
         "plot_grid_search",
-        "plot_arm_poses",
         "plot_periodicity",
     ),
     "The network by itself": ("plot_rbf_network", "plot_ols_path", "plot_newrb"),

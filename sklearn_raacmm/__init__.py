@@ -28,9 +28,7 @@ if TYPE_CHECKING:
         PoseFeatures,
         cartesian_to_cylindrical,
         cylindrical_to_cartesian,
-        elbow_angle,
         position_residuals,
-        shoulder_wrist_distance,
     )
     from sklearn_raacmm.utils import FindingError, FindingWarning
 
@@ -50,13 +48,11 @@ __all__ = [
     "cross_validate_correction",
     "cylindrical_to_cartesian",
     "directions_of",
-    "elbow_angle",
     "learn_correction",
     "lengths_of_places",
     "plan_poses",
     "position_residuals",
     "search_table",
-    "shoulder_wrist_distance",
     "update_correction",
 ]
 

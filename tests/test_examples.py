@@ -20,7 +20,6 @@ SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
 # Pictures of each script, and a word that it prints; the others are shown by tests of their own.
 SHOWN = {
     "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
-    "plot_arm_poses": (1, ""),
     "plot_how_many_poses": (1, "poses"),
     "plot_learn_correction": (1, "It repeats better at new positions"),
     "plot_newrb": (1, "neurons, mean squared error"),
@@ -32,7 +31,7 @@ SHOWN = {
 }
 
 # `.ci/run doc` runs all of them, in full.
-QUICK = ("plot_arm_poses", "plot_newrb", "plot_ols_path", "plot_rbf_network")
+QUICK = ("plot_newrb", "plot_ols_path", "plot_rbf_network")
 # What makes a script quicker: fewer arms, fewer positions, no search of widths.
 QUICKER = {
     "plot_grid_search": (

@@ -37,14 +37,12 @@ from sklearn_raacmm import (
     cross_validate_correction,
     cylindrical_to_cartesian,
     display,
-    elbow_angle,
     export,
     learn_correction,
     metrics,
     plan_poses,
     position_residuals,
     search_table,
-    shoulder_wrist_distance,
     update_correction,
 )
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_gauge, make_single_point
@@ -163,15 +161,12 @@ FUNCTIONS = [
     ("position_residuals", position_residuals, "points groups weights"),
     ("cartesian_to_cylindrical", cartesian_to_cylindrical, "residuals azimuth"),
     ("cylindrical_to_cartesian", cylindrical_to_cartesian, "residuals azimuth"),
-    ("shoulder_wrist_distance", partial(shoulder_wrist_distance, ARM), "angles"),
-    ("elbow_angle", partial(elbow_angle, ARM), "angles"),
     ("2S", metrics.single_point_repeatability, "points groups"),
     ("interval", metrics.repeatability_interval, "points groups"),
     ("sphere", lambda points: metrics.fit_sphere(points)[2], "points"),
     ("axes", lambda points: metrics.axis_repeatability(points, GROUPS), "points"),
     ("R2", lambda p: metrics.within_position_r2_score(p, RESIDUALS, groups=GROUPS), "points"),
     ("gauge", partial(pairs, metrics.gauge_lengths), "points groups"),
-    ("block", partial(pairs, metrics.block_lengths), "points groups"),
     ("length_error", metrics.length_error, "mm mm_too"),
     ("size", partial(metrics.probing_size_error, diameter=10), "points"),
     ("form", metrics.probing_form_error, "points"),
@@ -189,7 +184,6 @@ FUNCTIONS = [
         "points groups",
     ),
     ("ResidualDisplay", partial(shown, display.ResidualDisplay, "before", arm=ARM), "angles"),
-    ("ArmPosesDisplay", partial(shown, display.ArmPosesDisplay, "chains", arm=ARM), "angles"),
     ("describe", lambda q: export.describe(FITTED, q)["training"]["rows"], "angles"),
     (
         "describe, positions",
@@ -312,8 +306,6 @@ FINE = {
     "Arm.frames-angles": ["no rows"],
     "Arm.jacobian-angles": ["no rows"],
     "Arm.azimuth-angles": ["no rows"],
-    "shoulder_wrist_distance-angles": ["no rows"],
-    "elbow_angle-angles": ["no rows"],
     "SimulatedArm.forward-angles": ["no rows"],
     "SimulatedArm.read-angles": ["no rows"],
     "update-angles": ["no rows"],
@@ -430,7 +422,6 @@ calibrated = partial(calibrate, ARM, ANGLES, GROUPS)
 updated = partial(update_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
 checked = partial(check_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
 interval = partial(metrics.repeatability_interval, TEST.points, TEST.groups)
-poses = partial(display.ArmPosesDisplay.from_predictions, ANGLES, RESIDUALS)
 
 
 def fitted(**params):
@@ -471,7 +462,6 @@ def refused():
     for function in (
         lambda arm: learn_correction(arm, *DATA[1:]),
         lambda arm: search_table(arm, *DATA[1:]),
-        lambda arm: elbow_angle(arm, TEST.data),
     ):
         yield function, "arm", [None, "aacmm6", MANY], "arm must be an Arm, got (None|str|ndarr)"
     for function in (updated, checked):
@@ -526,9 +516,6 @@ def refused():
     yield partial(repeatability, groups=GROUPS), "statistic", ["3s"], "'3s' is not"
     bars = partial(display.LengthErrorDisplay.from_predictions, y_pred=RESIDUALS, **BARS)
     yield bars, "points", [RESIDUALS], "not residuals"
-    yield poses, "max_poses", [0], "max_poses"
-    yield poses, "magnification", ["big"], "magnification must be"
-    yield poses, "arm", ["panda"], "must be an Arm"
     yield export.fingerprint, "model", [None], "not an estimator"
     yield partial(export.export_c, LINEAR, "a.c"), "card", [True, 3, ["card"]], "describe gives"
     for function in (partial(export.export_c, LINEAR), partial(app.read_table, n_joints=6)):
@@ -562,7 +549,6 @@ def test_what_an_option_cannot_take_gets_a_sentence(
         partial(cross_validate_correction, DATA[0], positions=TEST.groups),
         partial(update_correction, LINEAR, y=TEST.target, groups=TEST.groups),
         partial(check_correction, LINEAR, y=TEST.target, groups=TEST.groups),
-        partial(elbow_angle, TEST.arm),
     ],
     ids=lambda function: function.func.__name__,
 )

@@ -6,7 +6,7 @@
 from sklearn_raacmm.arm._arm import Arm
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
-from sklearn_raacmm.arm._given import arm_for, arm_or_built_in, check_arm
+from sklearn_raacmm.arm._given import arm_for, check_arm
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     axis_vectors,
@@ -23,7 +23,6 @@ __all__ = [
     "Arm",
     "angles_for",
     "arm_for",
-    "arm_or_built_in",
     "axis_vectors",
     "carried",
     "check_angles",

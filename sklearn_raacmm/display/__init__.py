@@ -9,11 +9,9 @@ Those of repeatability, gauge lengths and residuals are after Gao et al. (2020),
 
 from sklearn_raacmm.display._before_after import LengthErrorDisplay, RepeatabilityDisplay
 from sklearn_raacmm.display._harmonics import HarmonicDisplay
-from sklearn_raacmm.display._poses import ArmPosesDisplay
 from sklearn_raacmm.display._residuals import ResidualDisplay
 
 __all__ = [
-    "ArmPosesDisplay",
     "HarmonicDisplay",
     "LengthErrorDisplay",
     "RepeatabilityDisplay",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.utils import deviations_by_group, floats
+from sklearn_raacmm.utils import floats
 
 # Colours of Okabe and Ito, which colour-blind readers tell apart; shapes differ as well. Places
 # have no order, so that no line joins them.
@@ -61,31 +61,12 @@ class FittedDisplay:
         return display.from_predictions(*given, estimator.predict(X), **options)
 
 
-def before_and_after(n_rows, y, y_pred, groups):
-    """Residuals (n, 3) of so many poses, and what is left of them; None without a prediction."""
-    y = floats("y", y, 3)
-    if len(y) != n_rows:
-        raise ValueError(f"X has {n_rows} rows, but y {len(y)}.")
-    if y_pred is None:
-        return y, None
-    left = subtract(y, y_pred)
-    return y, left if groups is None else deviations_by_group(left, groups)[0]
-
-
 def subtract(points, correction):
     """Take a correction (n, 3) off points (n, 3), both checked."""
     correction = floats("correction", correction, 3)
     if len(correction) != len(points):
         raise ValueError(f"{len(points)} points, but a correction for {len(correction)}.")
     return points - correction
-
-
-def pyplot():
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError:
-        raise ImportError("Displays need matplotlib: pip install matplotlib.") from None
-    return plt
 
 
 def check_model(estimator):
@@ -98,7 +79,11 @@ def check_model(estimator):
 def axes_grid(axes, shape, **options):
     """Given axes in this shape, or new ones."""
     if axes is None:
-        return pyplot().subplots(*shape, squeeze=False, layout="constrained", **options)[1]
+        try:
+            import matplotlib.pyplot as plt
+        except ImportError:
+            raise ImportError("Displays need matplotlib: pip install matplotlib.") from None
+        return plt.subplots(*shape, squeeze=False, layout="constrained", **options)[1]
     axes = np.asarray(axes, dtype=object)
     if axes.size != np.prod(shape):
         raise ValueError(f"{axes.size} axes were given, but {np.prod(shape)} are needed.")

@@ -16,10 +16,11 @@ from sklearn_raacmm.display._drawing import (
     BEFORE,
     FittedDisplay,
     axes_grid,
-    before_and_after,
+    subtract,
     unit_of,
 )
 from sklearn_raacmm.residuals import PoseFeatures, cartesian_to_cylindrical
+from sklearn_raacmm.utils import deviations_by_group, floats
 
 _DOTS = {"linestyle": "", "marker": ".", "markersize": 4, "alpha": 0.5, "markeredgewidth": 0}
 # The band in which nine of ten residuals lie, over bins of equal numbers of poses.
@@ -124,10 +125,15 @@ class ResidualDisplay(FittedDisplay):
         features = PoseFeatures(arm, angle_unit=angle_unit, append_azimuth=True)
         columns = features.fit_transform(X)
         azimuth = np.arctan2(columns[:, 4], columns[:, 3])
-        before, left = before_and_after(len(columns), y, y_pred, groups)
+        y, left = floats("y", y, 3), None
+        if len(y) != len(columns):
+            raise ValueError(f"X has {len(columns)} rows, but y {len(y)}.")
+        if y_pred is not None:
+            left = subtract(y, y_pred)
+            left = left if groups is None else deviations_by_group(left, groups)[0]
         return cls(
             pose=columns[:, :3],
-            before=cartesian_to_cylindrical(before, azimuth),
+            before=cartesian_to_cylindrical(y, azimuth),
             after=None if left is None else cartesian_to_cylindrical(left, azimuth),
             feature_names=features.get_feature_names_out()[:3].tolist(),
             name=name,

@@ -9,7 +9,6 @@ at hand: a number from this module is no statement of conformance to any of them
 
 from sklearn_raacmm.metrics._acceptance import (
     articulated_location_error,
-    block_lengths,
     gauge_lengths,
     length_error,
     probing_form_error,
@@ -27,7 +26,6 @@ from sklearn_raacmm.metrics._spheres import fit_sphere
 __all__ = [
     "articulated_location_error",
     "axis_repeatability",
-    "block_lengths",
     "fit_sphere",
     "gauge_lengths",
     "length_error",

@@ -3,16 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.metrics import _spheres
 from sklearn_raacmm.utils import check_groups, floats, group_means
-
-# Points of a face that are this close to a line, by its length, do not determine a plane.
-_LEAST_SPREAD = 1e-3
 
 
 def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
@@ -44,58 +39,6 @@ def gauge_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.
     >>> gauge_lengths(points, ["a", "a", "b", "b"], [["a", "b"]])
     array([300.])
     """
-    means, ends, *_ = _ends(points, groups, pairs)
-    return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
-
-
-def block_lengths(points: ArrayLike, groups: ArrayLike, pairs: ArrayLike) -> np.ndarray:
-    """Measured lengths of gauge blocks: distances between their two parallel faces.
-
-    Parameters
-    ----------
-    points, groups, pairs
-        As in :func:`gauge_lengths`, of faces in place of cones; compensated for the radius of the
-        probe.
-
-    Returns
-    -------
-    lengths : ndarray of shape (n_lengths,)
-        In mm.
-
-    Raises
-    ------
-    ValueError
-        As :func:`gauge_lengths`; or if the points of two faces do not determine a plane.
-
-    Notes
-    -----
-    Both faces get planes with one common normal: the right singular vector of the least singular
-    value of the points less the mean of their face. Errors across the normal do not count.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm.metrics import block_lengths
-    >>> left = [[0, 0, 0], [0, 20, 0], [0, 0, 20]]
-    >>> right = [[100, 5, 5], [100, 25, 5], [100, 5, 25]]
-    >>> block_lengths([*left, *right], ["l", "l", "l", "r", "r", "r"], [["l", "r"]]).round(6)
-    array([100.])
-    """
-    means, ends, labels, left, position = _ends(points, groups, pairs)
-    lengths = []
-    for first, second in ends:
-        flat = left[np.isin(position, (first, second))]
-        sizes, directions = np.linalg.svd(flat, full_matrices=False)[1:]
-        if len(sizes) < 3 or sizes[1] < _LEAST_SPREAD * max(sizes[0], 1e-300):
-            raise ValueError(
-                f"The points on the faces {labels[first]} and {labels[second]} do not "
-                "determine a plane: measure at least three points on a face, not in one line."
-            )
-        lengths.append(abs((means[second] - means[first]) @ directions[2]))
-    return np.array(lengths)
-
-
-def _ends(points, groups, pairs) -> Any:
-    """Means of groups, both numbers (n_lengths, 2) of each pair, labels, deviations, codes."""
     points = floats("points", points, 3)
     labels, position = check_groups(groups, len(points))
     pairs = np.asarray(pairs)
@@ -108,7 +51,7 @@ def _ends(points, groups, pairs) -> Any:
         raise ValueError(f"pairs names the group {unknown!r}, which has no points.")
     means = group_means(points, position)
     ends = np.array(found, dtype=int).reshape(-1, 2)
-    return means, ends, labels, points - means[position], position
+    return np.linalg.norm(means[ends[:, 1]] - means[ends[:, 0]], axis=1)
 
 
 def length_error(measured: ArrayLike, calibrated: ArrayLike) -> np.ndarray:

@@ -47,7 +47,7 @@ FIRST_SAMPLE, LARGEST_SAMPLE = 500, 2000
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
-def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, rng):
+def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
@@ -63,7 +63,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernel, width, alpha, rng):
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
     sample, problem = set_up(degree)
-    kernels = AUTO_KERNELS if kernel == "auto" else (kernel,)
+    kernels = AUTO_KERNELS if estimator.kernel == "auto" else (estimator.kernel,)
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit)
     else:

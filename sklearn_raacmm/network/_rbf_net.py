@@ -56,16 +56,16 @@ class RBFNetRegressor(VersionedRegressor):
         the variance that they may leave [1]_. "auto" takes as many as make the network about as
         good as the process; more than 300 only where these are worth 2 % of the noise.
 
-    kernel : str or array-like of shape (n_outputs,), default="auto"
+    kernel : str, default="auto"
         Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "auto" takes the
         most probable, with a given `length_scale` "gaussian".
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
-        Width, in the units of X: a number, one for each feature, or a row of these for each output;
-        infinity leaves a feature out. "auto" finds one for each feature, "isotropic" one for all,
-        in units of their standard deviations.
+        Width, in the units of X: a number, or one for each feature; infinity leaves a feature out.
+        "auto" finds one for each feature, "isotropic" one for all, in units of their standard
+        deviations.
 
     alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
         Ridge, in units of the sum of sample weights: noise variance over signal variance. "auto"
@@ -175,7 +175,7 @@ class RBFNetRegressor(VersionedRegressor):
             Interval(Real, 0, 1, closed="neither"),
             StrOptions({"auto"}),
         ],
-        "kernel": [StrOptions({"auto", *KERNELS}), "array-like"],
+        "kernel": [StrOptions({"auto", *KERNELS})],
         "length_scale": [
             Interval(Real, 0, None, closed="neither"),
             StrOptions({"auto", "isotropic"}),
@@ -196,7 +196,7 @@ class RBFNetRegressor(VersionedRegressor):
         self,
         n_centers: int | float | str = "auto",
         *,
-        kernel: str | ArrayLike = "auto",
+        kernel: str = "auto",
         length_scale: ArrayLike | str = "auto",
         alpha: float | str = "auto",
         degree: int | str = "auto",
@@ -279,13 +279,12 @@ class RBFNetRegressor(VersionedRegressor):
         rng = check_random_state(self.random_state)
         rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
         q = rows.Y.shape[1]
-        kernels, widths, alpha = check_parameters(self, rows.X, q)
+        width, alpha = check_parameters(self, rows.X, q)
         state, found = rng.get_state(), []
         for of in [np.arange(q)] if self.shared else np.arange(q)[:, None]:
             rng.set_state(state)  # each as if it were alone
-            width = None if widths is None else widths[of[0]]
-            given = kernels[of[0]], width, None if alpha is None else alpha[of]
-            found.append(fit_outputs(self, rows, elsewhere, of, *given, rng))
+            ridge = None if alpha is None else alpha[of]
+            found.append(fit_outputs(self, rows, elsewhere, of, width, ridge, rng))
         fits, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
         if values[0] is not None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows, is_dask
-from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
     LARGEST,
@@ -76,7 +75,7 @@ def _refuse_tiny(name, array):
 
 
 def check_parameters(estimator, X, n_outputs):
-    """Kernel of every output, widths (q, d) and ridges (q,); None where they are to be found."""
+    """Widths (d,) and ridges (q,); None where they are to be found."""
     alpha = estimator.alpha
     if isinstance(alpha, str):
         alpha = None
@@ -90,59 +89,39 @@ def check_parameters(estimator, X, n_outputs):
         if not np.all((alpha >= 0) & np.isfinite(alpha)):
             raise ValueError(f"alpha must be finite and not negative; got {estimator.alpha!r:.60}.")
         alpha = np.broadcast_to(alpha, n_outputs).copy()
-    widths = _check_length_scale(estimator.length_scale, X, n_outputs, alpha, estimator.shared)
+    width = _check_length_scale(estimator.length_scale, X, alpha)
     if estimator.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
         raise ValueError(
             'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
             f"or the share of variance they may leave; got a least alpha of {alpha.min():g}."
         )
-    return _check_kernel(estimator.kernel, estimator.length_scale, n_outputs), widths, alpha
+    return width, alpha
 
 
-def _check_kernel(kernel, length_scale, n_outputs):
-    """Kernel of every output as a list, which given widths have to go with."""
-    if isinstance(kernel, str):
-        return [kernel] * n_outputs
-    names = np.asarray(kernel)
-    if names.shape != (n_outputs,) or not all(name in KERNELS for name in names.tolist()):
-        raise ValueError(
-            f"kernel must be a name, or one of {', '.join(KERNELS)} for each of the {n_outputs} "
-            f"outputs; got {kernel!r:.60}."
-        )
-    if np.ndim(length_scale) != 2:
-        raise ValueError(
-            "A kernel for each output needs length_scale of shape (n_outputs, n_features), too."
-        )
-    return names.tolist()
-
-
-def _check_length_scale(length_scale, X, n_outputs, alpha, shared):
-    """Widths of every feature for every output (q, d); None where they are to be found."""
+def _check_length_scale(length_scale, X, alpha):
+    """Width of every feature (d,); None where they are to be found."""
     if isinstance(length_scale, str):
         return None
     width, d = floats("length_scale", length_scale), X.shape[1]
-    if width.shape not in ((), (d,), (n_outputs, d)):
+    if width.shape not in ((), (d,)):
         raise ValueError(
             f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
-            f"of the {d} features, or such a row for each of the {n_outputs} outputs."
+            f"of the {d} features."
         )
-    if shared and width.ndim == 2:
-        raise ValueError("length_scale has a row for each output, which shared=True rules out.")
     if not np.all(width >= 1 / LARGEST):
         raise ValueError(
             f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r:.60}."
         )
-    width = np.broadcast_to(width, (n_outputs, d)).copy()
+    width = np.broadcast_to(width, d).copy()
     ranges = np.ptp(X, axis=0)
-    widths_in_range = ranges / width
-    row, i = np.unravel_index(np.argmax(widths_in_range), width.shape)
-    if widths_in_range[row, i] > _MAX_RANGE:
+    i = np.argmax(ranges / width)
+    most = ranges[i] / width[i]
+    if most > _MAX_RANGE:
         raise ValueError(
-            f"length_scale is {width[row, i]:g} for feature {i}, whose range is {ranges[i]:g}: "
-            f"more than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
+            f"length_scale is {width[i]:g} for feature {i}, whose range is {ranges[i]:g}: more "
+            f"than {_MAX_RANGE:g} times as wide, which double precision does not resolve."
         )
-    most = widths_in_range.max(axis=1)
-    if alpha is not None and alpha.min() == 0 and np.any((most > 0) & (most * _MAX_WIDTH < 1)):
+    if alpha is not None and alpha.min() == 0 and 0 < most * _MAX_WIDTH < 1:
         raise ValueError(
             f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
             "alpha=0 double precision does not tell the radial functions from a constant."

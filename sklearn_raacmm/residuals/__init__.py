@@ -14,13 +14,8 @@ from sklearn_raacmm.residuals._cylindrical import (
     cylindrical_to_cartesian,
     position_residuals,
 )
-from sklearn_raacmm.residuals._earlier import bp_network_chain, database_chain, polynomial_chain
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
-from sklearn_raacmm.residuals._pose_features import (
-    PoseFeatures,
-    elbow_angle,
-    shoulder_wrist_distance,
-)
+from sklearn_raacmm.residuals._pose_features import PoseFeatures
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 __all__ = [
@@ -28,13 +23,8 @@ __all__ = [
     "CylindricalResidualTarget",
     "PointCorrectionMixin",
     "PoseFeatures",
-    "bp_network_chain",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
-    "database_chain",
-    "elbow_angle",
     "found_positions",
-    "polynomial_chain",
     "position_residuals",
-    "shoulder_wrist_distance",
 ]

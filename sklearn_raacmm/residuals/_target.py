@@ -13,10 +13,11 @@ from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
+from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
 from sklearn.utils import _safe_indexing, check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, has_fit_parameter, validate_data
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements import check_targets, find_dwells
@@ -29,14 +30,7 @@ from sklearn_raacmm.residuals._cylindrical import (
     without_direction,
 )
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
-from sklearn_raacmm.residuals._positions import (
-    before_last,
-    constants_of,
-    is_linear,
-    last_step_of,
-    n_features_of,
-    takes_groups,
-)
+from sklearn_raacmm.residuals._steps import before_last, last_step_of, n_features_of
 from sklearn_raacmm.utils import (
     Floats,
     Pair,
@@ -93,10 +87,9 @@ class CylindricalResidualTarget(PointCorrectionMixin):
 
     A single-point test shows the residuals of a position up to one constant, and `groups` says
     which rows are of one position. A regressor whose `fit` takes groups is handed them, with
-    metadata routing off or on, if there are more positions than features. For least squares, ridge,
-    kernel ridge and Gaussian processes the constants are estimated here, exactly, by one more fit.
-    Others are fitted as without labels. Residuals whose means at the positions are not small are
-    known in full, as those against a tracker, and have no constants.
+    metadata routing off or on, if there are more positions than features. Others are fitted as
+    without labels. Residuals whose means at the positions are not small are known in full, as those
+    against a tracker, and have no constants.
 
     A target of one dimension or one column has no direction and passes through unrotated; so
     does one of more than three columns if no azimuth is known.
@@ -206,16 +199,13 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             for finding in check_targets(target, weights, arm, angles, codes, offsets):
                 finding.report()
             target = to_cylindrical(target, direction)
-        routing = get_config()["enable_metadata_routing"]
-        if routing:
+        if get_config()["enable_metadata_routing"]:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
         self.regressor_: Any = clone(self._get_regressor())
         self.by_position_: bool = False
         try:
             if codes is not None:
-                target, fit_params = self._by_position(
-                    features, target, groups, codes, fit_params, routing
-                )
+                fit_params = self._by_position(features, target, groups, codes, fit_params)
             self.regressor_.fit(features, target, **fit_params)
         except ValueError as error:
             if target.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
@@ -227,26 +217,24 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             ) from error
         return self
 
-    def _by_position(self, features, y, groups, codes, fit_params, routing):
-        """Targets less the constants of positions, and the regressor's parameters with groups."""
+    def _by_position(self, features, y, groups, codes, fit_params):
+        """The regressor's parameters in `fit`, with groups where it takes them."""
         last, prefix = last_step_of(self.regressor_)
-        takes, knows = takes_groups(last)
-        if routing:  # by request, under names without a prefix
+        knows = has_fit_parameter(last, "groups")
+        if get_config()["enable_metadata_routing"]:  # by request, under names without a prefix
             prefix = ""
             if knows:
                 last.set_fit_request(groups=True)
         weights = check_weights(fit_params.get(f"{prefix}sample_weight"), y.reshape(len(y), -1))
         self.by_position_ = are_deviations(y, codes, weights)
-        # With no more positions than features a linear function of these imitates any constants:
-        # what is learnt besides them went wrong by up to a third at places far from all positions
-        # (``benchmarks/bench_chain.py``, ten positions, all joints).
-        known = self.by_position_ and knows
-        if takes and not (known and codes.max() < n_features_of(self.regressor_, features, y)):
+        if knows and self.by_position_:
+            # With no more positions than features a linear function of these imitates any
+            # constants: what is learnt besides them went wrong by up to a third at places far from
+            # all positions (``benchmarks/bench_chain.py``, ten positions, all joints).
+            knows = codes.max() >= n_features_of(self.regressor_, features, y)
+        if knows or isinstance(last, BaseSearchCV):  # a search only splits by them
             fit_params = {f"{prefix}groups": groups} | fit_params
-        if self.by_position_ and not knows and is_linear(self.regressor_):
-            constants = constants_of(self.regressor_, features, y, codes, weights, fit_params)
-            y = y - constants[codes]
-        return y, fit_params
+        return fit_params
 
     @overload
     def predict(self, X: ArrayLike, *, return_std: Literal[True], **options: Any) -> Pair: ...

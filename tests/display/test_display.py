@@ -14,7 +14,6 @@ from sklearn.linear_model import LinearRegression
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.display import (
-    ArmPosesDisplay,
     HarmonicDisplay,
     LengthErrorDisplay,
     RepeatabilityDisplay,
@@ -175,54 +174,6 @@ def test_residuals_turn_with_the_arm(cone, model):
     assert display.axes_[2, 2].get_xlabel() == "theta_dis (deg)"
 
 
-@pytest.mark.parametrize("name", ["aacmm6", "panda", "ur10"])
-def test_stick_figures_have_the_links_lengths(name):
-    arm = Arm.from_name(name)
-    angles = np.random.default_rng(0).uniform(-2, 2, (5, arm.n_joints))
-    display = ArmPosesDisplay.from_predictions(angles, np.full((5, 3), 0.1), arm=arm)
-    sides = np.linalg.norm(np.diff(display.chains, axis=1), axis=2)
-    first, second = (arm.d, arm.a) if arm.convention == "standard" else (arm.a, arm.d)
-    assert_allclose(sides[:, 0:-1:2], np.abs([first] * 5), atol=1e-9)
-    assert_allclose(sides[:, 1:-1:2], np.abs([second] * 5), atol=1e-9)
-    assert_allclose(sides[:, -1], np.linalg.norm(arm.probe), atol=1e-9)
-    assert_allclose(display.chains[:, -1], arm.forward(angles))
-    # Sides of one corner are square to each other.
-    corner = np.diff(display.chains, axis=1)
-    assert_allclose(np.einsum("nij,nij->ni", corner[:, 0:-1:2], corner[:, 1:-1:2]), 0, atol=1e-6)
-
-
-def test_poses_stand_on_their_residuals(plt, cone, model):
-    rows = cone.groups == 1
-    X, y, labels = cone.data[rows], cone.target[rows], cone.groups[rows]
-    display = ArmPosesDisplay.from_estimator(
-        model, X, y, arm=cone.arm, groups=labels, name="linear", max_poses=3
-    )
-    lines = {line.get_label(): np.array(line.get_data_3d()).T for line in display.ax_.get_lines()}
-    left = y - model.predict(X)
-    for name, residuals in {"before": y, "linear": left - left.mean(axis=0)}.items():
-        tips, ends = lines[name][0::3], lines[name][1::3]
-        assert_allclose(tips, cone.points[rows])
-        drawn = (ends - tips) / display.magnification_
-        assert_allclose(drawn, residuals, atol=1e-9)
-    assert sum(len(line.get_data_3d()[0]) == 14 for line in display.ax_.get_lines()) == 3
-    longest = display.magnification_ * np.linalg.norm(y, axis=1).max()
-    extent = np.ptp(display.chains.reshape(-1, 3), axis=0).max()
-    assert 0.12 <= longest / extent <= 0.3
-    assert f"3 of {rows.sum()} poses; residuals x" in display.ax_.get_title()
-    # In degrees, on axes that are there; no residuals at all.
-    ax = plt.figure().add_subplot(projection="3d")
-    again = ArmPosesDisplay.from_predictions(
-        np.rad2deg(X), 0 * y, arm=cone.arm, angle_unit="deg", ax=ax
-    )
-    assert again.ax_ is ax
-    assert again.magnification_ == 1
-    again.figure_.canvas.draw()
-    assert_allclose(again.chains, display.chains)
-    assert again.plot(ax, magnification=50).magnification_ == 50
-    with pytest.raises(ValueError, match="axes are flat"):
-        again.plot(plt.figure().add_subplot())
-
-
 def test_given_axes_are_used(plt, cone, gauge, bars, model):
     _, axes = plt.subplots(4, 3)
     correction = model.predict(cone.data)
@@ -266,13 +217,6 @@ def test_a_perfect_arm_is_drawn_without_warnings():
     )
     display.figure_.canvas.draw()
     assert display.before.tolist() == [0.0]
-
-
-@pytest.mark.parametrize("bad", [{"max_poses": 0}, {"magnification": "big"}])
-def test_what_is_refused_leaves_no_empty_figure(cone, plt, bad):
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        ArmPosesDisplay.from_predictions(cone.data, cone.target, arm=cone.arm, **bad)
-    assert not plt.get_fignums()
 
 
 def test_matplotlib_is_imported_when_something_is_drawn():

@@ -221,7 +221,6 @@ def test_articulated_location_from_probed_points_is_that_of_the_centres():
 
 OK_POINTS = np.zeros((4, 3))
 OK_GROUPS = [1, 1, 2, 2]
-LINES = np.array([[x, 0.0, z] for z in (0, 50) for x in range(4)])
 
 
 @pytest.mark.parametrize(
@@ -240,8 +239,6 @@ LINES = np.array([[x, 0.0, z] for z in (0, 50) for x in range(4)])
         ("within_position_r2_score", [OK_POINTS, OK_POINTS], {"groups": OK_GROUPS}, "does not vary"),
         ("gauge_lengths", [OK_POINTS, OK_GROUPS, [[1, 3]]], {}, "group 3, which has no points"),
         ("gauge_lengths", [OK_POINTS, OK_GROUPS, [1, 2]], {}, r"shape \(2,\)"),
-        ("block_lengths", [LINES, [*"aaaabbbb"], [("a", "b")]], {}, "faces a and b do not determine a plane"),
-        ("block_lengths", [LINES[[0, 4]], ["a", "b"], [("a", "b")]], {}, "do not determine a plane"),
         ("length_error", [[300, 300], [300, 300, 300]], {}, "2 measured .* 3 calibrated"),
         ("length_error", [[300, -300], 300], {}, "1 of 2 values"),
         ("probing_size_error", [np.eye(3), 1], {}, "at least 4 points, got 3"),
@@ -261,31 +258,6 @@ def test_a_scorer_refuses_masked_rows():
     scorer = metrics.repeatability_scorer(rows, OK_GROUPS)
     with pytest.raises(ValueError, match=r"^X has 1 of 12 values masked"):
         scorer(Ridge(), np.ma.masked_equal(rows, 5), OK_POINTS)
-
-
-def test_blocks_of_any_direction_by_construction():
-    """Two faces of a turned block: its length, whatever the points' places on the faces."""
-    rng = np.random.default_rng(0)
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    noise = 0.002
-    points, groups, pairs = [], [], []
-    for block, length in enumerate((25.0, 100.0, 100.0)):
-        for face, height in enumerate((0.0, length)):
-            flat = np.column_stack([rng.uniform(-15, 15, (40, 2)), np.full(40, height)])
-            points.append((flat + rng.normal(scale=noise, size=flat.shape)) @ rotation.T + 300)
-            groups += [f"{block}, {face}"] * 40
-        pairs.append((f"{block}, 0", f"{block}, 1"))
-    points = np.vstack(points)
-    found = metrics.block_lengths(points, groups, pairs)
-    # The means of 40 points each, and a tilt of about noise / 15 over their distance aside.
-    assert_allclose(found, [25, 100, 100], atol=6 * noise / np.sqrt(40))
-    reverse = [pair[::-1] for pair in pairs]
-    assert_allclose(metrics.block_lengths(points, groups, reverse), found)
-    # Errors across the normal do not count: from mean to mean they would.
-    moved = points.copy()
-    moved[np.array(groups) == "1, 1"] += 40.0 * rotation[:, 0]
-    assert_allclose(metrics.block_lengths(moved, groups, pairs), found, atol=noise)
-    assert metrics.gauge_lengths(moved, groups, pairs)[1] > found[1] + 1
 
 
 # -- intervals of the repeatability, against the chi-square distribution ---------------------------

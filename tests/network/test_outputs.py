@@ -36,17 +36,14 @@ def model(data):
 
 @pytest.fixture(scope="module")
 def given():
-    """Data, and a network of which kernel and widths of every output are given."""
+    """Data of outputs that differ in roughness, and their networks."""
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (90, 2))
     Y = np.column_stack([np.sin(k * X[:, 0]) + X[:, 1] for k in (1, 3, 2)])
-    params = {
-        "kernel": ["gaussian", "matern52", "matern32"],
-        "length_scale": [[1, 2], [0.4, np.inf], [0.7, 0.9]],
-        "alpha": [0.02, 0.04, 0.06],
-    }
+    Y[:, 2] = np.abs(X).sum(axis=1)
     Y += 0.05 * rng.standard_normal(Y.shape)
-    return X, Y, rng.uniform(-2.5, 2.5, (40, 2)), RBFNetRegressor(**params, degree=1).fit(X, Y)
+    model = RBFNetRegressor(alpha=[0.02, 0.04, 0.02], degree=1, random_state=0).fit(X, Y)
+    return X, Y, rng.uniform(-2.5, 2.5, (40, 2)), model
 
 
 def test_each_output_has_the_network_that_it_would_have_alone(given):
@@ -54,12 +51,10 @@ def test_each_output_has_the_network_that_it_would_have_alone(given):
     mean, std = model.predict(T, return_std=True)
     _, covariance = model.predict(T, return_cov=True, with_noise=False)
     slope = model.predict_gradient(T)
+    assert len(set(model.kernel_)) == 2
     start = 0
     for i in range(3):
-        own = clone(model).set_params(
-            kernel=model.kernel[i], length_scale=model.length_scale[i], alpha=model.alpha[i]
-        )
-        own.fit(X, Y[:, i])
+        own = clone(model).set_params(alpha=model.alpha[i]).fit(X, Y[:, i])
         own_mean, own_std = own.predict(T, return_std=True)
         np.testing.assert_allclose(mean[:, i], own_mean, rtol=0, atol=1e-12)
         np.testing.assert_allclose(std[:, i], own_std, rtol=1e-12)
@@ -125,10 +120,9 @@ def test_the_order_of_outputs_does_not_matter(data, shared):
     np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_what_has_been_found_can_be_given(data, shared):
+def test_what_has_been_found_can_be_given(data):
     X, Y, T = data
-    model = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y)
+    model = RBFNetRegressor(shared=True, random_state=0).fit(X, Y)
     again = clone(model).set_params(
         kernel=model.kernel_, length_scale=model.length_scale_, alpha=model.alpha_
     )

@@ -132,13 +132,8 @@ def test_a_ridge_bounds_predictions_everywhere(seed):
         ({"length_scale": [1.0, -2.0]}, "must be positive"),
         ({"length_scale": [1.0, np.nan]}, "must be positive"),
         ({"alpha": 0.0}, 'n_centers="auto" needs alpha > 0.*least alpha of 0'),
-        ({"length_scale": np.ones((3, 2))}, r"shape \(3, 2\).*2 features.*each of the 2 outputs"),
-        ({"kernel": ["gaussian", "matern52"]}, "needs length_scale of shape"),
-        ({"kernel": ["gaussian"], "length_scale": np.ones((2, 2))}, "for each of the 2 outputs"),
-        ({"kernel": ["auto", "gaussian"], "length_scale": np.ones((2, 2))}, "must be a name"),
-        ({"length_scale": [[1.0, 1.0], [1.0, 0.0]]}, "length_scale must be positive"),
-        ({"length_scale": [[1.0, 1.0], [1.0, 1e-9]]}, "does not resolve"),
-        ({"length_scale": np.ones((2, 2)), "shared": True}, "which shared=True rules out"),
+        ({"length_scale": np.ones((2, 2))}, r"shape \(2, 2\).*2 features"),
+        ({"length_scale": [1.0, 1e-9]}, "does not resolve"),
     ],
 )
 def test_bad_parameters(params, match):
