@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._figures import draw_arm
 from sklearn_raacmm.app._files import load_arm, parse_numbers
-from sklearn_raacmm.app._sources import TableError, check_installed, parse_number
+from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, write_whole
 
@@ -61,10 +60,9 @@ def arm(options):
         raise TableError("--modified and --probe belong to --dh.")
     if options.into and not options.out:
         raise TableError("--into needs --out, the file to write; it may be the same file.")
-    outputs = [path for path in (options.out, options.picture) if path and path != "-"]
-    check_places(outputs, filter(None, [options.source, options.dh]))
-    if options.picture:
-        check_installed("matplotlib")
+    to_file = options.out not in (None, "-")
+    if to_file:
+        check_places([options.out], filter(None, [options.source, options.dh]))
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
@@ -75,11 +73,9 @@ def arm(options):
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
     if options.out == "-":
         options.stdout.write(text)
-    made = {options.out: text, options.picture: options.picture and draw_arm(shown)}
-    written = {path: made[path] for path in outputs}
-    write_whole(written)
-    for path in written:
-        print(f"Written to {path}")
+    if to_file:
+        write_whole({options.out: text})
+        print(f"Written to {options.out}")
     return 0, json.loads(shown.to_json())
 
 

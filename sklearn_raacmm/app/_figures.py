@@ -33,27 +33,32 @@ _TITLES = {
     "joints": "Deviation against the angle of each joint",
     "volume": "Points of the probe and poses of the arm",
     "lengths": "Errors of known lengths, before and after",
-    "arm": "The arm at zero from two sides",
     "plan": "Where the cones stand, and poses that reach them",
 }
 
 
-def make_svg(draw, name, style=None):
-    """A whole SVG file of what `draw` draws into a figure; names in the file come from `name`.
-
-    Its title, which screen readers read, is that of the name.
-    """
+def _svg(draw, name):
+    """SVG element of what `draw` draws into a figure; its names and its title come from `name`."""
     import matplotlib
     from matplotlib.figure import Figure
 
     file = io.StringIO()
     plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
     about = {"Date": None, "Creator": None, "Title": _TITLES[name]}
-    with matplotlib.rc_context(plain | (style or {})):
+    with matplotlib.rc_context(plain | _STYLE):
         figure = Figure(layout="constrained")
         draw(figure)
         figure.savefig(file, format="svg", metadata=about)
-    return file.getvalue().replace("<svg ", '<svg role="img" ', 1)
+    text = file.getvalue()
+    # The element alone, which screen readers name by its title.
+    text = text[text.index("<svg") :].replace("<svg ", '<svg role="img" ', 1)
+    text = text.replace(_INK, "currentColor")
+    # Groups are named alike in every figure, and nothing refers to them.
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    # The figure is as wide as the page, not as matplotlib's inches.
+    for side in ("width", "height"):
+        text = re.sub(rf'(<svg[^>]*?) {side}="[^"]*"', r"\1", text, count=1)
+    return text
 
 
 def draw_figures(result, limit_mm=None):
@@ -65,18 +70,7 @@ def draw_figures(result, limit_mm=None):
     }
     if result.scores.lengths:
         draws["lengths"] = lambda figure: _lengths(figure, result.scores)
-    return {name: _on_page(make_svg(draw, name, _STYLE)) for name, draw in draws.items()}
-
-
-def _on_page(text):
-    """The element alone, in the colour of the page's text."""
-    text = text[text.index("<svg") :].replace(_INK, "currentColor")
-    # Groups are named alike in every figure, and nothing refers to them.
-    text = re.sub(r'<g id="[^"]*"', "<g", text)
-    # The figure is as wide as the page, not as matplotlib's inches.
-    for side in ("width", "height"):
-        text = re.sub(rf'(<svg[^>]*?) {side}="[^"]*"', r"\1", text, count=1)
-    return text
+    return {name: _svg(draw, name) for name, draw in draws.items()}
 
 
 def _positions(figure, scores, limit_mm):
@@ -160,34 +154,6 @@ def _lengths(figure, scores):
     ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
 
 
-def draw_arm(arm):
-    """Links, axes of the joints and probe of an arm, all angles at zero, as a whole SVG file."""
-    zero = np.zeros((1, arm.n_joints))
-    frames, probe = arm.frames(zero)[0], arm.forward(zero)
-    corners = np.concatenate([frames[:, :, 3], probe])
-    # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
-    first = 0 if arm.convention == "standard" else 1
-    length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
-
-    def draw(figure):
-        figure.set_size_inches(8, 4)
-        views = ((0, "x and z, mm"), (1, "y and z, mm"))
-        for ax, (across, title) in zip(figure.subplots(1, 2), views, strict=True):
-            ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
-            for i in range(arm.n_joints):
-                axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
-                ends = origin + length * np.outer([-1, 1], axis)
-                ax.plot(ends[:, across], ends[:, 2], color=_AFTER, linewidth=1)
-                # Seen along itself an axis is a point.
-                ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
-                ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
-            ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
-            ax.set(title=title, aspect="equal")
-
-    return make_svg(draw, "arm")
-
-
 def draw_plan(arm, plan):
     """Where the cones of a plan stand, with their numbers and some of its poses, as an element."""
-    page = make_svg(lambda fig: _volume(fig, arm, plan.angles, plan.positions), "plan", _STYLE)
-    return _on_page(page)
+    return _svg(lambda figure: _volume(figure, arm, plan.angles, plan.positions), "plan")

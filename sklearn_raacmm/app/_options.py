@@ -65,7 +65,7 @@ WORDS = {
         "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --up --sign --zero --into --out --picture",
+        "--modified --probe --up --sign --zero --into --out",
     ),
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -193,7 +193,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
     "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),
     "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
-    "--picture": _value("SVG", "picture of the arm and its axes"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
     "--poses": _number("N", "poses in each cone (12)", int, default=12),
     "--json": _flag("print the result as JSON"),
