@@ -156,7 +156,7 @@ def export(options):
     check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
     saved = load_correction(options.model)
     print_notes([saved.verdict] * (not saved.helps))
-    if (unnamed := find_unnamed_probe(saved)) and not (options.c and options.any_probe):
+    if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: what is written is for this one."])
     paths, fade = [], False if options.fade == "none" else options.fade
     if options.c:
@@ -165,9 +165,8 @@ def export(options):
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
         paths += export_c(
-            saved.model, source, std=options.std, card=card, poses="random",
-            any_probe=options.any_probe, fade=fade,
-        )  # fmt: skip
+            saved.model, source, std=options.std, card=card, poses="random", fade=fade
+        )
         paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
         to_onnx(saved.model, options.onnx, fade=fade)

@@ -59,7 +59,7 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std --any-probe --fade",
+        "--model --c --onnx --name --std --fade",
     ),
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
@@ -166,7 +166,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("standard deviations in C, too"),
-    "--any-probe": _flag("functions in C take the vector of the probe, too"),
     "--fade": _choice(
         ("small", "exact", "none"),
         "how it fades where little is known: by small tables, as in Python, not at all",

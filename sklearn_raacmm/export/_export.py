@@ -22,9 +22,9 @@ from sklearn_raacmm.export._proof import SINGLE_SUMS, check_answers, make_test_r
 from sklearn_raacmm.utils import check_flags, write_whole
 
 
-def _check(card, fade, **flags):
+def _check(card, fade, std):
     """Refuse what cannot be one of these parameters."""
-    check_flags(**flags)
+    check_flags(std=std)
     check_fade(fade)
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
@@ -39,7 +39,6 @@ def export_c(
     std: bool = False,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
-    any_probe: bool = False,
     fade: Any = "small",
 ) -> tuple[Path, Path]:
     r"""Write a fitted model as one C99 file and its header.
@@ -96,11 +95,6 @@ def export_c(
         Rows that the model was fitted on, or others that it will see; "random" takes random ones.
         With them comes, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
         ``predict`` gives.
-
-    any_probe : bool, default=False
-        Whether the functions take the vector of the probe: three more numbers in mm at the end of
-        a row. They then give what ``model.with_arm`` of an arm with this probe predicts. For an
-        :class:`ArmResidualRegressor` without temperatures; `fade` "small" is then "exact".
 
     fade : {"small", "exact", False}, default="small"
         How a correction of :class:`ArmResidualRegressor` fades where the model knows little:
@@ -159,13 +153,13 @@ def export_c(
             f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
-    _check(card, fade, std=std, any_probe=any_probe)
+    _check(card, fade, std)
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
         raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
     given = None if isinstance(poses, str) and poses == "random" else poses
-    exact = build_program(model, std, any_probe)
-    rows = make_test_rows(model, given, std, dtype, any_probe)
-    program, notes = _faded(model, exact, rows, given, fade, std, any_probe)
+    exact = build_program(model, std)
+    rows = make_test_rows(model, given, std, dtype)
+    program, notes = _faded(model, exact, rows, given, fade, std)
     sums = program is not exact and bool(fade)  # of single precision, from small tables
     small = {"limit": SINGLE_SUMS, "of": "the same tables summed in double precision"}
     notes += _check_in_c(program, rows, dtype, **(small if sums else {}))
@@ -182,13 +176,13 @@ def export_c(
     return path, header_path
 
 
-def _faded(model, exact, rows, poses, fade, std, any_probe=False):
+def _faded(model, exact, rows, poses, fade, std):
     """The program of a model that fades in this way, and what a file has to say of it.
 
     Where this is not as in ``predict``, the exact program is compared with that, and `rows` get
     what the other one gives.
     """
-    if "trust" not in exact.outputs or fade == "exact" or any_probe:
+    if "trust" not in exact.outputs or fade == "exact":
         return exact, []
     check_answers("the exact program", rows, run(exact, rows["X"]))
     program = build_program(model, std, fade=fade, poses=poses)
@@ -297,7 +291,7 @@ def to_onnx(
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    _check(card, fade, std=std)
+    _check(card, fade, std)
     exact = build_program(model, std)
     rows = make_test_rows(model, poses, std)
     program, notes = _faded(model, exact, rows, poses, fade, std)
