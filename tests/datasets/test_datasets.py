@@ -421,21 +421,13 @@ def test_one_machine_can_be_measured_again_and_again():
     )
 
 
-def test_forms_of_the_data():
-    pandas = pytest.importorskip("pandas")
+def test_residuals_are_from_the_mean_of_each_position():
     plain = make_single_point(2, 5)
     assert plain.data.shape == (10, 6)
     assert_allclose(
         plain.target,
         plain.points - np.repeat([plain.points[:5].mean(0), plain.points[5:].mean(0)], 5, axis=0),
     )
-    X, y, groups = make_single_point(2, 5, return_X_y=True, as_frame=True)
-    assert list(X) == ["theta1", "theta2", "theta3", "theta4", "theta5", "theta6"]
-    assert list(y) == ["dx", "dy", "dz"]
-    assert isinstance(groups, pandas.Series)
-    assert_array_equal(X, plain.data)
-    frame = make_single_point(2, 5, as_frame=True).frame
-    assert list(frame) == [*X, *y, "position"]
 
 
 @pytest.mark.parametrize("field", [f.name for f in fields(ArmErrors)])
