@@ -61,10 +61,10 @@ def _svg(draw, name):
     return text
 
 
-def draw_figures(result, limit_mm=None):
-    """Figures of a Correction as SVG elements, by name; `limit_mm` of 2S is in the first."""
+def draw_figures(result):
+    """Figures of a Correction as SVG elements, by name."""
     draws = {
-        "positions": lambda figure: _positions(figure, result.scores, limit_mm),
+        "positions": lambda figure: _positions(figure, result.scores),
         "joints": lambda figure: _joints(figure, result),
         "volume": lambda figure: _volume(figure, result.arm, result.angles),
     }
@@ -73,10 +73,10 @@ def draw_figures(result, limit_mm=None):
     return {name: _svg(draw, name) for name, draw in draws.items()}
 
 
-def _positions(figure, scores, limit_mm):
+def _positions(figure, scores):
     figure.set_size_inches(7.2, 3.2)
     order = natural_order(scores.table["position"])
-    display = RepeatabilityDisplay(
+    RepeatabilityDisplay(
         before=scores.table["before"][order],
         after=scores.table["after"][order],
         positions=np.asarray(scores.table["position"])[order],
@@ -84,10 +84,6 @@ def _positions(figure, scores, limit_mm):
         before_interval=_intervals(scores, scores.left_before)[order],
         after_interval=_intervals(scores, scores.left_after)[order],
     ).plot(figure.subplots())
-    if limit_mm is not None:
-        limit = limit_mm * (1000 if display.unit_ == "µm" else 1)
-        display.ax_.axhline(limit, color=_INK, linestyle="--", linewidth=1)
-        display.ax_.set_ylim(top=max(display.ax_.get_ylim()[1], 1.5 * limit))  # below the legend
 
 
 def _intervals(scores, left):

@@ -19,7 +19,7 @@ _EPILOG = (
 
 
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
-_LEARNING = "--limit-2s --folds --jobs --open --force"
+_LEARNING = "--folds --jobs --open --force"
 _CAUSES = "--extra --tool"
 _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
@@ -27,7 +27,7 @@ _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 WORDS = {
     "learn": (
         "_commands", "calibrate an arm, learn a correction, judge it, report",
-        "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
+        "raacmm learn cone_test.csv --arm my_arm.json --out my_arm",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
         f"--lengths --places --length-sd {_CAUSES} --block --like --take --serial --operator",
     ),
@@ -148,7 +148,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     "--block": _value("COLUMN", "column of what holds positions that are left out together"),
     # -- learning
-    "--limit-2s": _number("MM", "limit of the mean 2S to judge by"),
     "--folds": _number("N", "times that some positions are left out (5)", int),
     "--jobs": _number("N", "folds computed at the same time (1)", int),
     "--open": _flag("open the report in the browser"),

@@ -137,7 +137,7 @@ def learned(tmp_path_factory, machine):
     write_log(folder / "log.csv", readings, cones)
     (folder / "arm.urdf").write_text(URDF)
     arguments = f"learn {folder}/log.csv --arm {folder}/arm.urdf --out {folder}/out --folds 4"
-    code = main([*arguments.split(), "--limit-2s", "0.05", "--serial", "S 17", "--operator", "Jö"])
+    code = main([*arguments.split(), "--serial", "S 17", "--operator", "Jö"])
     return folder / "out", code, readings, cones
 
 
@@ -297,8 +297,6 @@ def test_learn_against_a_tracker_without_labels(tmp_path, capsys, refused):
     printed = capsys.readouterr().out
     assert "It helps at new positions: mean deviation" in printed
     assert "region 05" in printed
-    limit = ["--limit-2s", "0.1", "--force"]
-    refused("not for a tracker's points", *arguments.split(), *limit)
     refused("with --position NAME", "check", tmp_path / "t.csv", "--model", tmp_path)
 
 

@@ -209,7 +209,6 @@ def places(tmp_path, monkeypatch):
         ("learn none.csv --arm ur10 --out o", "There is no file none.csv"),
         ("accept none.xlsx --arm ur10", "There is no file none.xlsx"),
         ("learn t.csv --arm ur10 --out o --points x,y", "--points needs three columns"),
-        ("learn t.csv --arm ur10 --out o --limit-2s -1", "must be a positive number"),
         ("learn t.csv --arm ur10 --out -", "--out is a folder here"),
         ("learn t.csv --arm ur10 --out o --counts-per-turn 0", "turn needs a positive number"),
         ("learn t.csv --arm ur10 --out o --counts-per-turn x", "'x' is not a number"),
@@ -261,7 +260,7 @@ def test_a_word_nearly_right_is_named(capsys):
     for arguments, sentence in (
         ("lern", "Was learn meant?"),
         ("lern --json", "Was learn meant?"),
-        ("learn t --arm=a --out=b --limt-2s=1", "Was --limit-2s meant?"),
+        ("learn t --arm=a --out=b --point-sd=1", "Was --points-sd meant?"),
         (
             "correct t --model=a --out=b --points x",
             "--points is an option of learn, check, register, update only",
