@@ -34,7 +34,7 @@ from sklearn_raacmm.app._files import (
 )
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import list_outliers, render, report_text
+from sklearn_raacmm.app._report import list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
@@ -77,7 +77,7 @@ def learn(options):
         )
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
-    report = report_text(result, facts, table.rows)
+    report = write_report(result, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
     contents = corrected_file(layout, result, options)
     today = replace(table, angles=in_rad(table))

@@ -101,12 +101,6 @@ def _choice(choices, text, default=None):
     return {"choices": choices, "help": text, "default": default}
 
 
-def _folder(text):
-    """The folder of a correction, which a file in it names as well."""
-    path = Path(text)
-    return path.parent if path.is_file() else path
-
-
 _ARM = "arm file, URDF, or name of a built-in arm"
 _FOLDER = _value("FOLDER", "folder to write into (default: the folder of --model)")
 _LENGTHS = ("SHOULDER", "UPPER", "FORE", "PROBE")
@@ -121,7 +115,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--arm": _value("ARM", _ARM, required=True),
     "--base": _value("LINK", "first link of a URDF's chain"),
     "--tip": _value("LINK", "last link of a URDF's chain: the probe"),
-    "--model": _number("FOLDER", "folder written by raacmm learn", _folder, required=True),
+    "--model": _number("FOLDER", "folder written by raacmm learn", Path, required=True),
     "--out": _value("FOLDER", "folder to write into", required=True),
     "correct --out": _value("CSV", "table to write; - is the standard output", required=True),
     **dict.fromkeys(("register --out", "update --out", "move --out"), _FOLDER),
@@ -152,7 +146,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--jobs": _number("N", "folds computed at the same time (1)", int),
     "--open": _flag("open the report in the browser"),
     "--force": _flag("replace the correction that the folder holds"),
-    "--like": _number("FOLDER", "corrections of earlier arms of this make", _folder, nargs="+"),
+    "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
     "--take": _value("CODE", "change the arm as a finding proposes: reversed-2-4", action="append"),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "for the report"),
@@ -172,7 +166,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     ),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
-    "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", _folder),
+    "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", Path),
     "accept --arm": _value("ARM", "as found (the table of --model, without its correction)"),
     "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
     "--template": _flag("write RUN, a spreadsheet for this arm, without its numbers"),

@@ -27,7 +27,7 @@ _MOST_HARMONICS = 12
 
 def write_report(
     result: Correction,
-    path: str | PathLike[str],
+    path: str | PathLike[str] | None = None,
     *,
     facts: dict[str, Any] | None = None,
     row_numbers: ArrayLike | None = None,
@@ -38,8 +38,8 @@ def write_report(
     ----------
     result : Correction
         What `learn_correction` returned.
-    path : str or path-like
-        File to write, beside its place and renamed when complete.
+    path : str or path-like, default=None
+        File to write, beside its place and renamed when complete. None: nothing is written.
     facts : dict of str to str, default=None
         What else to put at the top, such as serial number and operator.
     row_numbers : array-like of shape (n_samples,), default=None
@@ -70,17 +70,10 @@ def write_report(
         learned = learn_correction(arm, angles, positions)
         write_report(learned, "report.html", facts={"serial number": "17"})
     """
-    text = report_text(result, facts, row_numbers)
-    write_whole({path: text})
-    return text
-
-
-def report_text(result, facts=None, row_numbers=None):
-    """Text of the report; parameters as for `write_report`."""
     scores, calibration = result.scores, result.calibration
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
     squares = np.mean(result.columns(result.inputs(result.angles)) ** 2, axis=0)
-    return render(
+    text = render(
         "_report.html",
         result=result,
         scores=scores,
@@ -99,6 +92,9 @@ def report_text(result, facts=None, row_numbers=None):
         figures=draw_figures(result),
         most_rows=_MOST_ROWS,
     )
+    if path is not None:
+        write_whole({path: text})
+    return text
 
 
 def render(name, **values):

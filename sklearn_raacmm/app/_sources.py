@@ -220,13 +220,13 @@ def find_dialect(path, n_numbers):
 
 def _most_numbers(dialects, rows_by, n_numbers):
     """The dialect by which most rows have at least so many numbers; None if no row has."""
-    best, most = None, (0, 0)
-    for dialect in dialects:
+
+    def found(dialect):
         counts = [dialect.count(cells) for cells in rows_by(dialect)]
-        found = sum(count >= n_numbers for count in counts), sum(counts)
-        if found[0] and found > most:
-            best, most = dialect, found
-    return best
+        return sum(count >= n_numbers for count in counts), sum(counts)
+
+    best = max(dialects, key=found)
+    return best if found(best)[0] else None
 
 
 def find_encoding(path):
