@@ -16,7 +16,7 @@ from sklearn_raacmm.utils import natural_order
 
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
-_BEFORE, _AFTER = "#D55E00", "#0072B2"  # as the displays have them
+_AFTER = "#0072B2"  # as the displays have it
 _INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
 _EMPTY = ("axes.facecolor", "figure.facecolor", "legend.facecolor", "legend.edgecolor")
 _STYLE: Any = {
@@ -30,9 +30,7 @@ _MOST_POINTS = 600
 _MOST_ARMS = 12
 _TITLES = {
     "positions": "Deviation of each position, before and after",
-    "joints": "Deviation against the angle of each joint",
     "volume": "Points of the probe and poses of the arm",
-    "lengths": "Errors of known lengths, before and after",
     "plan": "Where the cones stand, and poses that reach them",
 }
 
@@ -63,14 +61,10 @@ def _svg(draw, name):
 
 def draw_figures(result):
     """Figures of a Correction as SVG elements, by name."""
-    draws = {
-        "positions": lambda figure: _positions(figure, result.scores),
-        "joints": lambda figure: _joints(figure, result),
-        "volume": lambda figure: _volume(figure, result.arm, result.angles),
+    return {
+        "positions": _svg(lambda figure: _positions(figure, result.scores), "positions"),
+        "volume": _svg(lambda figure: _volume(figure, result.arm, result.angles), "volume"),
     }
-    if result.scores.lengths:
-        draws["lengths"] = lambda figure: _lengths(figure, result.scores)
-    return {name: _svg(draw, name) for name, draw in draws.items()}
 
 
 def _positions(figure, scores):
@@ -94,28 +88,6 @@ def _intervals(scores, left):
     return np.array([stats.t.interval(0.95, len(s) - 1, s.mean(), stats.sem(s)) for s in sizes])
 
 
-def _joints(figure, result):
-    """Left-out deviations against every joint angle."""
-    n = result.arm.n_joints
-    columns = 4 if n > 6 else 3
-    figure.set_size_inches(7.2, 1.9 * -(-n // columns))
-    axes = figure.subplots(-(-n // columns), columns, sharey=True, squeeze=False).ravel()
-    rows = np.flatnonzero(np.isfinite(result.scores.left_before[:, 0]))
-    rows = rows[:: -(-len(rows) // _MOST_POINTS)]
-    left = (result.scores.left_before, _BEFORE), (result.scores.left_after, _AFTER)
-    sizes = [(1000 * np.linalg.norm(mm[rows], axis=1), color) for mm, color in left]
-    for ax in axes[n:]:
-        ax.remove()
-    for j, ax in enumerate(axes[:n]):
-        angle = np.rad2deg(result.angles[rows, j])
-        for size, color in sizes:
-            ax.plot(angle, size, ".", color=color, markersize=2.5, alpha=0.7)
-        ax.set_xlabel(f"joint {j + 1}, °")
-        ax.set_ylim(bottom=0)
-        if j % columns == 0:
-            ax.set_ylabel("deviation, µm")
-
-
 def _volume(figure, arm, angles, places=()):
     """Where the probe has been, from above and from the side, with some poses, and places."""
     figure.set_size_inches(7.2, 3.4)
@@ -136,18 +108,6 @@ def _volume(figure, arm, angles, places=()):
     above.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
     across = "distance from the base axis, mm"
     side.set(xlabel=across, ylabel="z, mm", title="from the side", aspect="equal")
-
-
-def _lengths(figure, scores):
-    figure.set_size_inches(7.2, 2.4)
-    ax = figure.subplots()
-    nominal = [entry[2] for entry in scores.lengths]
-    for name, color in (("before", _BEFORE), ("after", _AFTER)):
-        errors = 1000 * getattr(scores, f"length_errors_{name}")
-        ax.plot(nominal, errors, "o", color=color, markersize=4, label=name)
-    ax.axhline(0, color=_INK, linewidth=0.8)
-    ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
-    ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
 
 
 def draw_plan(arm, plan):
