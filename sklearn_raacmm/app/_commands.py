@@ -34,7 +34,7 @@ from sklearn_raacmm.app._files import (
 )
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import judge_limit, list_outliers, render, report_text
+from sklearn_raacmm.app._report import list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
@@ -77,15 +77,14 @@ def learn(options):
         )
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
-    report = report_text(result, limit_2s=options.limit_2s, facts=facts, row_numbers=table.rows)
+    report = write_report(result, facts=facts, row_numbers=table.rows)
     # Everything is made before the first file gets its name.
     contents = corrected_file(layout, result, options)
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
     card = describe(result.model, result.inputs(result.angles), groups=result.positions)
-    training = {k: v for k, v in card["training"].items() if k != "hull_corners_mm"}
-    taught = replace(result, facts=result.facts | {"training": training})
+    taught = replace(result, facts=result.facts | {"training": card["training"]})
     _print_result(result, table.rows, options)  # before what may fail
     save_step(taught, options.out, step, today, report, contents)
     print(f"Written to {options.out}: {', '.join(WRITTEN)}")
@@ -99,11 +98,6 @@ def _check_learning(options):
     """Refuse what can be refused before minutes of learning."""
     if options.folds is not None and options.folds < 2:
         raise TableError(f"--folds must be 2 or more, got {options.folds}.")
-    if options.limit_2s is not None:
-        if not 0 < options.limit_2s < np.inf:
-            raise TableError(f"--limit-2s must be a positive number in mm, got {options.limit_2s}.")
-        if options.points:
-            raise TableError("--limit-2s is for single-point tests, not for a tracker's points.")
     check_installed("jinja2", "matplotlib", "skops")
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
     check_places([out / name for name in WRITTEN], filter(None, read))
@@ -117,8 +111,6 @@ def _print_result(result, row_numbers, options):
     for row, label, distance in list_outliers(result, row_numbers)[:10]:
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
     print(f"\n{result.verdict}")
-    if options.limit_2s is not None:
-        print(": ".join(judge_limit(result.scores, options.limit_2s)))
 
 
 def correct(options):
@@ -156,7 +148,7 @@ def export(options):
     check_places(filter(None, (*sources, options.onnx)), correction_files(options.model))
     saved = load_correction(options.model)
     print_notes([saved.verdict] * (not saved.helps))
-    if (unnamed := find_unnamed_probe(saved)) and not (options.c and options.any_probe):
+    if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: what is written is for this one."])
     paths, fade = [], False if options.fade == "none" else options.fade
     if options.c:
@@ -165,9 +157,8 @@ def export(options):
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
         paths += export_c(
-            saved.model, source, std=options.std, card=card, poses="random",
-            any_probe=options.any_probe, fade=fade,
-        )  # fmt: skip
+            saved.model, source, std=options.std, card=card, poses="random", fade=fade
+        )
         paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
         to_onnx(saved.model, options.onnx, fade=fade)

@@ -16,7 +16,7 @@ from sklearn_raacmm.utils import natural_order
 
 # Replaced by the colour of the page's text, so that figures are read in the dark, too.
 _INK = "#010203"
-_BEFORE, _AFTER = "#D55E00", "#0072B2"  # as the displays have them
+_AFTER = "#0072B2"  # as the displays have it
 _INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
 _EMPTY = ("axes.facecolor", "figure.facecolor", "legend.facecolor", "legend.edgecolor")
 _STYLE: Any = {
@@ -30,47 +30,27 @@ _MOST_POINTS = 600
 _MOST_ARMS = 12
 _TITLES = {
     "positions": "Deviation of each position, before and after",
-    "joints": "Deviation against the angle of each joint",
     "volume": "Points of the probe and poses of the arm",
-    "lengths": "Errors of known lengths, before and after",
-    "arm": "The arm at zero from two sides",
     "plan": "Where the cones stand, and poses that reach them",
 }
 
 
-def make_svg(draw, name, style=None):
-    """A whole SVG file of what `draw` draws into a figure; names in the file come from `name`.
-
-    Its title, which screen readers read, is that of the name.
-    """
+def _svg(draw, name):
+    """SVG element of what `draw` draws into a figure; its names and its title come from `name`."""
     import matplotlib
     from matplotlib.figure import Figure
 
     file = io.StringIO()
     plain: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9}
     about = {"Date": None, "Creator": None, "Title": _TITLES[name]}
-    with matplotlib.rc_context(plain | (style or {})):
+    with matplotlib.rc_context(plain | _STYLE):
         figure = Figure(layout="constrained")
         draw(figure)
         figure.savefig(file, format="svg", metadata=about)
-    return file.getvalue().replace("<svg ", '<svg role="img" ', 1)
-
-
-def draw_figures(result, limit_mm=None):
-    """Figures of a Correction as SVG elements, by name; `limit_mm` of 2S is in the first."""
-    draws = {
-        "positions": lambda figure: _positions(figure, result.scores, limit_mm),
-        "joints": lambda figure: _joints(figure, result),
-        "volume": lambda figure: _volume(figure, result.arm, result.angles),
-    }
-    if result.scores.lengths:
-        draws["lengths"] = lambda figure: _lengths(figure, result.scores)
-    return {name: _on_page(make_svg(draw, name, _STYLE)) for name, draw in draws.items()}
-
-
-def _on_page(text):
-    """The element alone, in the colour of the page's text."""
-    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    text = file.getvalue()
+    # The element alone, which screen readers name by its title.
+    text = text[text.index("<svg") :].replace("<svg ", '<svg role="img" ', 1)
+    text = text.replace(_INK, "currentColor")
     # Groups are named alike in every figure, and nothing refers to them.
     text = re.sub(r'<g id="[^"]*"', "<g", text)
     # The figure is as wide as the page, not as matplotlib's inches.
@@ -79,10 +59,18 @@ def _on_page(text):
     return text
 
 
-def _positions(figure, scores, limit_mm):
+def draw_figures(result):
+    """Figures of a Correction as SVG elements, by name."""
+    return {
+        "positions": _svg(lambda figure: _positions(figure, result.scores), "positions"),
+        "volume": _svg(lambda figure: _volume(figure, result.arm, result.angles), "volume"),
+    }
+
+
+def _positions(figure, scores):
     figure.set_size_inches(7.2, 3.2)
     order = natural_order(scores.table["position"])
-    display = RepeatabilityDisplay(
+    RepeatabilityDisplay(
         before=scores.table["before"][order],
         after=scores.table["after"][order],
         positions=np.asarray(scores.table["position"])[order],
@@ -90,10 +78,6 @@ def _positions(figure, scores, limit_mm):
         before_interval=_intervals(scores, scores.left_before)[order],
         after_interval=_intervals(scores, scores.left_after)[order],
     ).plot(figure.subplots())
-    if limit_mm is not None:
-        limit = limit_mm * (1000 if display.unit_ == "µm" else 1)
-        display.ax_.axhline(limit, color=_INK, linestyle="--", linewidth=1)
-        display.ax_.set_ylim(top=max(display.ax_.get_ylim()[1], 1.5 * limit))  # below the legend
 
 
 def _intervals(scores, left):
@@ -102,28 +86,6 @@ def _intervals(scores, left):
         return np.array([repeatability_interval(left[rows]) for rows in scores.rows_by_position])
     sizes = [np.linalg.norm(left[rows], axis=1) for rows in scores.rows_by_position]
     return np.array([stats.t.interval(0.95, len(s) - 1, s.mean(), stats.sem(s)) for s in sizes])
-
-
-def _joints(figure, result):
-    """Left-out deviations against every joint angle."""
-    n = result.arm.n_joints
-    columns = 4 if n > 6 else 3
-    figure.set_size_inches(7.2, 1.9 * -(-n // columns))
-    axes = figure.subplots(-(-n // columns), columns, sharey=True, squeeze=False).ravel()
-    rows = np.flatnonzero(np.isfinite(result.scores.left_before[:, 0]))
-    rows = rows[:: -(-len(rows) // _MOST_POINTS)]
-    left = (result.scores.left_before, _BEFORE), (result.scores.left_after, _AFTER)
-    sizes = [(1000 * np.linalg.norm(mm[rows], axis=1), color) for mm, color in left]
-    for ax in axes[n:]:
-        ax.remove()
-    for j, ax in enumerate(axes[:n]):
-        angle = np.rad2deg(result.angles[rows, j])
-        for size, color in sizes:
-            ax.plot(angle, size, ".", color=color, markersize=2.5, alpha=0.7)
-        ax.set_xlabel(f"joint {j + 1}, °")
-        ax.set_ylim(bottom=0)
-        if j % columns == 0:
-            ax.set_ylabel("deviation, µm")
 
 
 def _volume(figure, arm, angles, places=()):
@@ -148,46 +110,6 @@ def _volume(figure, arm, angles, places=()):
     side.set(xlabel=across, ylabel="z, mm", title="from the side", aspect="equal")
 
 
-def _lengths(figure, scores):
-    figure.set_size_inches(7.2, 2.4)
-    ax = figure.subplots()
-    nominal = [entry[2] for entry in scores.lengths]
-    for name, color in (("before", _BEFORE), ("after", _AFTER)):
-        errors = 1000 * getattr(scores, f"length_errors_{name}")
-        ax.plot(nominal, errors, "o", color=color, markersize=4, label=name)
-    ax.axhline(0, color=_INK, linewidth=0.8)
-    ax.set(xlabel="calibrated length, mm", ylabel="error, µm")
-    ax.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1))
-
-
-def draw_arm(arm):
-    """Links, axes of the joints and probe of an arm, all angles at zero, as a whole SVG file."""
-    zero = np.zeros((1, arm.n_joints))
-    frames, probe = arm.frames(zero)[0], arm.forward(zero)
-    corners = np.concatenate([frames[:, :, 3], probe])
-    # The axis of joint i is the z axis of frame i - 1 (standard) or i (modified).
-    first = 0 if arm.convention == "standard" else 1
-    length = 0.08 * max(np.ptp(corners, axis=0).max(), 1.0)
-
-    def draw(figure):
-        figure.set_size_inches(8, 4)
-        views = ((0, "x and z, mm"), (1, "y and z, mm"))
-        for ax, (across, title) in zip(figure.subplots(1, 2), views, strict=True):
-            ax.plot(corners[:, across], corners[:, 2], color="0.5", linewidth=3)
-            for i in range(arm.n_joints):
-                axis, origin = frames[i + first, :, 2], frames[i + first, :, 3]
-                ends = origin + length * np.outer([-1, 1], axis)
-                ax.plot(ends[:, across], ends[:, 2], color=_AFTER, linewidth=1)
-                # Seen along itself an axis is a point.
-                ax.plot(origin[across], origin[2], "o", color=_AFTER, markersize=4)
-                ax.annotate(str(i + 1), ends[1, [across, 2]], color=_AFTER)
-            ax.plot(probe[0, across], probe[0, 2], "o", color=_BEFORE)
-            ax.set(title=title, aspect="equal")
-
-    return make_svg(draw, "arm")
-
-
 def draw_plan(arm, plan):
     """Where the cones of a plan stand, with their numbers and some of its poses, as an element."""
-    page = make_svg(lambda fig: _volume(fig, arm, plan.angles, plan.positions), "plan", _STYLE)
-    return _on_page(page)
+    return _svg(lambda figure: _volume(figure, arm, plan.angles, plan.positions), "plan")

@@ -69,7 +69,7 @@ def register(options):
         print(f"{usual:.3f} mm is usual: the arm itself may have changed. Run raacmm update.")
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
     if hasattr(new.model, "linear_model_"):
-        _print_sizes(saved, new)
+        _print_lack(saved, new)
     _save(new, options, facts, today, layout)
     return (OK if holds else CHANGED), facts
 
@@ -113,28 +113,23 @@ def move(options):
     saved = _open_correction(options)
     new = saved.move(parse_numbers("--probe", options.probe))
     facts = _print_moves(saved, new)
-    old_mm, new_mm = _print_sizes(saved, new)
+    _print_lack(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
-    facts = step_of("move", None, facts, "correction, rms over all poses", old_mm, new_mm)
+    facts = step_of("move", None, facts)
     _save(new, options, facts)
     return OK, facts
 
 
-def _print_sizes(saved, new):
-    """Print how large corrections and their deviations are with both probes; return the first."""
+def _print_lack(saved, new):
+    """Say so where the new probe is known by less than the one before, for its size."""
     sizes = []
     for one in (saved, new):
         tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
         parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
         sizes += [_rms(part) for part in parts]
     old, old_sd, now, now_sd = sizes
-    print(
-        f"The corrections are now of {now:.3f} mm (rms over all poses), before {old:.3f} mm; their "
-        f"standard deviation is {now_sd:.3f} mm, before {old_sd:.3f} mm."
-    )
     if now_sd * old > old_sd * now:
         print("Learn with two probes: the first alone shows less of the last joints.")
-    return old, now
 
 
 def _rms(vectors):
@@ -342,7 +337,7 @@ def _print_moves(old, new):
 
 
 def save_step(correction, out, step, today, page="", contents=()):
-    """Write the folder with a step added to its history, of which report and card tell.
+    """Write the folder with a step added to its history, of which the report tells.
 
     `page` is the report so far; `contents` are further files by their names. The poses of a step
     that has taught the model go into the history: it is to know them again.
@@ -356,21 +351,9 @@ def save_step(correction, out, step, today, page="", contents=()):
     findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
     known = {"findings": findings, "training": correction.facts.get("training")}
     card |= {name: fact for name, fact in known.items() if fact}
-    steps = "\n".join(f"- {_on_one_line(one)}" for one in history)
-    verdict = f"## Verdict when it was learnt\n\n- {correction.verdict}"
-    card = f"{card}\n{verdict}\n\n## History\n\n{steps}\n"
+    card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
     contents = {"report.html": with_history(page, history), "card.md": card, **dict(contents)}
     return correction.save(out, contents)
-
-
-def _on_one_line(step):
-    """What was done in a step, with which poses, and what it was worth."""
-    text = f"{step['date']}: {step['what']}"
-    if "poses" in step:
-        text += f", {step['n_poses']} poses ({step['poses'][:16]})"
-    if "measure" in step:
-        text += f", {step['measure']} {step['before_mm']:.4f} -> {step['after_mm']:.4f} mm"
-    return text
 
 
 def _save(correction, options, step, today=None, layout=None):

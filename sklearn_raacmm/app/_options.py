@@ -19,7 +19,7 @@ _EPILOG = (
 
 
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
-_LEARNING = "--limit-2s --folds --jobs --open --force"
+_LEARNING = "--folds --jobs --open --force"
 _CAUSES = "--extra --tool"
 _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
@@ -27,7 +27,7 @@ _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 WORDS = {
     "learn": (
         "_commands", "calibrate an arm, learn a correction, judge it, report",
-        "raacmm learn cone_test.csv --arm my_arm.json --out my_arm --limit-2s 0.05",
+        "raacmm learn cone_test.csv --arm my_arm.json --out my_arm",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
         f"--lengths --places --length-sd {_CAUSES} --block --like --take --serial --operator",
     ),
@@ -59,13 +59,13 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std --any-probe --fade",
+        "--model --c --onnx --name --std --fade",
     ),
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
-        "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --up --sign --zero --into --out --picture",
+        "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --up "
+        "--sign --zero --into --out",
     ),
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -101,12 +101,6 @@ def _choice(choices, text, default=None):
     return {"choices": choices, "help": text, "default": default}
 
 
-def _folder(text):
-    """The folder of a correction, which a file in it names as well."""
-    path = Path(text)
-    return path.parent if path.is_file() else path
-
-
 _ARM = "arm file, URDF, or name of a built-in arm"
 _FOLDER = _value("FOLDER", "folder to write into (default: the folder of --model)")
 _LENGTHS = ("SHOULDER", "UPPER", "FORE", "PROBE")
@@ -121,7 +115,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--arm": _value("ARM", _ARM, required=True),
     "--base": _value("LINK", "first link of a URDF's chain"),
     "--tip": _value("LINK", "last link of a URDF's chain: the probe"),
-    "--model": _number("FOLDER", "folder written by raacmm learn", _folder, required=True),
+    "--model": _number("FOLDER", "folder written by raacmm learn", Path, required=True),
     "--out": _value("FOLDER", "folder to write into", required=True),
     "correct --out": _value("CSV", "table to write; - is the standard output", required=True),
     **dict.fromkeys(("register --out", "update --out", "move --out"), _FOLDER),
@@ -148,12 +142,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     "--block": _value("COLUMN", "column of what holds positions that are left out together"),
     # -- learning
-    "--limit-2s": _number("MM", "limit of the mean 2S to judge by"),
     "--folds": _number("N", "times that some positions are left out (5)", int),
     "--jobs": _number("N", "folds computed at the same time (1)", int),
     "--open": _flag("open the report in the browser"),
     "--force": _flag("replace the correction that the folder holds"),
-    "--like": _number("FOLDER", "corrections of earlier arms of this make", _folder, nargs="+"),
+    "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
     "--take": _value("CODE", "change the arm as a finding proposes: reversed-2-4", action="append"),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "for the report"),
@@ -161,12 +154,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": _value("CSV", "file to append the line of this check to"),
     "--accept": _value("CODE", "go on in spite of a finding: corrected-already", action="append"),
-    "move --probe": _value("X,Y,Z", "in the last frame, mm; --probe=-5,0,250", required=True),
+    "--probe": _value("X,Y,Z", "in the last frame, mm; --probe=-5,0,250", required=True),
     "--c": _value("FOLDER", "C source and header"),
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("standard deviations in C, too"),
-    "--any-probe": _flag("functions in C take the vector of the probe, too"),
     "--fade": _choice(
         ("small", "exact", "none"),
         "how it fades where little is known: by small tables, as in Python, not at all",
@@ -174,7 +166,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     ),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
-    "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", _folder),
+    "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", Path),
     "accept --arm": _value("ARM", "as found (the table of --model, without its correction)"),
     "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
     "--template": _flag("write RUN, a spreadsheet for this arm, without its numbers"),
@@ -186,14 +178,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--lengths-223": _number(_LENGTHS, "lengths in mm of a 2-2-3 arm", nargs=4),
     "--elbow-offset": _number("MM", "how far the elbow's axes pass each other (0)", default=0.0),
     "--wrist-offset": _number("MM", "how far the wrist's axes pass each other (0)", default=0.0),
-    "--dh": _value("TABLE", "table of a, alpha, d and theta offset"),
-    "--modified": _flag("the table of --dh is in the modified convention"),
-    "arm --probe": _value("X,Y,Z", "probe centre in the last frame, mm, for --dh"),
     "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
     "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
     "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),
     "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
-    "--picture": _value("SVG", "picture of the arm and its axes"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
     "--poses": _number("N", "poses in each cone (12)", int, default=12),
     "--json": _flag("print the result as JSON"),

@@ -27,9 +27,8 @@ _MOST_HARMONICS = 12
 
 def write_report(
     result: Correction,
-    path: str | PathLike[str],
+    path: str | PathLike[str] | None = None,
     *,
-    limit_2s: float | None = None,
     facts: dict[str, Any] | None = None,
     row_numbers: ArrayLike | None = None,
 ) -> str:
@@ -39,10 +38,8 @@ def write_report(
     ----------
     result : Correction
         What `learn_correction` returned.
-    path : str or path-like
-        File to write, beside its place and renamed when complete.
-    limit_2s : float, default=None
-        Limit of the mean 2S after the correction, mm: the report says whether it is kept.
+    path : str or path-like, default=None
+        File to write, beside its place and renamed when complete. None: nothing is written.
     facts : dict of str to str, default=None
         What else to put at the top, such as serial number and operator.
     row_numbers : array-like of shape (n_samples,), default=None
@@ -57,8 +54,6 @@ def write_report(
     ------
     ImportError
         Without jinja2 or matplotlib: ``pip install -e ".[app]"`` in the project's folder.
-    ValueError
-        If a limit of 2S is given for a result without 2S, or is not positive.
 
     Notes
     -----
@@ -73,23 +68,15 @@ def write_report(
         from sklearn_raacmm.app import write_report
 
         learned = learn_correction(arm, angles, positions)
-        write_report(learned, "report.html", limit_2s=0.05, facts={"serial number": "17"})
+        write_report(learned, "report.html", facts={"serial number": "17"})
     """
-    text = report_text(result, limit_2s=limit_2s, facts=facts, row_numbers=row_numbers)
-    write_whole({path: text})
-    return text
-
-
-def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
-    """Text of the report; parameters as for `write_report`."""
     scores, calibration = result.scores, result.calibration
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
     squares = np.mean(result.columns(result.inputs(result.angles)) ** 2, axis=0)
-    return render(
+    text = render(
         "_report.html",
         result=result,
         scores=scores,
-        limit=None if limit_2s is None else judge_limit(scores, limit_2s),
         facts=_facts(result) | (facts or {}),
         worst_first=np.argsort(-scores.table["after"], kind="stable"),
         # Mean squares over the poses learnt from, as `Correction.columns` has them.
@@ -102,9 +89,12 @@ def report_text(result, *, limit_2s=None, facts=None, row_numbers=None):
         harmonics=_harmonics(result.model),
         outliers=list_outliers(result, row_numbers),
         row_numbers=row_numbers,
-        figures=draw_figures(result, limit_2s),
+        figures=draw_figures(result),
         most_rows=_MOST_ROWS,
     )
+    if path is not None:
+        write_whole({path: text})
+    return text
 
 
 def render(name, **values):
@@ -131,25 +121,6 @@ def with_history(page, history):
 def _number(value, digits):
     """A number with so many digits: no minus before zero, and words for what nobody has stated."""
     return "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def judge_limit(scores, limit):
-    """PASS, FAIL or OPEN where the 95 % interval of the mean 2S holds the limit, mm; a sentence."""
-    if scores.measure != "2S":
-        raise ValueError("a limit of 2S needs a single-point test, not a tracker's points.")
-    if not 0 < limit < np.inf:
-        raise ValueError(f"the limit of 2S must be a positive number in mm, got {limit!r:.60}.")
-    mean, low, high = scores.summary["after"]
-    word, what = "OPEN", "cannot be told from the limit"
-    if high <= limit:
-        word, what = "PASS", "is within the limit"
-    elif low > limit:
-        word, what = "FAIL", "is above the limit"
-    after = scores.table["after"]
-    return word, (
-        f"Mean 2S after correction, {mean:.4f} mm (95 %: {low:.4f} to {high:.4f} mm), {what} of "
-        f"{limit:.4f} mm; {np.sum(after > limit)} of {len(after)} positions are above it."
-    )
 
 
 def _facts(result):

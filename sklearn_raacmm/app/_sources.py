@@ -1,4 +1,4 @@
-"""Rows of whatever holds a table: text, spreadsheets, JSON, arrays, and programs of robots.
+"""Rows of whatever holds a table: text, spreadsheets, arrays, and programs of robots.
 
 Of text encoding, separator and decimal sign are found.
 """
@@ -9,11 +9,10 @@ Of text encoding, separator and decimal sign are found.
 import codecs
 import contextlib
 import csv
-import json
 import re
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import chain, islice, product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -186,8 +185,6 @@ def find_source(path, n_numbers, sheet=None):
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
     if path.suffix.lower() in _ARRAYS:
         return _arrays(path, n_numbers)
-    if path.suffix.lower() == ".jsonl":
-        return _json_lines(path)
     return _program(path, n_numbers) or find_dialect(path, n_numbers)
 
 
@@ -223,13 +220,13 @@ def find_dialect(path, n_numbers):
 
 def _most_numbers(dialects, rows_by, n_numbers):
     """The dialect by which most rows have at least so many numbers; None if no row has."""
-    best, most = None, (0, 0)
-    for dialect in dialects:
+
+    def found(dialect):
         counts = [dialect.count(cells) for cells in rows_by(dialect)]
-        found = sum(count >= n_numbers for count in counts), sum(counts)
-        if found[0] and found > most:
-            best, most = dialect, found
-    return best
+        return sum(count >= n_numbers for count in counts), sum(counts)
+
+    best = max(dialects, key=found)
+    return best if found(best)[0] else None
 
 
 def find_encoding(path):
@@ -289,25 +286,6 @@ def read_sheets(path):
     except Exception as error:  # a zip file of anything, damaged XML, or no zip file
         raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
     return found
-
-
-# -- lines of JSON --------------------------------------------------------------------------------
-
-
-def _json_lines(path):
-    """A table of messages, one a line; lists in them become columns of their own."""
-    rows = []
-    try:
-        for line in filter(str.strip, path.read_text("utf-8-sig").splitlines()):
-            rows.append(row := {})
-            for name, value in json.loads(line).items():
-                values = enumerate(value) if isinstance(value, list) else [("", value)]
-                row |= {f"{name}{i}": clean(cell) for i, cell in values}
-    except (ValueError, AttributeError) as error:  # no JSON, or no message with names
-        raise TableError(f"{path} cannot be read: {error}.") from None
-    names = list(dict.fromkeys(chain(*rows)))
-    cells = [names, *([row.get(name, "") for name in names] for row in rows)]
-    return Dialect(path, what="Lines of JSON", table=list(enumerate(cells)))
 
 
 # -- arrays of NumPy and MATLAB -------------------------------------------------------------------

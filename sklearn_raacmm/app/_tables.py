@@ -70,7 +70,7 @@ def read_table(
     Parameters
     ----------
     path : str or path-like
-        Text, a spreadsheet (.xlsx, with openpyxl), lines of JSON (.jsonl) or a robot's program.
+        Text, a spreadsheet (.xlsx, with openpyxl), arrays (.npy, .npz, .mat) or a robot's program.
     n_joints : int
         Number of joints of the arm.
     angles : list of str, default=None

@@ -4,10 +4,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+
+# What differs from the defaults in a mix of sources.
+_MIXES: dict[str, dict[str, Any]] = {
+    "typical": {},
+    "gravity": {
+        "eccentricity_arcsec": (1.0, 0.3), "wobble_arcsec": 0.75, "runout_um": 0.5,
+        "joint_compliance_urad_per_nm": 66.0, "counterbalance": 0.8, "sag_um": (256.0, 48.0),
+    },
+    "eccentricity": {
+        "eccentricity_arcsec": (6.0, 1.8), "wobble_arcsec": 4.5,
+        "joint_compliance_urad_per_nm": 8.0, "sag_um": (32.0, 6.0),
+    },
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,27 +158,8 @@ class ArmErrors:
         -------
         ArmErrors
         """
-        typical = cls()
-        mixes = {
-            "typical": typical,
-            "gravity": replace(
-                typical,
-                eccentricity_arcsec=(1.0, 0.3),
-                wobble_arcsec=0.75,
-                runout_um=0.5,
-                joint_compliance_urad_per_nm=66.0,
-                counterbalance=0.8,
-                sag_um=(256.0, 48.0),
-            ),
-            "eccentricity": replace(
-                typical,
-                eccentricity_arcsec=(6.0, 1.8),
-                wobble_arcsec=4.5,
-                joint_compliance_urad_per_nm=8.0,
-                sag_um=(32.0, 6.0),
-            ),
-            "none": cls.only(),
-        }
-        if not isinstance(name, str) or name not in mixes:
-            raise ValueError(f"name must be one of {sorted(mixes)}, got {name!r}.")
-        return mixes[name]
+        if name == "none":
+            return cls.only()
+        if not isinstance(name, str) or name not in _MIXES:
+            raise ValueError(f"name must be one of {sorted([*_MIXES, 'none'])}, got {name!r}.")
+        return cls(**_MIXES[name])

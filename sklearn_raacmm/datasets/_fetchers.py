@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from sklearn.utils import Bunch
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
-from sklearn_raacmm.datasets._generators import pack
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import param_checks, validate_params
@@ -31,16 +29,10 @@ UR10_URL = (
 )
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
 _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
-# Three angles in degrees. The file does not say about which axes. Of all orders, senses and
-# inverses only this one fits a target fixed to the flange: to 0.1 degrees, the next one to 8.
-_TURN, _TURN_ORDER = slice(17, 20), "XYZ"
 
 _CONSTRAINTS = {
     "data_home": [str, PathLike, None],
     "download_if_missing": ["boolean"],
-    "return_X_y": ["boolean"],
-    "as_frame": ["boolean"],
-    "base_url": [str, None],
 }
 
 
@@ -53,9 +45,6 @@ def fetch_panda_ball_socket(
     *,
     data_home: str | PathLike[str] | None = None,
     download_if_missing: bool = True,
-    return_X_y: bool = False,
-    as_frame: bool = False,
-    base_url: str | None = None,
 ) -> Any:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
@@ -72,13 +61,6 @@ def fetch_panda_ball_socket(
         :func:`sklearn.datasets.get_data_home`, usually ``~/scikit_learn_data``.
     download_if_missing : bool, default=True
         If False, raise an OSError where a file is not there or damaged.
-    return_X_y : bool, default=False
-        Return ``(data, target, placements)`` only; split by the last.
-    as_frame : bool, default=False
-        Return pandas objects.
-    base_url : str, default=None
-        Where to find ``<arm>/<placement>/hole_0.csv`` instead of the authors' repository: a mirror,
-        or ``"file:///..."`` for the folder ``data`` of a clone, with the same checksums.
 
     Returns
     -------
@@ -88,7 +70,7 @@ def fetch_panda_ball_socket(
         without the placements left out, as ``benchmarks/make_results.py``),
         ``nominal_arm`` and names; and:
 
-        placements : ndarray or Series of shape (n_poses,)
+        placements : ndarray of shape (n_poses,)
             Label of the placement of the two sockets. Split by it, not by socket: the other socket
             is 50 mm away.
         lengths : list of (label, label, length, standard deviation)
@@ -117,7 +99,7 @@ def fetch_panda_ball_socket(
     fetch = partial(
         cached_file,
         folder=data_folder(data_home, "panda_ball_socket"),
-        address=_address(base_url, PANDA_URL),
+        address=PANDA_URL,
         download_if_missing=download_if_missing,
     )
     names = [name for name in SHA256 if name.startswith(arm)]
@@ -132,7 +114,7 @@ def fetch_panda_ball_socket(
     nominal = Arm.from_name("panda", probe=(0, 0, 241))
     calibrated = calibrate(nominal, angles, groups, lengths=lengths).arm
     points = calibrated.forward(angles)
-    data = Bunch(
+    return Bunch(
         data=angles,
         target=position_residuals(points, groups),
         groups=groups,
@@ -145,7 +127,6 @@ def fetch_panda_ball_socket(
         target_names=["dx", "dy", "dz"],
         DESCR=_description("_panda_ball_socket.rst"),
     )
-    return pack(data, return_X_y, as_frame, split_by="placements")
 
 
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
@@ -153,9 +134,6 @@ def fetch_ur10_tracker(
     *,
     data_home: str | PathLike[str] | None = None,
     download_if_missing: bool = True,
-    return_X_y: bool = False,
-    as_frame: bool = False,
-    base_url: str | None = None,
 ) -> Any:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
 
@@ -163,12 +141,8 @@ def fetch_ur10_tracker(
 
     Parameters
     ----------
-    data_home, download_if_missing, as_frame
+    data_home, download_if_missing
         As in :func:`fetch_panda_ball_socket`; the folder is ``ur10_tracker``.
-    return_X_y : bool, default=False
-        Return ``(data, target, groups)`` only; split by the last.
-    base_url : str, default=None
-        Where to find ``measurements_grid.csv`` instead of the authors' repository.
 
     Returns
     -------
@@ -178,14 +152,11 @@ def fetch_ur10_tracker(
         that was measured before, ``points``, ``arm``, calibrated on all rows (to judge a correction
         see ``benchmarks/make_results.py``), ``nominal_arm`` and names; and:
 
-        target : ndarray or DataFrame of shape (11911, 3)
+        target : ndarray of shape (11911, 3)
             Residuals dx, dy, dz in the arm's base frame, mm: what the calibrated arm shows minus
             what the tracker measured.
         tracker_points : ndarray of shape (11911, 3)
             Measured points in the tracker's frame, mm.
-        tracker_orientations : ndarray of shape (11911, 3, 3)
-            Measured orientations of the tracker's target, as rotation matrices from the target's
-            axes to the tracker's.
         time : ndarray of datetime64 of shape (11911,)
             When each pose was measured, to a second. Ten poses do not stand in this order.
         DESCR : str
@@ -206,12 +177,12 @@ def fetch_ur10_tracker(
     path = cached_file(
         "measurements_grid.csv",
         data_folder(data_home, "ur10_tracker"),
-        _address(base_url, UR10_URL),
+        UR10_URL,
         download_if_missing=download_if_missing,
     )
     # Semicolons between fields, decimal commas.
     lines = path.read_text(encoding="utf-8-sig").replace(",", ".").splitlines()[1:]
-    table = np.loadtxt(lines, delimiter=";", usecols=range(_TURN.stop))
+    table = np.loadtxt(lines, delimiter=";", usecols=range(_POINT.stop))
     angles, tracker_points = table[:, _JOINTS], table[:, _POINT]
     goals = np.unique(table[:, _GOAL].round(6), axis=0, return_inverse=True)[1].ravel()
     times = [datetime.strptime(line.split(";", 1)[0], "%Y%m%d%H%M%S") for line in lines]
@@ -222,15 +193,12 @@ def fetch_ur10_tracker(
     nominal = Arm.from_name("ur10", probe=(0, 0, 93))
     result: Any = calibrate(nominal, angles, points=tracker_points)
     points = result.arm.forward(angles)
-    data = Bunch(
+    return Bunch(
         data=angles,
         target=points - (tracker_points - result.base_translation) @ result.base_rotation,
         groups=goals,
         points=points,
         tracker_points=tracker_points,
-        tracker_orientations=Rotation.from_euler(
-            _TURN_ORDER, table[:, _TURN], degrees=True
-        ).as_matrix(),
         temperature=table[:, _TEMPERATURE],
         directions=directions,
         time=time,
@@ -240,17 +208,6 @@ def fetch_ur10_tracker(
         target_names=["dx", "dy", "dz"],
         DESCR=_description("_ur10_tracker.rst"),
     )
-    return pack(data, return_X_y, as_frame)
-
-
-def _address(given, default):
-    if given is None:
-        return default
-    if "://" not in given:
-        raise ValueError(
-            f"base_url must be an address like https://... or file:///..., got {given!r}."
-        )
-    return given
 
 
 def _description(name):

@@ -6,7 +6,7 @@
 import warnings
 from functools import lru_cache, partial
 from numbers import Integral
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +29,6 @@ _LENGTH_SD_MM = 0.01
 _CONSTRAINTS = {
     "machine": [SimulatedArm, ArmErrors, str],
     "random_state": ["random_state"],
-    "return_X_y": ["boolean"],
-    "as_frame": ["boolean"],
 }
 
 if TYPE_CHECKING:  # scikit-learn's Bunch has no types
@@ -51,26 +49,6 @@ if TYPE_CHECKING:  # scikit-learn's Bunch has no types
         simulation: Any
 
 
-@overload
-def make_single_point(
-    n_positions: int = 10,
-    n_poses: int = 100,
-    *,
-    bars: ArrayLike = (),
-    machine: SimulatedArm | ArmErrors | str = "typical",
-    random_state: int | np.random.RandomState | None = 0,
-) -> "SimulatedTest": ...
-@overload
-def make_single_point(
-    n_positions: int = 10,
-    n_poses: int = 100,
-    *,
-    bars: ArrayLike = (),
-    machine: SimulatedArm | ArmErrors | str = "typical",
-    random_state: int | np.random.RandomState | None = 0,
-    return_X_y: bool = False,
-    as_frame: bool = False,
-) -> Any: ...
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_single_point(
     n_positions: int = 10,
@@ -79,9 +57,7 @@ def make_single_point(
     bars: ArrayLike = (),
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
-    return_X_y: bool = False,
-    as_frame: bool = False,
-) -> Any:
+) -> "SimulatedTest":
     """Simulate the cone-hole test: the probe in one cone, the elbow swung from left to right.
 
     Parameters
@@ -98,21 +74,17 @@ def make_single_point(
     random_state : int, RandomState instance or None, default=0
         Draws positions, poses and noise, the same everywhere but for rounding. :func:`make_gauge`
         with the same int and `machine` measures with the same individual, at other places.
-    return_X_y : bool, default=False
-        Return ``(data, target, groups)`` only.
-    as_frame : bool, default=False
-        Return pandas objects.
 
     Returns
     -------
     data : :class:`~sklearn.utils.Bunch`
         What the arm's user has:
 
-        data : ndarray or DataFrame of shape (n_rows, 6)
+        data : ndarray of shape (n_rows, 6)
             Encoder readings, rad, in the order in which they were taken.
-        target : ndarray or DataFrame of shape (n_rows, 3)
+        target : ndarray of shape (n_rows, 3)
             Residuals dx, dy, dz, mm: point minus mean point of its position.
-        groups : ndarray or Series of shape (n_rows,)
+        groups : ndarray of shape (n_rows,)
             Number of the position, by which to split.
         lengths : list of (int, int, float, float)
             Known lengths, as :func:`calibrate` takes them: the two ends of each bar, its length
@@ -131,8 +103,6 @@ def make_single_point(
             Temperature of the arm, degC; it was calibrated at 20 degC.
         payload : ndarray of shape (n_rows,)
             Weight at the probe, N; it was calibrated without.
-        frame : DataFrame
-            data, target and position; only with ``as_frame=True``.
         simulation : Bunch
             What is known in a simulation only: ``machine`` (SimulatedArm), ``positions``
             (centres of the cones, mm), ``true_points`` (where the probe really was, mm),
@@ -166,9 +136,9 @@ def make_single_point(
         given = (bars + _LENGTH_SD_MM * rng.normal(size=len(bars))).tolist()
         first = range(n_positions, n_positions + len(ends), 2)
         known = [(i, i + 1, size, _LENGTH_SD_MM) for i, size in zip(first, given, strict=True)]
-    data = _measure(machine, positions, poses, rng)
+    data: Any = _measure(machine, positions, poses, rng)
     data.update(lengths=known)
-    return pack(data, return_X_y, as_frame)
+    return data
 
 
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
@@ -179,8 +149,6 @@ def make_gauge(
     *,
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
-    return_X_y: bool = False,
-    as_frame: bool = False,
 ) -> Any:
     """Simulate measurements of gauges: two cones at a known distance, in many placements.
 
@@ -192,7 +160,7 @@ def make_gauge(
         Placements of each gauge, at random in 20 to 80 % of the radial reach, in all directions.
     n_poses : int, default=10
         Number of poses at each end, at least 2.
-    machine, random_state, return_X_y, as_frame
+    machine, random_state
         As in :func:`make_single_point`.
 
     Returns
@@ -226,7 +194,7 @@ def make_gauge(
     ends, poses = draw_gauges(machine, lengths, n_poses, rng)
     data = _measure(machine, ends, poses, rng)
     data.update(pairs=np.arange(2 * len(lengths)).reshape(-1, 2), lengths=lengths)
-    return pack(data, return_X_y, as_frame)
+    return data
 
 
 @lru_cache(maxsize=8)
@@ -391,19 +359,3 @@ def _check_lengths(lengths, machine) -> np.ndarray:
     if lengths.ndim != 1 or not lengths.size or not ((lengths > 0) & (lengths < longest)).all():
         raise ValueError(f"lengths must be between 0 and {longest:.0f} mm, got {lengths!r:.60}.")
     return lengths
-
-
-def pack(data, return_X_y, as_frame, split_by="groups"):
-    """Turn the arrays of a Bunch into pandas objects, and take X, y and groups out, if asked."""
-    if as_frame:
-        import pandas as pd
-
-        data.data = pd.DataFrame(data.data, columns=data.feature_names)
-        data.target = pd.DataFrame(data.target, columns=data.target_names)
-        data.groups = pd.Series(data.groups, name="position")
-        labels = [data.groups]
-        if split_by != "groups":
-            data[split_by] = pd.Series(data[split_by], name=split_by.removesuffix("s"))
-            labels.append(data[split_by])
-        data.frame = pd.concat([data.data, data.target, *labels], axis=1)
-    return (data.data, data.target, data[split_by]) if return_X_y else data

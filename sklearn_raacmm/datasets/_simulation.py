@@ -195,22 +195,6 @@ class SimulatedArm:
             "payload": turned(compliance * pulled) + self._bending(origin, probe, 0, payload),
         }
 
-    def gravity_torques(self, angles: ArrayLike) -> np.ndarray:
-        """Torque of the arm's own weight about each joint, before any counterbalance.
-
-        Parameters
-        ----------
-        angles
-            As in :meth:`deviations`.
-
-        Returns
-        -------
-        torques : ndarray of shape (n_samples, 6)
-            In N m.
-        """
-        frames = self.true_arm.frames(angles)
-        return self._torques(frames[:, :-1, :, 2], frames[..., 3])
-
     def _loads(self):
         """Weights of the upper tube, the elbow, the forearm tube and the wrist, N."""
         upper, forearm = (_TUBE_WEIGHT_N_PER_M * self.nominal_arm.d[[2, 4]] / 1e3).tolist()

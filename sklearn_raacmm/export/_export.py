@@ -22,9 +22,9 @@ from sklearn_raacmm.export._proof import SINGLE_SUMS, check_answers, make_test_r
 from sklearn_raacmm.utils import check_flags, write_whole
 
 
-def _check(card, fade, **flags):
+def _check(card, fade, std):
     """Refuse what cannot be one of these parameters."""
-    check_flags(**flags)
+    check_flags(std=std)
     check_fade(fade)
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
@@ -39,7 +39,6 @@ def export_c(
     std: bool = False,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
-    any_probe: bool = False,
     fade: Any = "small",
 ) -> tuple[Path, Path]:
     r"""Write a fitted model as one C99 file and its header.
@@ -96,11 +95,6 @@ def export_c(
         Rows that the model was fitted on, or others that it will see; "random" takes random ones.
         With them comes, beside the C file, ``<stem>_test.c``, which compares 32 rows with what
         ``predict`` gives.
-
-    any_probe : bool, default=False
-        Whether the functions take the vector of the probe: three more numbers in mm at the end of
-        a row. They then give what ``model.with_arm`` of an arm with this probe predicts. For an
-        :class:`ArmResidualRegressor` without temperatures; `fade` "small" is then "exact".
 
     fade : {"small", "exact", False}, default="small"
         How a correction of :class:`ArmResidualRegressor` fades where the model knows little:
@@ -159,14 +153,12 @@ def export_c(
             f"{str(path)!r:.60}."
         )
     name = check_name(path.stem if name is None else name)
-    _check(card, fade, std=std, any_probe=any_probe)
+    _check(card, fade, std)
     if not (isinstance(dtype, str) and dtype in ("double", "float")):
         raise ValueError(f"dtype must be 'double' or 'float', got {dtype!r:.60}.")
     given = None if isinstance(poses, str) and poses == "random" else poses
-    exact = build_program(model, std, any_probe)
-    rows = make_test_rows(model, given, std, dtype, any_probe)
-    program, notes = _faded(model, exact, rows, given, fade, std, any_probe)
-    sums = program is not exact and bool(fade)  # of single precision, from small tables
+    program, rows, notes = _faded(model, given, fade, std, dtype)
+    sums = fade == "small" and "trust" in program.outputs  # of single precision, from small tables
     small = {"limit": SINGLE_SUMS, "of": "the same tables summed in double precision"}
     notes += _check_in_c(program, rows, dtype, **(small if sums else {}))
     source, header = sources(program, name, path.stem, dtype, card, notes)
@@ -182,20 +174,22 @@ def export_c(
     return path, header_path
 
 
-def _faded(model, exact, rows, poses, fade, std, any_probe=False):
-    """The program of a model that fades in this way, and what a file has to say of it.
+def _faded(model, poses, fade, std, dtype="double"):
+    """The program of a model that fades in this way, test rows, and what a file has to say of it.
 
-    Where this is not as in ``predict``, the exact program is compared with that, and `rows` get
+    Where this is not as in ``predict``, the exact program is compared with that, and the rows have
     what the other one gives.
     """
-    if "trust" not in exact.outputs or fade == "exact" or any_probe:
-        return exact, []
+    exact, rows = build_program(model, std), make_test_rows(model, poses, std, dtype)
+    if "trust" not in exact.outputs or fade == "exact":
+        return exact, rows, []
     check_answers("the exact program", rows, run(exact, rows["X"]))
     program = build_program(model, std, fade=fade, poses=poses)
     rows["y"] = run(program, rows["X"])["y"]
     if not fade:
-        return program, ["nothing fades: a correction is whole where the model knows nothing, too"]
-    return program, [compare_shares(model, exact, program)]
+        notes = ["nothing fades: a correction is whole where the model knows nothing, too"]
+        return program, rows, notes
+    return program, rows, [compare_shares(model, exact, program)]
 
 
 def _check_in_c(program, rows, dtype, **limits):
@@ -247,7 +241,6 @@ def to_onnx(
     *,
     std: bool = False,
     card: ModelCard | str | None = None,
-    poses: ArrayLike | None = None,
     fade: Any = "small",
 ) -> Any:
     """Convert a fitted model to ONNX, for every language that has a runtime for it.
@@ -265,9 +258,6 @@ def to_onnx(
 
     card : ModelCard or str, default=None
         Facts to keep in the file's metadata, see :func:`describe`.
-
-    poses : array-like of shape (n, n_inputs), default=None
-        Rows for the test rows, as :func:`export_c` takes them; None takes random ones.
 
     fade : {"small", "exact", False}, default="small"
         How a correction fades, see :func:`export_c`.
@@ -297,10 +287,8 @@ def to_onnx(
         session = onnxruntime.InferenceSession("arm.onnx")
         (correction_mm,) = session.run(None, {"X": joint_angles})
     """
-    _check(card, fade, std=std)
-    exact = build_program(model, std)
-    rows = make_test_rows(model, poses, std)
-    program, notes = _faded(model, exact, rows, poses, fade, std)
+    _check(card, fade, std)
+    program, rows, notes = _faded(model, None, fade, std)
     made = convert(program)
     facts = {"sklearn_raacmm_version": __version__, "fingerprint": hash_program(program)}
     found = run_onnx(made, rows["X"])

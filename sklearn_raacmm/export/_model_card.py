@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import sklearn
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull, QhullError
 from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm._version import __version__
@@ -29,8 +28,8 @@ _LONGEST = 1000
 class ModelCard(dict[str, Any]):
     """Facts about a model: plain numbers, text, lists and dicts, fit for ``json.dumps``.
 
-    ``str(card)`` is Markdown, in which what is long, such as the hull's corners, is left out. Text
-    is escaped there and stays on its line: a name cannot pass for another fact.
+    ``str(card)`` is Markdown. Text is escaped there and stays on its line: a name cannot pass for
+    another fact.
     """
 
     def __str__(self) -> str:
@@ -46,16 +45,14 @@ class ModelCard(dict[str, Any]):
             lines += ["", f"## {_words(key)}", ""]
             # The arm to 1e-9 mm and rad: its table is what the corrections belong to.
             digits = 17 if key == "arm" else 6
-            for name, fact in value.items():
-                if name != "hull_corners_mm":
-                    lines.append(f"- {_words(name)}: {_short(fact, digits)}")
+            lines += [f"- {_words(name)}: {_short(fact, digits)}" for name, fact in value.items()]
         return "\n".join(lines) + "\n"
 
 
 def _words(key):
     """A key as words; units stay as they are written."""
     words = escaped(key).split("_")
-    unit = f", {words.pop()}" if words[-1] in ("mm", "rad", "deg", "litre") else ""
+    unit = f", {words.pop()}" if words[-1] in ("mm", "rad", "deg") else ""
     return " ".join(words) + unit
 
 
@@ -103,7 +100,7 @@ def describe(
 
     X : array-like of shape (n_samples, n_features), default=None
         What the model was fitted on, usually joint angles in the unit it takes: for the number of
-        rows, the range of every joint and the hull of the probe's positions.
+        rows, the range of every joint, and of the probe's distance and height.
 
     y : array-like of shape (n_samples, 3) or (n_samples,), default=None
         Residuals in mm that it was fitted on: for the fingerprint of the data.
@@ -215,10 +212,4 @@ def _training(model, X, y, groups):
     radius = np.hypot(*points[:, :2].T)
     facts["distance_from_the_base_axis_mm"] = [float(radius.min()), float(radius.max())]
     facts["height_mm"] = [float(points[:, 2].min()), float(points[:, 2].max())]
-    try:
-        hull = ConvexHull(points)
-        facts["hull_volume_litre"] = float(hull.volume / 1e6)
-        facts["hull_corners_mm"] = points[hull.vertices].round(2).tolist()
-    except (QhullError, ValueError):  # points of one plane, or fewer than four
-        facts["hull_volume_litre"] = 0.0
     return facts

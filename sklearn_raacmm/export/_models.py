@@ -38,8 +38,8 @@ _TINY = 1e-30
 class _Chain:
     """A chain that adds its operations to a program, and the arm that its angles belong to."""
 
-    def __init__(self, model, p, std, any_probe, fade, poses):
-        self.p, self.std, self.x, self.any_probe = p, std, p.x, any_probe
+    def __init__(self, model, p, std, fade, poses):
+        self.p, self.std, self.x = p, std, p.x
         self.fade, self.poses = fade, poses
         self.model, (self.arm, self.unit) = model, find_arm(model)
         self.trust = None
@@ -60,22 +60,7 @@ class _Chain:
     def probe(self):
         """Centre of the probe in the base frame, mm."""
         last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
-        if self.any_probe:
-            axes = self.p.take(last, [0, 3, 6, 1, 4, 7, 2, 5, 8])
-            along = self.p("dots", axes, self.probe_vector())
-            return self.p("add", along, self.p.take(last, [9, 10, 11]))
         return self.p.affine(last, np.kron([*self.arm.probe, 1.0], np.eye(3)))
-
-    def probe_vector(self):
-        """Vector of the probe in the last frame, mm: the last three inputs."""
-        return self.p.take(self.x, self.p.size(self.x) - 3 + np.arange(3))
-
-    def lever_ratio(self):
-        """By how much the lever of the last joint is longer than with the model's own probe."""
-        p, link = self.p, np.hypot(self.arm.a[-1], self.arm.d[-1])
-        own = link + np.linalg.norm(self.arm.probe)
-        ratio = p("div", p("add", p.length(self.probe_vector()), link), own)
-        return p("max", ratio, 1.0) if own > 0 else p.constant(1.0)
 
     def direction(self):
         """Cosine and sine of the probe's azimuth, and the probe's distance from the axis."""
@@ -87,30 +72,20 @@ class _Chain:
         return p("add", p("div", xy, p("max", radius, _TINY)), on_axis), radius
 
 
-def build_program(model, std=False, any_probe=False, fade="exact", poses=None):
+def build_program(model, std=False, fade="exact", poses=None):
     """The program of a fitted model; ValueError names a step that cannot be exported.
 
     With `fade` "small" the share of a correction that fades is nearly that of ``predict``, also at
-    `poses` (n, n_inputs), and from few numbers, unless `any_probe`; with False nothing fades. The
-    fingerprint is that of the exact program.
+    `poses` (n, n_inputs), and from few numbers; with False nothing fades. The fingerprint is that
+    of the exact program.
 
     Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
     three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``, if
-    asked for. With `any_probe` its last three inputs are the vector of the probe in mm.
+    asked for.
     """
     check_fitted(model)
-    if any_probe and not isinstance(model, ArmResidualRegressor):
-        raise ValueError(
-            "any_probe=True needs an ArmResidualRegressor: others have seen one probe only."
-        )
-    if any_probe and any(name.startswith("temperature") for name, _ in extra_columns(model)):
-        raise ValueError(
-            "any_probe=True does not go with temperatures, by which a probe grows in proportion to "
-            "its length: export a model for each probe, model.with_arm(arm)."
-        )
-    p = Builder(n_inputs(model) + 3 * any_probe)
-    fade = "exact" if fade == "small" and any_probe else fade
-    chain, steps = _Chain(model, p, std, any_probe, fade, poses), list(leaves(model))
+    p = Builder(n_inputs(model))
+    chain, steps = _Chain(model, p, std, fade, poses), list(leaves(model))
     y, v = _read(chain, steps, p.x)
     y = p("finite", y, p("join", p.x, y))
     outputs = {"y": y}
@@ -126,11 +101,9 @@ def build_program(model, std=False, any_probe=False, fade="exact", poses=None):
         label = f" {chain.arm.name}" if chain.arm.name else ""
         n = chain.arm.n_joints
         about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
-        extra = [name for name, _ in extra_columns(model)]
-        extra += [f"probe {axis} in mm" for axis in "xyz"] * any_probe
-        about |= {"angle_unit": chain.unit, "extra": extra}
+        about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_columns(model)]}
     if chain.fade != "exact":
-        about["fingerprint"] = hash_program(build_program(model, any_probe=any_probe))
+        about["fingerprint"] = hash_program(build_program(model))
     return p.program(outputs, about)
 
 
@@ -317,9 +290,6 @@ def linear_model(chain, linear, fading):
     else:
         same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
         doubt = p.sum(v if same else variances(triangle(linear.fading_half)))
-    if chain.any_probe:
-        ratio = chain.lever_ratio()
-        doubt = p("div", doubt, p("mul", ratio, ratio))
     return y, v, doubt
 
 

@@ -13,8 +13,6 @@ from sklearn_raacmm.export._steps import n_inputs, typical_rows
 
 # Test rows: given ones, corners of their ranges, and what is no number.
 _N_INSIDE, _N_CORNERS, _N_BAD = 20, 8, 4
-# Lengths of the probes of test rows, in those of the model's own probe (or in 100 mm).
-_PROBE_LENGTHS = (0.5, 4.0)
 # How far a file may be from predict, as a share of the largest expected number: double keeps 1e-12
 # where weights are no larger than 1000; single precision has 7 digits, of which weights cost some.
 TOLERANCE = {"double": 1e-9, "float": 2e-2}
@@ -30,12 +28,11 @@ SINGLE_SUMS = 1e-4
 _NOTHING = 1e-9
 
 
-def make_test_rows(model, poses=None, std=False, dtype="double", any_probe=False):
+def make_test_rows(model, poses=None, std=False, dtype="double"):
     """32 rows with what ``predict`` gives: given ones, corners of their ranges, NaN and infinity.
 
-    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `typical_rows`. With
-    `any_probe` every row ends with the vector of a probe. The dict has X, y and, with `std`, std:
-    one row each; NaN where predict refuses.
+    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `typical_rows`. The dict
+    has X, y and, with `std`, std: one row each; NaN where predict refuses.
     """
     if poses is None:
         poses = typical_rows(model, 200)
@@ -46,23 +43,16 @@ def make_test_rows(model, poses=None, std=False, dtype="double", any_probe=False
             f"poses must be rows of {n} finite numbers, at least one; got shape "
             f"{poses.shape}{'' if finite else ' with NaN or infinity'}."
         )
-    if any_probe:
-        own = model.arm_.probe if model.arm_.probe.any() else np.array([0.0, 0.0, 100.0])
-        rng = np.random.default_rng(0)
-        probes = own * rng.uniform(*_PROBE_LENGTHS, (len(poses), 1))
-        probes += 0.2 * np.linalg.norm(own) * rng.normal(size=probes.shape)
-        poses = np.hstack([poses, probes])
     inside = poses[np.linspace(0, len(poses) - 1, _N_INSIDE).round().astype(int)]
     low, high = poses.min(axis=0), poses.max(axis=0)
     # Corners spread over all: bit i of an odd multiple says whether input i is low or high.
-    n = poses.shape[1]
     bits = (np.arange(_N_CORNERS)[:, None] * 2654435761 >> np.arange(8, 8 + n) % 40) & 1
     bad = np.tile(inside[0], (_N_BAD, 1))
     bad[np.arange(_N_BAD), np.arange(_N_BAD) % n] = [np.nan, np.inf, -np.inf, np.nan]
     X = np.concatenate([inside, np.where(bits, high, low), bad])
     if dtype == "float":  # what single precision can hold
         X = X.astype(np.float32).astype(float)
-    answers = [_answer(model, row, std, any_probe) for row in X]
+    answers = [_answer(model, row, std) for row in X]
     known = [answer for answer in answers if answer is not None]
     if not known:
         raise ValueError(
@@ -74,12 +64,10 @@ def make_test_rows(model, poses=None, std=False, dtype="double", any_probe=False
     return {"X": X, "y": y[0], **({"std": y[1]} if std else {})}
 
 
-def _answer(model, row, std, any_probe):
+def _answer(model, row, std):
     """What ``predict`` gives at one row, (1 + std, n_outputs), or None where it refuses."""
     if not np.isfinite(row).all():
         return None
-    if any_probe:
-        model, row = model.with_arm(model.arm_.replace(probe=row[-3:])), row[:-3]
     with warnings.catch_warnings(), contextlib.suppress(ValueError):
         warnings.simplefilter("ignore")  # of poses that the model does not know
         answer = model.predict(row[None], **({"return_std": True} if std else {}))

@@ -5,7 +5,6 @@ All hold the same four poses of a UR-like arm, so that one comparison judges all
 
 import datetime
 import io
-import json
 import zipfile
 
 import numpy as np
@@ -237,8 +236,6 @@ def test_damaged_files_get_a_sentence(book, tmp_path):
         ("a.h5", bytes(range(256)), {}, r"is no table of text.*: save it as \.xlsx or CSV"),
         ("a.mat", b"MATLAB 7.3 MAT-file" + 105 * b" " + b"\0\2IM", {}, "7.3 are not read"),
         ("a.npz", b"PK", {}, "cannot be read"),
-        ("log.jsonl", b"{", {}, r"log\.jsonl cannot be read"),
-        ("log.jsonl", b"[1]", {}, r"log\.jsonl cannot be read"),
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(TableError, match=message):
@@ -264,18 +261,6 @@ def test_arrays(name, write, content, tmp_path):
     write(tmp_path / name, content)
     table = read_table(tmp_path / name, 6)
     np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
-    assert table.positions.tolist() == LABELS
-
-
-def test_json_lines_of_messages(tmp_path):
-    """One message in a line, as `ros2 topic echo` through jq or a logger of MQTT writes them."""
-    lines = [
-        json.dumps({"stamp": i, "name": ALPHABETICAL, "position": row.tolist(), "cone": label})
-        for i, (row, label) in enumerate(zip(RAD[:, ORDER], LABELS, strict=True))
-    ]
-    (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
-    table = read_table(tmp_path / "log.jsonl", 6, joint_names=NAMES)
-    np.testing.assert_allclose(in_rad(table), RAD, atol=1e-12)
     assert table.positions.tolist() == LABELS
 
 

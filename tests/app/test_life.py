@@ -164,11 +164,6 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     assert (code, "register the probe" in printed) == (0, True)
     moved = Correction.load(out)
     assert moved.arm.probe.tolist() == [0, 0, 250]
-    tried = np.random.default_rng(3).uniform(-np.pi, np.pi, (2000, 6))
-    mean, std = moved.model.linear_model_.predict(moved.inputs(tried), True)
-    sizes = [np.sqrt(np.square(part).sum(axis=1).mean()) for part in (mean, std)]
-    pattern = r"now of (\S+) mm .* standard deviation is (\S+) mm, before"
-    assert_allclose([float(x) for x in re.search(pattern, printed).groups()], sizes, rtol=0.1)
     assert (out / "corrected_before_move.csv").exists()
     assert not (out / "corrected.csv").exists()
     code, printed = run(capsys, "check", folder / "new.csv", "--model", out, "--json")
@@ -178,10 +173,6 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     page = (out / "report.html").read_text(encoding="utf-8")
     heads = re.findall(r"<h\d>(.*?)(?:, \d.*)?</h\d>", page)
     assert heads == ["3. check", "2. move", "1. update", "Learnt"]
-    card = (out / "card.md").read_text(encoding="utf-8")
-    steps = [line.split(": ", 1)[1] for line in card.split("## History\n\n")[1].splitlines()]
-    assert steps[0].startswith(f"update, 40 poses ({step['poses'][:16]}), mean deviation at these")
-    assert [one.split(",")[0] for one in steps] == ["update", "move", "check"]
 
 
 def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):

@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
@@ -32,13 +31,6 @@ def test_facts(model, data):
     assert (training["rows"], training["positions"]) == (120, 8)
     points = data.arm.forward(data.data)
     assert training["height_mm"] == [points[:, 2].min(), points[:, 2].max()]
-    # All poses lie in the hull of its corners, which are rounded to 0.01 mm.
-    corners = np.array(training["hull_corners_mm"])
-    middle = corners.mean(axis=0)
-    outward, inward = (Delaunay(middle + f * (corners - middle)) for f in (1.001, 0.999))
-    assert (outward.find_simplex(points) >= 0).all()
-    assert (inward.find_simplex(points) < 0).any()
-    assert 0 < training["hull_volume_litre"] * 1e6 < np.prod(np.ptp(points, axis=0))
 
 
 def test_as_json_and_markdown(model, data, tmp_path):
@@ -48,8 +40,6 @@ def test_as_json_and_markdown(model, data, tmp_path):
     text = str(again)
     assert text == str(card)
     assert "positions: 8" in text
-    assert f"{card['training']['hull_volume_litre']:.6g}" in text
-    assert "hull corners" not in text
     source, header = export_c(model, tmp_path / "arm.c", card=card)
     assert "positions: 8" in source.read_text()
     assert "positions: 8" in header.read_text()
@@ -94,7 +84,7 @@ def test_a_name_cannot_forge_a_line(data, tmp_path):
             assert content.count("/*") == content.count("*/")
 
 
-def test_without_an_arm_and_without_volume():
+def test_without_an_arm():
     rng = np.random.default_rng(0)
     X, y = rng.normal(size=(40, 3)), rng.normal(size=40)
     card = describe(LinearSVR(random_state=0).fit(X, y), X, y)
@@ -102,10 +92,6 @@ def test_without_an_arm_and_without_volume():
     assert "arm" not in card
     assert (card["training"]["rows"], card["training"]["positions"]) == (40, None)
     assert "unknown" in str(card)
-    arm = Arm(a=[300, 200], alpha=[0, 0], d=[100, 0], pose_joints=(1, 2), pose_frames=(0, 2))
-    X = rng.uniform(0.1, 1, (30, 2))  # a plane
-    pose = make_pipeline(PoseFeatures(arm), LinearSVR(random_state=0)).fit(X, X[:, 0])
-    assert describe(pose, X)["training"]["hull_volume_litre"] == 0
 
 
 def test_bad_calls_are_refused(model, data):

@@ -57,7 +57,7 @@ def test_the_file_and_its_metadata(data, tmp_path):
     """Test rows with answers: the check of the page, in a runtime that knows nothing of us."""
     model = form_b(data.arm).fit(data.data, data.target)
     for name in ("first.onnx", "second.onnx"):
-        to_onnx(model, tmp_path / name, card="what it is: ü", std=True, poses=data.data)
+        to_onnx(model, tmp_path / name, card="what it is: ü", std=True)
     onnx.checker.check_model(tmp_path / "first.onnx", full_check=True)
     content = (tmp_path / "first.onnx").read_bytes()
     assert content == (tmp_path / "second.onnx").read_bytes()
