@@ -204,8 +204,8 @@ REFUSING = [
     ("distance_std", partial(LINEAR.distance_std, ANGLES), "angles"),
     (
         "update",
-        lambda q, y, g, w: update_correction(LINEAR, q, y, groups=g, sample_weight=w).coef_,
-        "angles residuals groups weights",
+        lambda q, y, g: update_correction(LINEAR, q, y, groups=g).coef_,
+        "angles residuals groups",
     ),
     (
         "check",
