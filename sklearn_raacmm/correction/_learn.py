@@ -54,7 +54,7 @@ def learn_correction(
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
-    :func:`cross_validate_correction` judges alone.
+    The ``scores`` of the result are a cross-validation of any model, calibration included.
 
     Parameters
     ----------
@@ -185,48 +185,6 @@ def learn_correction(
     facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
     data_of = data.angles, data.positions
     return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)
-
-
-def cross_validate_correction(
-    arm: Arm,
-    angles: ArrayLike,
-    positions: ArrayLike | None = None,
-    points: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
-    **options: Any,
-) -> CorrectionScores:
-    """Judge a correction at positions left out, with calibration and model fitted anew each time.
-
-    Parameters
-    ----------
-    arm, angles, positions, points, lengths
-        See :func:`learn_correction`.
-    **options
-        All that :func:`learn_correction` takes by keyword.
-
-    Returns
-    -------
-    CorrectionScores
-
-    Raises
-    ------
-    ValueError
-        As :func:`learn_correction`.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm import ArmResidualRegressor, cross_validate_correction
-    >>> from sklearn_raacmm.datasets import make_single_point
-    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
-    >>> scores = cross_validate_correction(
-    ...     test.nominal_arm, test.data, test.groups,
-    ...     model=ArmResidualRegressor(orders=4), cv=3,
-    ... )
-    >>> scores.helps
-    True
-    """
-    scores: Any = learn_correction(arm, angles, positions, points, lengths, **options).scores
-    return scores
 
 
 def _say_what_moved(data, calibration, model, noise, rows):

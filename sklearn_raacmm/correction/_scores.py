@@ -39,7 +39,7 @@ _K = 2.0
 class CorrectionScores:
     """What a correction is worth at positions that neither calibration nor model had seen.
 
-    Made by :func:`cross_validate_correction` and :func:`learn_correction`.
+    Made by :func:`learn_correction`.
     ``pandas.DataFrame(scores.table)`` is the table of positions.
 
     Attributes

@@ -22,7 +22,6 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
-    cross_validate_correction,
     learn_correction,
     position_residuals,
 )
@@ -127,7 +126,7 @@ def test_positions_of_one_block_are_left_out_together(test_data):
     folds = list(GroupKFold(4).split(test_data.data, groups=blocks))
     given = test_data.nominal_arm, test_data.data, test_data.groups
     by_hand, scores = (
-        cross_validate_correction(*given, model=QUICK, **options)
+        learn_correction(*given, model=QUICK, **options).scores
         for options in ({"cv": folds}, {"cv": 4, "blocks": blocks})
     )
     assert_allclose(scores.left_after, by_hand.left_after)
@@ -135,18 +134,18 @@ def test_positions_of_one_block_are_left_out_together(test_data):
     assert "4 blocks of positions are too few" in scores.verdict
     assert "too few" not in by_hand.verdict
     with pytest.raises(ValueError, match="at least 3 positions"):
-        cross_validate_correction(*given, model=QUICK, blocks=test_data.groups % 2)
+        learn_correction(*given, model=QUICK, blocks=test_data.groups % 2)
     with pytest.raises(ValueError, match="blocks"):
-        cross_validate_correction(*given, model=QUICK, blocks=blocks[:-1])
+        learn_correction(*given, model=QUICK, blocks=blocks[:-1])
 
 
 @pytest.mark.exhaustive
 def test_lengths_are_judged_where_both_ends_were_left_out():
     data = make_gauge(400, n_placements=6, n_poses=12, random_state=3)
     lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
-    scores = cross_validate_correction(
+    scores = learn_correction(
         data.nominal_arm, data.data, data.groups, lengths=lengths, model=QUICK, cv=3
-    )
+    ).scores
     assert sorted(entry[:2] for entry in scores.lengths) == [tuple(p) for p in data.pairs.tolist()]
     # By hand, for the placements of the first fold.
     blocks = data.groups // 2
@@ -164,9 +163,9 @@ def test_lengths_are_judged_where_both_ends_were_left_out():
     relative = stats.t.interval(0.95, 5, scale=stats.sem(pairs) / pairs.mean())
     assert scores.summary["after"][1:] == pytest.approx(pairs.mean() * np.exp(relative))
     # A length is not judged by an arm that was calibrated without any.
-    scores = cross_validate_correction(
+    scores = learn_correction(
         data.nominal_arm, data.data, data.groups, lengths=lengths[:1], model=QUICK, cv=3
-    )
+    ).scores
     assert scores.lengths == []
 
 
@@ -174,9 +173,9 @@ def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):
     """All positions joined by lengths make one block: they are then left out one by one."""
     truth = test_data.simulation.positions
     lengths = [(0, i, float(np.linalg.norm(truth[0] - truth[i])), 0.05) for i in range(1, 7)]
-    scores = cross_validate_correction(
+    scores = learn_correction(
         test_data.nominal_arm, test_data.data, test_data.groups, lengths=lengths, model=QUICK
-    )
+    ).scores
     assert scores.n_folds == 5
     assert scores.summary["ratio"][0] < 1
     assert len(scores.lengths) < 6
@@ -344,10 +343,10 @@ def test_shows_itself(learned):
 @pytest.mark.exhaustive
 def test_progress_and_processes_change_nothing(test_data, learned):
     seen = []
-    scores = cross_validate_correction(
+    scores = learn_correction(
         test_data.nominal_arm, np.rad2deg(test_data.data), test_data.groups, angle_unit="deg",
         model=MODEL, progress=lambda *done: seen.append(done), n_jobs=2,
-    )  # fmt: skip
+    ).scores  # fmt: skip
     assert seen == [(i, 5) for i in range(1, 6)]
     assert_allclose(scores.table["after"], learned.scores.table["after"], atol=1e-7)
 
