@@ -15,7 +15,7 @@ from sklearn_raacmm.arm import Arm, reach_mm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
-from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
+from sklearn_raacmm.correction._scores import scores_of, with_verdict
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
@@ -46,7 +46,6 @@ def learn_correction(
     n_jobs: int | None = None,
     progress: Callable[..., object] | None = None,
     extra: dict[str, Any] | None = None,
-    in_order: bool = False,
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
@@ -85,11 +84,8 @@ def learn_correction(
         Called as ``progress(done, n_folds)`` when a fold is done.
     extra : dict of str to array-like of shape (n_samples,), default=None
         Causes that were written down with the angles, by the names that
-        :class:`ArmResidualRegressor` has for them. They are kept where the evidence asks for them.
-        "time" is refused where the angles tell the number of the row.
-    in_order : bool, default=False
-        Whether the rows are in the order in which they were measured. Then the directions from
-        which joints came are offered, too.
+        :class:`ArmResidualRegressor` has for them, such as "direction 2" of
+        :func:`directions_of`. "time" is refused where the angles tell the number of the row.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
         prior of this one's, if the evidence is for it against a model that is
@@ -161,10 +157,7 @@ def learn_correction(
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
     def inside():
-        data = Data(
-            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools,
-            blocks,
-        )  # fmt: skip
+        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)
         calibration = _calibrated(data, angles, angle_unit)
         data = data.seen_by(calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
