@@ -40,7 +40,6 @@ from sklearn_raacmm import (
     export,
     learn_correction,
     metrics,
-    plan_poses,
     position_residuals,
     search_table,
     shoulder_wrist_distance,
@@ -462,7 +461,6 @@ def refused():
     yield ARM.replace, "name", [LARGE], "name"
     yield partial(ARM.forward, ANGLES), "angle_unit", [LARGE], "angle_unit"
     yield interval, "aggregate", [LARGE], "aggregate"
-    yield partial(plan_poses, TEST.arm, 4, 4), "region", [LARGE], "region"
     yield ArmErrors, "sag_um", [LARGE], "sag_um"
     for function in (
         lambda arm: learn_correction(arm, *DATA[1:]),
