@@ -450,11 +450,7 @@ def refused():
     yield learn, "model", [ArmResidualRegressor], "provide an instance"
     yield learn, "model", [ArmResidualRegressor(orders=-1)], "'orders' parameter of ArmResi"
     yield learn, "cv", [1], "'cv' parameter of .* an int in the range"
-    yield learn, "cv", ["folds"], "'cv' parameter"
-    yield learn, "cv", [[1]], r"cv must be a whole number, a splitter, or pairs .* got \[1\]"
-    yield learn, "cv", [np.array(3)], r"cv must be a list, got array\(3\)"
-    for folds in ([0, 1], [2], [3]), ([0, 1], [48]), ([0.0, 1.0], [2.0, 3.0]):
-        yield learn, "cv", [[folds]], "pairs of the rows"
+    yield learn, "cv", ["folds", [1], np.array(3), [([0, 1], [2])]], "'cv' parameter"
     yield learn, "n_jobs", ["all"], "'n_jobs' parameter of .* an instance of 'int'"
     yield learn, "progress", ["yes"], "'progress' parameter of .* a callable"
     yield ARM.replace, "convention", [LARGE], "convention"

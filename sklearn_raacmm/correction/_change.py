@@ -293,16 +293,15 @@ def as_prior(linear):
     return with_harmonics(linear, sorted({*harmonics_of(linear), *wanted}))
 
 
-def families_of(linear):
-    """Family of each column, (n_columns,)."""
-    waves = ["harmonics"] * (2 * len(linear.terms.harmonics))
-    return np.array(waves + linear.term_table()["family"].tolist())
-
-
-def parts_of(linear):
+def parts_of(linear, name="harmonics of joint {}"):
     """What each column may change together with: its family, or the harmonics of one joint."""
-    waves = [f"harmonics of joint {j + 1}" for j, _ in harmonics_of(linear) for _ in range(2)]
+    waves = [name.format(j + 1) for j, _ in harmonics_of(linear) for _ in range(2)]
     return np.array(waves + linear.term_table()["family"].tolist())
+
+
+def _prior_sds(linear):
+    """Standard deviation of each coefficient before any data, by its family, (n_columns,)."""
+    return np.array([linear.prior_sd[name] for name in parts_of(linear, "harmonics")])
 
 
 def changes_of(linear):
@@ -311,7 +310,7 @@ def changes_of(linear):
     A low order may appear where there was none: it changes by what harmonics were expected to be
     before any data. A high one, the tooth of a gear, changes by as much as there is of it.
     """
-    sizes = np.array([linear.prior_sd[name] for name in families_of(linear)])
+    sizes = _prior_sds(linear)
     orders = linear.terms.harmonics[:, 1]
     waves = slice(0, 2 * len(orders))
     amplitude = np.linalg.norm(linear.coef[waves].reshape(-1, 2), axis=1) / np.sqrt(2)
@@ -328,7 +327,7 @@ def _into_kinematics(linear, with_base):
         return fold
     angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
     angles[:, : arm.n_joints] = np.random.default_rng(0).uniform(-np.pi, np.pi, (40, arm.n_joints))
-    of = families_of(linear) == "kinematics"
+    of = parts_of(linear) == "kinematics"
     columns = linear.columns(angles)[:, :, of]
     place = place_columns(arm, angles, with_base)
     rows = columns.shape[0] * columns.shape[1]
@@ -353,13 +352,17 @@ def transferred_model(models, arm, X, y, groups=None):
     new.fit(X, y, groups=False if groups is None else groups)
     own = new.linear_model_
     # Its calibration holds what the extra columns do in the mean of its own rows.
-    prior = replace(prior, terms=prior.terms._replace(extra=own.terms.extra, up=own.terms.up))
+    terms = prior.terms._replace(extra=own.terms.extra, up=own.terms.up)
+    prior = as_prior(replace(prior, terms=terms))
     poses = NewPoses(new, X, y, groups)
     if not own.offsets:
         poses.codes = None
     linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE_OF_MAKE)
     poses.weights = poses.weights * pose_weight * new.pose_weight_
-    gain = _evidence_of_make(prior, entry, poses) - _evidence_of_fit(own, poses)
+    part, size = changes_of(prior)
+    sd = np.array([entry["tau"][name] for name in part]) * size
+    known = prior, np.hstack([prior.half, np.diag(sd)]), poses, entry["noise_sd_mm"]
+    gain = _log_evidence(*known) - _evidence_of_fit(own, poses)
     fading = replace(new.fading_, factor=_FADING, most=1.0)
     fading, judgement = judged_fading(prior, poses, fading, _LOG_NOISE_OF_MAKE)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
@@ -453,18 +456,10 @@ def _pooled(linears, arm):
     )
 
 
-def _evidence_of_make(prior, entry, poses):
-    """Log evidence under the prior of the earlier arms."""
-    prior = as_prior(prior)
-    part, size = changes_of(prior)
-    sd = np.array([entry["tau"][name] for name in part]) * size
-    return _log_evidence(prior, np.hstack([prior.half, np.diag(sd)]), poses, entry["noise_sd_mm"])
-
-
 def _evidence_of_fit(linear, poses):
     """Log evidence of a fit to the new poses alone, less the prices of its lines."""
     orders = linear.terms.harmonics[:, 1]
-    sd = np.array([linear.prior_sd[name] for name in families_of(linear)])
+    sd = _prior_sds(linear)
     price, is_line = order_price(orders), np.ones(len(orders), bool)
     if "smooth" in linear.prior_sd:  # which holds all low orders, lines or not
         is_line = linear.log_bayes_factor > _CHOSEN * np.maximum(price, order_price(2))

@@ -72,7 +72,9 @@ class Data:
             names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
         poses = find_poses(angles, kinds, points)
-        self.given, self.rows = (angles, positions, points, tools), poses.first
+        self.rows = poses.first
+        groups = positions if points is None else None
+        self.given = {"angles": angles, "groups": groups, "points": points, "tools": tools}
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
         self.positions, self.values = positions[self.rows], values[self.rows]
         self.tools = None if tools is None else tools[self.rows]
@@ -133,22 +135,21 @@ class Data:
         return [] if self.points is not None else self.lengths_among(rows)
 
     def _at(self, rows) -> Any:
-        """Angles, positions, points and tools of some rows."""
-        parts = self.angles, self.positions, self.points, self.tools
-        return [None if part is None else part[rows] for part in parts]
+        """What calibration takes of some rows."""
+        groups = self.positions if self.points is None else None
+        parts = self.angles, groups, self.points, self.tools
+        named = zip(self.given, parts, strict=True)
+        return {name: None if part is None else part[rows] for name, part in named}
 
     def calibrate(self, rows=None):
         """Calibrate on some rows; on None on all, as they were given."""
-        angles, positions, points, tools = self.given if rows is None else self._at(rows)
+        given = self.given if rows is None else self._at(rows)
         lengths = self.lengths_of_model(slice(None) if rows is None else rows)
-        groups = positions if points is None else None
-        return calibrate(self.arm, angles, groups, points=points, lengths=lengths, tools=tools)
+        return calibrate(self.arm, **given, lengths=lengths)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        angles, positions, points, tools = self._at(rows)
-        groups = positions if points is None else None
-        return calibration.residuals(angles, points, groups, tools=tools)
+        return calibration.residuals(**self._at(rows))
 
     def at_probes(self, model, calibration, rows):
         """The model as it predicts these rows, each with its own probe."""
