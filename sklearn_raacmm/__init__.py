@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from sklearn_raacmm.correction import (
         Correction,
         check_correction,
-        cross_validate_correction,
         learn_correction,
         plan_poses,
         search_table,
@@ -45,7 +44,6 @@ __all__ = [
     "calibrate",
     "cartesian_to_cylindrical",
     "check_correction",
-    "cross_validate_correction",
     "cylindrical_to_cartesian",
     "directions_of",
     "learn_correction",

@@ -34,13 +34,11 @@ from sklearn_raacmm import (
     calibrate,
     cartesian_to_cylindrical,
     check_correction,
-    cross_validate_correction,
     cylindrical_to_cartesian,
     display,
     export,
     learn_correction,
     metrics,
-    plan_poses,
     position_residuals,
     search_table,
     update_correction,
@@ -198,8 +196,8 @@ REFUSING = [
     ("distance_std", partial(LINEAR.distance_std, ANGLES), "angles"),
     (
         "update",
-        lambda q, y, g, w: update_correction(LINEAR, q, y, groups=g, sample_weight=w).coef_,
-        "angles residuals groups weights",
+        lambda q, y, g: update_correction(LINEAR, q, y, groups=g).coef_,
+        "angles residuals groups",
     ),
     (
         "check",
@@ -209,7 +207,6 @@ REFUSING = [
     ("search_table", lambda q, g: search_table(ARM, q, g) is None, "angles groups"),
     ("search_table, points", lambda p: search_table(ARM, ANGLES, points=p), "points"),
     ("learn", partial(learn_correction, ARM), "angles groups points"),
-    ("judge", partial(cross_validate_correction, ARM), "angles groups points"),
     (
         "LengthErrorDisplay",
         lambda p, y: display.LengthErrorDisplay.from_predictions(p, y, **BARS),
@@ -417,7 +414,6 @@ OCTAHEDRON = 5.0 * np.vstack([np.eye(3), -np.eye(3)])
 
 
 learn = partial(learn_correction, *DATA)
-judge = partial(cross_validate_correction, *DATA)
 calibrated = partial(calibrate, ARM, ANGLES, GROUPS)
 updated = partial(update_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
 checked = partial(check_correction, LINEAR, ANGLES, CENTRED, groups=GROUPS)
@@ -440,24 +436,18 @@ def regression(weights=None, **params):
 
 def refused():
     """Functions, an option of each, values that it cannot take, and what the sentence says."""
-    for function in (learn, judge):
-        yield function, "angle_unit", [MANY], "'angle_unit' parameter of .* a str among"
-        yield function, "model", [[]], r"'model' parameter of .* an object implementing 'fit'"
-        yield function, "model", [ArmResidualRegressor], "provide an instance"
-        yield function, "model", [ArmResidualRegressor(orders=-1)], "'orders' parameter of ArmResi"
-        yield function, "cv", [1], "'cv' parameter of .* an int in the range"
-        yield function, "cv", ["folds"], "'cv' parameter"
-        yield function, "cv", [[1]], r"cv must be a whole number, a splitter, or pairs .* got \[1\]"
-        yield function, "cv", [np.array(3)], r"cv must be a list, got array\(3\)"
-        for folds in ([0, 1], [2], [3]), ([0, 1], [48]), ([0.0, 1.0], [2.0, 3.0]):
-            yield function, "cv", [[folds]], "pairs of the rows"
-        yield function, "n_jobs", ["all"], "'n_jobs' parameter of .* an instance of 'int'"
-        yield function, "progress", ["yes"], "'progress' parameter of .* a callable"
+    yield learn, "angle_unit", [MANY], "'angle_unit' parameter of .* a str among"
+    yield learn, "model", [[]], r"'model' parameter of .* an object implementing 'fit'"
+    yield learn, "model", [ArmResidualRegressor], "provide an instance"
+    yield learn, "model", [ArmResidualRegressor(orders=-1)], "'orders' parameter of ArmResi"
+    yield learn, "cv", [1], "'cv' parameter of .* an int in the range"
+    yield learn, "cv", ["folds", [1], np.array(3), [([0, 1], [2])]], "'cv' parameter"
+    yield learn, "n_jobs", ["all"], "'n_jobs' parameter of .* an instance of 'int'"
+    yield learn, "progress", ["yes"], "'progress' parameter of .* a callable"
     yield ARM.replace, "convention", [LARGE], "convention"
     yield ARM.replace, "name", [LARGE], "name"
     yield partial(ARM.forward, ANGLES), "angle_unit", [LARGE], "angle_unit"
     yield interval, "aggregate", [LARGE], "aggregate"
-    yield partial(plan_poses, TEST.arm, 4, 4), "region", [LARGE], "region"
     yield ArmErrors, "sag_um", [LARGE], "sag_um"
     for function in (
         lambda arm: learn_correction(arm, *DATA[1:]),
@@ -471,7 +461,6 @@ def refused():
         calibrated,
         partial(harmonics().fit, ANGLES, CENTRED, groups=GROUPS),
         partial(learn_correction, ARM, ANGLES, GROUPS),
-        partial(cross_validate_correction, ARM, ANGLES, GROUPS),
     ):
         no_lists = [[5.0], 5.0, "400 mm", ["0-1: 400"], None]
         yield function, "lengths", no_lists, "length"
@@ -546,7 +535,6 @@ def test_what_an_option_cannot_take_gets_a_sentence(
     "function",
     [
         partial(learn_correction, DATA[0], positions=TEST.groups),
-        partial(cross_validate_correction, DATA[0], positions=TEST.groups),
         partial(update_correction, LINEAR, y=TEST.target, groups=TEST.groups),
         partial(check_correction, LINEAR, y=TEST.target, groups=TEST.groups),
     ],

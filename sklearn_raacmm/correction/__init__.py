@@ -5,7 +5,7 @@
 
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._files import TRUSTED_TYPES
-from sklearn_raacmm.correction._learn import cross_validate_correction, learn_correction
+from sklearn_raacmm.correction._learn import learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._scores import CorrectionScores
@@ -20,7 +20,6 @@ __all__ = [
     "PosePlan",
     "TableChange",
     "check_correction",
-    "cross_validate_correction",
     "learn_correction",
     "plan_poses",
     "search_table",

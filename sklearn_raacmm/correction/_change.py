@@ -19,10 +19,9 @@ from datetime import date as calendar
 
 import numpy as np
 from sklearn.base import clone
-from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.calibration import REGISTERED_PLACE_MM
-from sklearn_raacmm.correction._condition import Prior, condition, log_density, narrowed
+from sklearn_raacmm.correction._condition import condition, log_density, narrowed
 from sklearn_raacmm.error_model import (
     LEAST_POSITIONS,
     ArmResidualRegressor,
@@ -35,7 +34,6 @@ from sklearn_raacmm.error_model import (
 from sklearn_raacmm.utils import (
     Finding,
     centred,
-    check_weights,
     encode_groups,
     floats,
     ignored_findings,
@@ -89,7 +87,13 @@ class NewPoses:
     unknown offsets, or None; `positions` (n,), where without groups each pose has its own.
     """
 
-    def __init__(self, model, X, y, groups, sample_weight):
+    def __init__(self, model, X, y, groups):
+        if not isinstance(model, ArmResidualRegressor):
+            raise TypeError(
+                f"{type(model).__name__} holds no linear model and cannot be updated or checked: "
+                "it has no posterior of causes. It can be registered, by "
+                "calibrate(..., correction=model)."
+            )
         angles = check_poses(model, X)
         y = floats("y", y, 3)
         if len(y) != len(angles):
@@ -102,7 +106,7 @@ class NewPoses:
         self.codes = None if groups is None else encode_groups(groups, len(y))[1]
         self.positions = np.arange(len(y)) if self.codes is None else self.codes
         self.angles, self.residuals = angles, y
-        self.weights = check_weights(sample_weight, angles)
+        self.weights = np.ones(len(y))
 
     def at(self, rows):
         """Some of the poses."""
@@ -130,32 +134,24 @@ class NewPoses:
         )
 
 
-def with_today(model, arm, done):
-    """A fitted model that holds a linear one, for the arm with today's probe, if it is given."""
-    if not isinstance(model, ArmResidualRegressor):
-        raise TypeError(
-            f"{type(model).__name__} holds no linear model and cannot be {done}: it has no "
-            "posterior of causes. It can be registered, by calibrate(..., correction=model)."
-        )
-    check_is_fitted(model)
-    return model if arm is None else model.with_arm(arm)
-
-
 def day(date):
     """A date as text; of None, today."""
     return calendar.today().isoformat() if date is None else str(date)
 
 
 def place_columns(arm, angles, with_base):
-    """What moves of the tool and shifts and turns of the base do to the probe, (n, 3, 3 or 9)."""
+    """What moves of the tool and shifts and turns of the base do to the probe, (n, 3, 3 or 9).
+
+    Each of the size that a registration may be wrong by.
+    """
     angles = angles[:, : arm.n_joints]  # without extra columns
-    tool = arm.frames(angles)[:, -1, :3, :3]
+    tool = REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
     if not with_base:  # of a single-point test the base shows nothing
         return tool
     points = arm.forward(angles)
     shift = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
     turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2) / arm.reach_mm
-    return np.concatenate([tool, shift, turn], axis=2)
+    return np.concatenate([tool, REGISTERED_PLACE_MM * shift, REGISTERED_PLACE_MM * turn], axis=2)
 
 
 def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
@@ -165,12 +161,12 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
     model, what `updates_` keeps of the change (`tau` says how much each part has changed), and
     what the loss left of the weight of each pose, (n,).
     """
-    linear = with_low_orders(linear)
+    linear = as_prior(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
     columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
     parts = columns, place, poses.residuals
     columns, place, shown = (centred(part, codes, weights) for part in parts)
-    after = condition(prior_of(linear, log_noise), columns, place, shown, weights)
+    after = condition(linear, changes_of(linear), columns, place, shown, weights, log_noise)
     seen_weights = weights * after.row_weight / after.noise_sd**2
     p, fold = len(linear.coef), _into_kinematics(linear, codes is None)
     half = after.half[:p] + fold @ after.half[p:]
@@ -203,14 +199,14 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
 def judged_fading(linear, poses, fading, log_noise=_LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
-    A posterior mean is shrunk by its prior already: what fades beyond the doubt at the new poses
-    is compared with what fades from no doubt on, and the share that is used follows, at each fifth
-    of the poses by a model that was changed without it.
+    A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
+    poses. The share that is used follows at each fifth of them by a model that was changed without
+    it.
 
     Returns the fading, and its `Judgement`; None where fewer than four positions are known.
     """
-    positions = poses.positions
-    labels = np.unique(positions[poses.weights > 0])
+    positions, used = poses.positions, poses.weights > 0
+    labels = np.unique(positions[used])
     if len(labels) < LEAST_POSITIONS:
         return fading, None
     order = np.random.default_rng(0).permutation(len(labels))
@@ -222,16 +218,9 @@ def judged_fading(linear, poses, fading, log_noise=_LOG_NOISE):
             rest = poses.at(~out)
             model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
             correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
-    judged = poses.residuals, correction, doubt
+    fading = replace(fading, known_mm=float(doubt[used].max()))
     known = poses.weights, poses.codes, positions, fading.most
-    fadings = fadings_for(fading, doubt[poses.weights > 0])
-    found = [judge(*judged, one, *known) for one in fadings]
-    return min(found, key=lambda one: one[1].mean_after_mm)
-
-
-def fadings_for(fading, doubt):
-    """Fading beyond the largest doubt at some poses, and from no doubt on."""
-    return replace(fading, known_mm=float(doubt.max())), replace(fading, known_mm=0.0)
+    return judge(poses.residuals, correction, doubt, fading, *known)
 
 
 def _informed(half, columns, place, weights):
@@ -243,19 +232,6 @@ def _informed(half, columns, place, weights):
     root = np.sqrt(weights)[:, None, None]
     seen, free = (np.concatenate(part * root) for part in (columns, place))
     return narrowed(half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0])
-
-
-def prior_of(linear, log_noise=_LOG_NOISE):
-    """What is known before new poses of the coefficients of a model `with_low_orders`."""
-    return Prior(
-        mean=linear.coef,
-        half=linear.half,
-        part=parts_of(linear),
-        size=_change_sizes(linear),
-        free_sd=REGISTERED_PLACE_MM,
-        noise_variance=max(linear.noise_variance, LEAST_NOISE_MM**2),
-        log_noise=log_noise,
-    )
 
 
 def poses_in_range(angles, n_joints):
@@ -303,43 +279,43 @@ def with_harmonics(linear, pairs):
     )
 
 
-def with_low_orders(linear):
-    """The same model with the orders 1 and 2 of every joint among its columns.
+def as_prior(linear):
+    """The same model with some noise, and the orders 1 and 2 of every joint among its columns.
 
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
     free orders cost more than they find (``benchmarks/bench_after_the_lab.py months``).
     """
+    linear = replace(linear, noise_variance=max(linear.noise_variance, LEAST_NOISE_MM**2))
     if "harmonics" not in linear.prior_sd:
         return linear
     wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, _NEW_ORDERS + 1)}
     return with_harmonics(linear, sorted({*harmonics_of(linear), *wanted}))
 
 
-def families_of(linear):
-    """Family of each column, (n_columns,)."""
-    waves = ["harmonics"] * (2 * len(linear.terms.harmonics))
-    return np.array(waves + linear.term_table()["family"].tolist())
-
-
-def parts_of(linear):
+def parts_of(linear, name="harmonics of joint {}"):
     """What each column may change together with: its family, or the harmonics of one joint."""
-    waves = [f"harmonics of joint {j + 1}" for j, _ in harmonics_of(linear) for _ in range(2)]
+    waves = [name.format(j + 1) for j, _ in harmonics_of(linear) for _ in range(2)]
     return np.array(waves + linear.term_table()["family"].tolist())
 
 
-def _change_sizes(linear):
-    """What a tau of 1 lets each column change by, (n_columns,).
+def _prior_sds(linear):
+    """Standard deviation of each coefficient before any data, by its family, (n_columns,)."""
+    return np.array([linear.prior_sd[name] for name in parts_of(linear, "harmonics")])
+
+
+def changes_of(linear):
+    """What each column may change together with, and by how much at a tau of 1, (n_columns,) each.
 
     A low order may appear where there was none: it changes by what harmonics were expected to be
     before any data. A high one, the tooth of a gear, changes by as much as there is of it.
     """
-    sizes = np.array([linear.prior_sd[name] for name in families_of(linear)])
+    sizes = _prior_sds(linear)
     orders = linear.terms.harmonics[:, 1]
     waves = slice(0, 2 * len(orders))
     amplitude = np.linalg.norm(linear.coef[waves].reshape(-1, 2), axis=1) / np.sqrt(2)
     most = np.repeat(np.where(orders > _LOW_ORDERS, amplitude, np.inf), 2)
     sizes[waves] = np.minimum(sizes[waves], most)
-    return sizes
+    return parts_of(linear), sizes
 
 
 def _into_kinematics(linear, with_base):
@@ -350,7 +326,7 @@ def _into_kinematics(linear, with_base):
         return fold
     angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
     angles[:, : arm.n_joints] = np.random.default_rng(0).uniform(-np.pi, np.pi, (40, arm.n_joints))
-    of = families_of(linear) == "kinematics"
+    of = parts_of(linear) == "kinematics"
     columns = linear.columns(angles)[:, :, of]
     place = place_columns(arm, angles, with_base)
     rows = columns.shape[0] * columns.shape[1]
@@ -375,13 +351,17 @@ def transferred_model(models, arm, X, y, groups=None):
     new.fit(X, y, groups=False if groups is None else groups)
     own = new.linear_model_
     # Its calibration holds what the extra columns do in the mean of its own rows.
-    prior = replace(prior, terms=prior.terms._replace(extra=own.terms.extra, up=own.terms.up))
-    poses = NewPoses(new, X, y, groups, None)
+    terms = prior.terms._replace(extra=own.terms.extra, up=own.terms.up)
+    prior = as_prior(replace(prior, terms=terms))
+    poses = NewPoses(new, X, y, groups)
     if not own.offsets:
         poses.codes = None
     linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE_OF_MAKE)
     poses.weights = poses.weights * pose_weight * new.pose_weight_
-    gain = _evidence_of_make(prior, entry, poses) - _evidence_of_fit(own, poses)
+    part, size = changes_of(prior)
+    sd = np.array([entry["tau"][name] for name in part]) * size
+    known = prior, np.hstack([prior.half, np.diag(sd)]), poses, entry["noise_sd_mm"]
+    gain = _log_evidence(*known) - _evidence_of_fit(own, poses)
     fading = replace(new.fading_, factor=_FADING, most=1.0)
     fading, judgement = judged_fading(prior, poses, fading, _LOG_NOISE_OF_MAKE)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
@@ -475,18 +455,10 @@ def _pooled(linears, arm):
     )
 
 
-def _evidence_of_make(prior, entry, poses):
-    """Log evidence under the prior of the earlier arms."""
-    prior = with_low_orders(prior)
-    known = prior_of(prior)
-    sd = np.array([entry["tau"][name] for name in known.part]) * known.size
-    return _log_evidence(prior, np.hstack([known.half, np.diag(sd)]), poses, entry["noise_sd_mm"])
-
-
 def _evidence_of_fit(linear, poses):
     """Log evidence of a fit to the new poses alone, less the prices of its lines."""
     orders = linear.terms.harmonics[:, 1]
-    sd = np.array([linear.prior_sd[name] for name in families_of(linear)])
+    sd = _prior_sds(linear)
     price, is_line = order_price(orders), np.ones(len(orders), bool)
     if "smooth" in linear.prior_sd:  # which holds all low orders, lines or not
         is_line = linear.log_bayes_factor > _CHOSEN * np.maximum(price, order_price(2))
@@ -501,7 +473,7 @@ def _log_evidence(linear, half, poses, noise_sd):
     """Log density of the residuals, without constants: base and tool are nearly free."""
     angles, weights, codes = poses.angles, poses.weights, poses.codes
     columns = linear.columns(angles)
-    place = REGISTERED_PLACE_MM * place_columns(linear.arm, angles, with_base=codes is None)
+    place = place_columns(linear.arm, angles, with_base=codes is None)
     left = centred(poses.residuals - columns @ linear.coef, codes, weights)
     seen = centred(np.concatenate([columns @ half, place], axis=2), codes, weights)
     root = np.sqrt(weights)

@@ -8,12 +8,11 @@ tests say which causes explain what is left of rows whose covariance is known.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, lapack, solve_triangular
+from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
-from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.utils import tukey_weights
@@ -45,18 +44,6 @@ _TAKEN_UP, _UNSEEN, _ROUNDING = 1e-2, 1e-8, 1e-10
 _LEAST_SHARE = 0.3
 
 
-class Prior(NamedTuple):
-    """What is known of coefficients before new rows, and by how much they may have changed."""
-
-    mean: np.ndarray  # (p,)
-    half: np.ndarray  # (p, r) root of their covariance before any change
-    part: np.ndarray  # (p,) names: the coefficients of one part change together
-    size: np.ndarray  # (p,) standard deviation of the change of each where tau is 1
-    free_sd: float  # of the coefficients of the columns that are nearly free
-    noise_variance: float
-    log_noise: tuple[float, float]  # bounds of the logarithm of the noise, in units of the prior's
-
-
 class Posterior(NamedTuple):
     """Coefficients after the new rows: those of the columns, then those that are nearly free."""
 
@@ -69,28 +56,37 @@ class Posterior(NamedTuple):
 
 
 def condition(
-    prior: Prior, columns: np.ndarray, free: np.ndarray, y: np.ndarray, weights: np.ndarray
+    prior: Any,
+    changes: tuple[np.ndarray, np.ndarray],
+    columns: np.ndarray,
+    free: np.ndarray,
+    y: np.ndarray,
+    weights: np.ndarray,
+    log_noise: tuple[float, float],
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
     With A the `columns` (n, c, p) and B the `free` ones (n, c, q), each row of c coordinates,
-    ``y - A mean = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each
-    part, ``b ~ N(0, free_sd^2)`` and e of one variance over the `weights` (n,). The taus and that
-    variance have the highest marginal likelihood times log-normal priors (MacKay, Neural Comput. 4,
-    1992). Rows that stay far from this posterior are weighed down (Tukey's biweight), and it is
-    found again: rows far from the prior alone show the change.
+    ``y - A coef = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each
+    part, ``b ~ N(0, 1)`` and e of one variance over the `weights` (n,). The `prior`, a linear
+    model, has `coef`, `half` and `noise_variance`; the `changes` are the names (p,) of the parts
+    and the sizes (p,). The taus and the variance, whose logarithm in units of the prior's has the
+    bounds `log_noise`, have the highest marginal likelihood times log-normal priors (MacKay, Neural
+    Comput. 4, 1992). Rows that stay far from this posterior are weighed down (Tukey's biweight),
+    and it is found again: rows far from the prior alone show the change.
     """
-    p, y = len(prior.mean), y - columns @ prior.mean
+    part, size = changes
+    p, y = len(prior.coef), y - columns @ prior.coef
     factor, logs, rounds = np.ones(len(y)), None, 0
     while True:
         A, summed, n_data = _rows_of(columns, free, y, weights * factor)
-        evidence = _Evidence(prior, A, summed, n_data)
+        evidence = _Evidence(prior, changes, A, summed, n_data, log_noise)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
         # Standard deviations of the changes and of the free coefficients.
-        sd = np.array([tau[name] for name in prior.part.tolist()]) * prior.size
-        sd = np.r_[sd, np.full(free.shape[2], prior.free_sd)]
+        sd = np.array([tau[name] for name in part.tolist()]) * size
+        sd = np.r_[sd, np.ones(free.shape[2])]
         dual = evidence.solved(logs)[1]
         mean = np.square(sd) * (A.T @ dual)
         mean[:p] += prior.half @ (prior.half.T @ (A[:, :p].T @ dual))
@@ -104,7 +100,7 @@ def condition(
     spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
     spread = spread.reshape(*y.shape, -1)
     left_out = _left_out(left, spread, weights * before, noise_sd)
-    mean[:p] += prior.mean
+    mean[:p] += prior.coef
     return Posterior(mean, half, tau, noise_sd, before, left_out)
 
 
@@ -160,24 +156,19 @@ class _Evidence:
     (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(self, prior, A, y, n_data):
-        self.y, m, p = y, len(y), len(prior.mean)
-        self.names = sorted(set(prior.part.tolist()))
+    def __init__(self, prior, changes, A, y, n_data, log_noise):
+        self.y, m, p = y, len(y), len(prior.coef)
+        part, size = changes
+        self.names = sorted(set(part.tolist()))
         A, free = A[:, :p], A[:, p:]
-        members = [prior.part == name for name in self.names]
-        self.roots = [A[:, part] * prior.size[part] for part in members]
-        self.noise_variance = prior.noise_variance
-        held = np.hstack([A @ prior.half, prior.free_sd * free])
-        # Only elements on and below the diagonal, of which the latter stand for two.
-        self.lower = np.tril_indices(m)
-        self.times = np.where(self.lower[0] == self.lower[1], 1.0, 2.0)
-        sums = [H @ H.T for H in self.roots] + [prior.noise_variance * np.eye(m), held @ held.T]
-        self.sums = np.stack([one[self.lower] for one in sums])
+        roots = [A[:, part == name] * size[part == name] for name in self.names]
+        roots += [np.sqrt(prior.noise_variance) * np.eye(m), np.hstack([A @ prior.half, free])]
+        self.sums = np.stack([H @ H.T for H in roots])
         self.n_rest = n_data - m  # coordinates that hold noise alone, which y has summed up
         n = len(self.names)
         self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
         self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]
-        self.bounds = np.array([_LOG_TAU] * n + [prior.log_noise])
+        self.bounds = np.array([_LOG_TAU] * n + [log_noise])
 
     def __call__(self, logs):
         """Value and slopes."""
@@ -185,26 +176,19 @@ class _Evidence:
         z = (logs - self.middle) / self.sd
         value = np.log(np.diag(factor)).sum() + self.n_rest * logs[-1]
         value += 0.5 * (self.y @ dual + z @ z)
-        factor[:] = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        inverse = lapack.dlauum(factor, lower=1, overwrite_c=1)[0]
-        slopes = np.exp(2 * logs) * (self.sums[:-1] @ (self.times * inverse[self.lower]))
-        slopes += z / self.sd - dual @ self._pulls(logs, dual)
+        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        inverse += np.tril(inverse, -1).T
+        inverse -= np.outer(dual, dual)
+        slopes = np.exp(2 * logs) * np.tensordot(self.sums[:-1], inverse, 2) + z / self.sd
         slopes[-1] += self.n_rest
         return value, slopes
 
     def solved(self, logs):
         """Lower root of the covariance, and its inverse times y."""
-        covariance = np.zeros((len(self.y), len(self.y)), order="F")
-        covariance[self.lower] = np.append(np.exp(2 * logs), 1.0) @ self.sums
-        factor, failed = lapack.dpotrf(covariance, lower=1, clean=1, overwrite_a=1)
-        if failed:
-            raise LinAlgError("the covariance of the new rows is not positive definite.")
-        return factor, lapack.dpotrs(factor, self.y, lower=1)[0]
-
-    def _pulls(self, logs, dual):
-        """Each part of the covariance times a, side by side."""
-        pulls = [H @ (H.T @ dual) for H in self.roots] + [self.noise_variance * dual]
-        return np.exp(2 * logs) * np.stack(pulls, axis=1)
+        covariance = np.tensordot(np.append(np.exp(2 * logs), 1.0), self.sums, 1)
+        # The transpose is the same matrix in the order that LAPACK has.
+        factor = cholesky(covariance.T, lower=True, overwrite_a=True, check_finite=False)
+        return factor, cho_solve((factor, True), self.y, check_finite=False)
 
     def lowest(self, start=None):
         """Where it is lowest, from a start or from the middle of the priors.
@@ -216,7 +200,8 @@ class _Evidence:
         if start is None:
             start = self.middle + np.eye(len(self.middle))[-1] * _FIRST_LOG_NOISE
         factor, dual = self.solved(start)
-        seen = solve_triangular(factor, self._pulls(start, dual), lower=True, check_finite=False)
+        pulls = np.exp(2 * start) * (self.sums[:-1] @ dual).T
+        seen = solve_triangular(factor, pulls, lower=True, check_finite=False)
         unit = 1 / np.sqrt(2 * np.square(seen).sum(axis=0) + 1 / self.sd**2)
 
         def in_units(x):
@@ -293,13 +278,13 @@ def score_tests(
     causes: Mapping[str, np.ndarray],
     whiten: Whitened,
     residual: np.ndarray,
-    known_from: float = np.inf,
+    known_from: float,
 ) -> np.ndarray:
     """Test the size of all residuals (m,), and for each cause whether it is there.
 
     What of a cause, columns (m, k), is not taken up by the nuisances spans some directions. If the
     covariance is right, the squares of the residuals along these are a chi-squared variable (C. R.
-    Rao, Proc. Camb. Phil. Soc. 44, 1948). Where its size was found from few independent errors,
+    Rao, Proc. Camb. Phil. Soc. 44, 1948). As its size was found from few independent errors,
     `known_from`, their mean is a variable of Fisher's distribution F.
 
     Returns a structured array of `cause`, `statistic`, `freedom` and `p_value`: of "noise", all
@@ -317,10 +302,7 @@ def score_tests(
     dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
     tests = np.array([(*row, 0.0) for row in rows], dtype=dtype)
     statistic, freedom = tests["statistic"], tests["freedom"]
-    if np.isinf(known_from):
-        tests["p_value"] = chi2.sf(statistic, freedom)
-    else:
-        tests["p_value"] = fisher.sf(statistic / freedom, freedom, known_from)
+    tests["p_value"] = fisher.sf(statistic / freedom, freedom, known_from)
     return tests
 
 

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction._change import fadings_for
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import with_causes
@@ -317,7 +316,25 @@ class Correction:
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        found, model = self._registered(angles, positions, points, lengths, list(free))
+        model: Any = copy(self.model)
+        linear = getattr(model, "linear_model_", None)
+        codes = None if positions is None else encode_groups(positions, len(angles))[1]
+        places = np.arange(len(angles)) if codes is None else codes
+        known: Any = ()
+        if linear is not None and len(np.unique(places)) >= LEAST_POSITIONS:
+            # These poses had no part in the fit: it fades beyond the largest doubt at them, and
+            # they say how much of it is used.
+            correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
+            model.fading_ = replace(model.fading_, known_mm=float(doubt.max()))
+            known = correction, doubt, model.fading_
+        found = calibrate(
+            self.arm, angles, positions, points=points, lengths=lengths,
+            correction=self._of_angles(model), free=list(free),
+        )  # fmt: skip
+        if known:
+            y = found.residuals(angles, points, positions)
+            weights, most = found.sample_weight, model.fading_.most
+            model.fading_ = judge(y, *known, weights, codes, places, most)[0]
         turns = np.char.startswith(found.names, "base_r")
         open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
@@ -500,38 +517,6 @@ class Correction:
             )
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
-
-    def _registered(self, angles, positions, points, lengths, free) -> Any:
-        """Calibration through the model, and the model with what of it these poses are for.
-
-        They had no part in its fit: what fades beyond the doubt at them is compared with what fades
-        from no doubt on, each after a registration of its own, and the share follows.
-        """
-
-        def through(model):
-            return calibrate(
-                self.arm, angles, positions, points=points, lengths=lengths,
-                correction=self._of_angles(model), free=free,
-            )  # fmt: skip
-
-        model: Any = self.model
-        linear = getattr(model, "linear_model_", None)
-        codes = None if positions is None else encode_groups(positions, len(angles))[1]
-        places = np.arange(len(angles)) if codes is None else codes
-        if linear is None or len(np.unique(places)) < LEAST_POSITIONS:
-            return through(model), model
-        found = []
-        correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
-        for fading in fadings_for(model.fading_, doubt):
-            one = copy(model)
-            one.fading_ = fading
-            result = through(one)
-            y, weights = result.residuals(angles, points, positions), result.sample_weight
-            one.fading_, judgement = judge(
-                y, correction, doubt, fading, weights, codes, places, fading.most
-            )
-            found.append((judgement.mean_after_mm, result, one))
-        return min(found, key=lambda entry: entry[0])[1:]
 
     def _within_positions(self, X):
         """Corrected points, and standard deviations of their coordinates within a position."""

@@ -12,12 +12,7 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from sklearn_raacmm.arm import parameter_jacobian
-from sklearn_raacmm.correction._change import (
-    LEAST_NOISE_MM,
-    place_columns,
-    prior_of,
-    with_low_orders,
-)
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, as_prior, changes_of, place_columns
 from sklearn_raacmm.correction._condition import Whitened
 from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.measurements import FAR, explanations, likeliest, medians_of, of_own_points
@@ -50,7 +45,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     exceeds its price, beside those that are nearly as likely. Deviations of cones that are those of
     the arm's own points are of these rows and this table: the arm alone can be another one.
     """
-    linear, n_joints = with_low_orders(model.linear_model_), model.linear_model_.arm.n_joints
+    linear, n_joints = as_prior(model.linear_model_), model.linear_model_.arm.n_joints
     of_rows, _, doubt = model.linear_model_.predict_with_doubt(poses.angles)
     as_given = False
     if poses.codes is not None:
@@ -135,11 +130,11 @@ class _Spread:
     """Covariance of the residuals of some poses about the model, along its own axes."""
 
     def __init__(self, linear, poses, table):
-        n_joints, n, prior = linear.arm.n_joints, poses.residuals.size, prior_of(linear)
+        n_joints, n = linear.arm.n_joints, poses.residuals.size
         self.codes = poses.codes
         columns = linear.columns(poses.angles).reshape(n, -1)
         known = max(linear.std_scale, 1.0) * (columns @ linear.half)
-        noise = max(linear.noise_scale, 1.0) ** 2 * prior.noise_variance
+        noise = max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance
         covariance = known @ known.T + noise * np.eye(n)
         if table:
             size = np.repeat([table, 1e-3 * table] * 2, n_joints)
@@ -152,7 +147,7 @@ class _Spread:
         root = cholesky(covariance, lower=True, check_finite=False)
         self.whiten = Whitened(root, nuisance)
         self.freedom = self.whiten.freedom
-        changes = self.whiten(columns * prior.size)
+        changes = self.whiten(columns * changes_of(linear)[1])
         self.axes, size, _ = np.linalg.svd(changes, full_matrices=False)
         self.size = np.square(size)
         # Of the restricted likelihood: nuisances that are seen better cost more.

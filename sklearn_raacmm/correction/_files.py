@@ -3,8 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import glob
 import json
+import os
 import re
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,11 +15,15 @@ from zipfile import ZipFile
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._shared_folder import locked, whole_file
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
 from sklearn_raacmm.utils import Finding, digest_of, write_whole
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 _FACTS = "correction.json"
 # Of the folder.
@@ -43,6 +50,8 @@ TRUSTED_TYPES = [
 ]
 # The module in the name of a class of ours in a skops file, behind that of its subpackage.
 _PRIVATE = re.compile(rb'(?<="__module__": )("sklearn_raacmm\.\w+)\._\w+(?=")')
+# Names that `write_whole` gives to files until they are complete.
+_LEFT_OVER = re.compile(r".+\.[0-9a-f]{16}\.[0-9a-f]{8}\.tmp")
 
 
 def _skops():
@@ -90,7 +99,7 @@ def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -
     facts["fingerprint"] = _fingerprint(facts)
     contents = {_FACTS: json.dumps(facts, indent=1, ensure_ascii=False) + "\n", **contents}
     paths = {folder / name: content for name, content in contents.items()}
-    with locked(folder):
+    with _locked(folder):
         write_whole(paths)
     return list(paths)
 
@@ -106,12 +115,12 @@ def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
     folder, contents = Path(folder), []
     if not (folder / _FACTS).is_file():
         raise FileNotFoundError(f"{folder} has no {_FACTS}; learning a correction writes one.")
-    with locked(folder, shared=True):
+    with _locked(folder, shared=True):
         facts = _read_facts(folder / _FACTS)
         for name in names:
             if name not in facts["files"]:
                 raise FileNotFoundError(f"{folder} was written without {name}.")
-            content = whole_file(folder / name, facts["files"][name])
+            content = _whole_file(folder / name, facts["files"][name])
             if content is None:
                 state = "not the one" if (folder / name).exists() else "missing, the one"
                 raise ValueError(
@@ -140,3 +149,36 @@ def _read_facts(path):
         f"{path} was changed after it was written: its fingerprint is another. Copy the whole "
         "folder again, or learn again."
     )
+
+
+def _whole_file(path, digest):
+    """Content of the file of this fingerprint, by `digest_of`; None where there is none.
+
+    It is at its place, or not yet renamed where `write_whole` did not come to its end.
+    """
+    for place in (path, *path.parent.glob(f"{glob.escape(path.name)}.{digest[:16]}.*.tmp")):
+        if place.is_file() and digest_of(content := place.read_bytes()) == digest:
+            return content
+    return None
+
+
+@contextmanager
+def _locked(folder, shared=False):
+    """Wait until no other process or thread writes into this folder (nor reads, unless `shared`).
+
+    The lock goes with the process that holds it. Windows has none for folders. Who does not share
+    the folder also removes what `write_whole` has left there when it was killed.
+    """
+    handle = None
+    try:
+        if fcntl is not None:
+            handle = os.open(folder, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        yield
+        if not shared:
+            for path in folder.glob("*.tmp"):
+                if _LEFT_OVER.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
+    finally:
+        if handle is not None:
+            os.close(handle)

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
 
@@ -15,7 +16,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
-from sklearn_raacmm.correction._scores import CorrectionScores, scores_of, with_verdict
+from sklearn_raacmm.correction._scores import scores_of, share_of
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
@@ -24,7 +25,7 @@ from sklearn_raacmm.utils import Finding, FindingError, call_collecting, encode_
 _CONSTRAINTS = {
     "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
     "model": [param_checks.HasMethods(["fit", "predict", "get_params"]), None],
-    "cv": ["cv_object"],
+    "cv": [param_checks.Interval(Integral, 2, None, closed="left"), None],
     "n_jobs": [Integral, None],
     "progress": [callable, None],
     "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
@@ -42,11 +43,10 @@ def learn_correction(
     *,
     angle_unit: str = "rad",
     model: Any = None,
-    cv: Any = None,
+    cv: int | None = None,
     n_jobs: int | None = None,
     progress: Callable[..., object] | None = None,
     extra: dict[str, Any] | None = None,
-    in_order: bool = False,
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
@@ -54,7 +54,7 @@ def learn_correction(
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
-    :func:`cross_validate_correction` judges alone.
+    The ``scores`` of the result are a cross-validation of any model, calibration included.
 
     Parameters
     ----------
@@ -77,19 +77,16 @@ def learn_correction(
         `arm` are set to the arm calibrated in each fold, those called `angle_unit` to "rad";
         `groups` and `lengths` are given to its `fit` where it takes them. None:
         ``ArmResidualRegressor(arm)``.
-    cv : int, splitter or iterable of (train, test), default=None
-        Folds of whole positions; each row is left out once. None: five.
+    cv : int, default=None
+        Number of folds of whole positions or `blocks`; each row is left out once. None: five.
     n_jobs : int, default=None
         Folds computed at the same time, as in scikit-learn.
     progress : callable, default=None
         Called as ``progress(done, n_folds)`` when a fold is done.
     extra : dict of str to array-like of shape (n_samples,), default=None
         Causes that were written down with the angles, by the names that
-        :class:`ArmResidualRegressor` has for them. They are kept where the evidence asks for them.
-        "time" is refused where the angles tell the number of the row.
-    in_order : bool, default=False
-        Whether the rows are in the order in which they were measured. Then the directions from
-        which joints came are offered, too.
+        :class:`ArmResidualRegressor` has for them, such as "direction 2" of
+        :func:`directions_of`. "time" is refused where the angles tell the number of the row.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
         prior of this one's, if the evidence is for it against a model that is
@@ -109,7 +106,8 @@ def learn_correction(
     blocks : array-like of shape (n_samples,), default=None
         Label of what holds the position of each row, where what happens to one position happens to
         others: the plate of a socket, the placement of a bar. Positions of one block are left out
-        together, and the intervals count blocks.
+        together, and the intervals count blocks. With the number of blocks as `cv` they are the
+        folds.
 
     Returns
     -------
@@ -119,11 +117,11 @@ def learn_correction(
     Raises
     ------
     ValueError
-        If shapes, labels or numbers do not fit together, a position has one row, there are fewer
-        than three blocks of positions, or `cv` puts one position on both sides; if the points of
-        the calibrated arm scatter by more than 2 % of its reach: labels, table or unit are then
-        wrong, and the sentence says what :func:`search_table` has found; if
-        `points_sd` is more than twice what the points differ by from the corrected ones.
+        If shapes, labels or numbers do not fit together, a position has one row, or there are fewer
+        than three blocks of positions; if the points of the calibrated arm scatter by more than 2 %
+        of its reach: labels, table or unit are then wrong, and the sentence says what
+        :func:`search_table` has found; if `points_sd` is more than twice what the points differ by
+        from the corrected ones.
 
     Warns
     -----
@@ -161,10 +159,7 @@ def learn_correction(
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
     def inside():
-        data = Data(
-            arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools,
-            blocks,
-        )  # fmt: skip
+        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)
         calibration = _calibrated(data, angles, angle_unit)
         data = data.seen_by(calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
@@ -180,53 +175,11 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
-    scores = with_verdict(scores, data, findings, fitted)
+    scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
     base = None if points is None else (calibration.base_rotation, calibration.base_translation)
     facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
     data_of = data.angles, data.positions
     return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)
-
-
-def cross_validate_correction(
-    arm: Arm,
-    angles: ArrayLike,
-    positions: ArrayLike | None = None,
-    points: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
-    **options: Any,
-) -> CorrectionScores:
-    """Judge a correction at positions left out, with calibration and model fitted anew each time.
-
-    Parameters
-    ----------
-    arm, angles, positions, points, lengths
-        See :func:`learn_correction`.
-    **options
-        All that :func:`learn_correction` takes by keyword.
-
-    Returns
-    -------
-    CorrectionScores
-
-    Raises
-    ------
-    ValueError
-        As :func:`learn_correction`.
-
-    Examples
-    --------
-    >>> from sklearn_raacmm import ArmResidualRegressor, cross_validate_correction
-    >>> from sklearn_raacmm.datasets import make_single_point
-    >>> test = make_single_point(n_positions=6, n_poses=25, random_state=1)  # simulated
-    >>> scores = cross_validate_correction(
-    ...     test.nominal_arm, test.data, test.groups,
-    ...     model=ArmResidualRegressor(orders=4), cv=3,
-    ... )
-    >>> scores.helps
-    True
-    """
-    scores: Any = learn_correction(arm, angles, positions, points, lengths, **options).scores
-    return scores
 
 
 def _say_what_moved(data, calibration, model, noise, rows):
@@ -269,15 +222,14 @@ def _calibrated(data, angles, angle_unit):
 
 def _facts(data, calibration, scores):
     """What is worth keeping of a correction without its data, as plain values fit for JSON."""
-    rows = data.rows[scores.outliers]
+    rows, labels = data.rows[scores.outliers], data.positions[scores.outliers]
     distance = np.linalg.norm(calibration.residuals_mm[rows], axis=1)
     farthest = np.argsort(-distance, kind="stable")
-    columns = (part[farthest].tolist() for part in (rows, data.given[1][rows], distance))
+    columns = (part[farthest].tolist() for part in (rows, labels, distance))
     return {name: getattr(scores, name) for name in _KEPT} | {
         "written_by": f"sklearn_raacmm {__version__}",
         "findings": [finding.facts() for finding in scores.findings],
         "scale_sd": calibration.scale_sd,
-        "fold_shares": list(scores.fold_shares),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},

@@ -18,9 +18,8 @@ from scipy.linalg import cholesky
 from scipy.stats import chi
 from scipy.stats import f as fisher
 
-from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import check_length
-from sklearn_raacmm.correction._change import NewPoses, day, place_columns, with_today
+from sklearn_raacmm.correction._change import NewPoses, day, place_columns
 from sklearn_raacmm.correction._condition import Whitened, best_cause, explained, score_tests
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import medians_of
@@ -150,7 +149,6 @@ class CorrectionCheck:
     {
         "false_alarm_rate": [param_checks.Interval(Real, 0, 0.5, closed="neither")],
         "refitted": ["array-like", str],
-        "arm": [Arm, None],
         "date": [str, calendar, None],
     },
     prefer_skip_nested_validation=True,
@@ -163,8 +161,6 @@ def check_correction(
     *,
     groups: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
-    arm: Arm | None = None,
-    sample_weight: ArrayLike | None = None,
     refitted: str | Sequence[str] = (),
     false_alarm_rate: float = 0.01,
     date: str | None = None,
@@ -178,7 +174,7 @@ def check_correction(
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between two positions of `groups`, mm, such as of a gauge with poses at both
         ends: tuples or the rows of an array. They show a change of scale, as by temperature.
-    arm, sample_weight, date
+    date
         As in :func:`update_correction`.
     refitted : list of {"base", "probe"}, default=()
         What has been fitted to these same poses: that has taken up a part of any change.
@@ -224,8 +220,7 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    model = with_today(model, arm, "checked")
-    today = NewPoses(model, X, y, groups, sample_weight)
+    today = NewPoses(model, X, y, groups)
     lengths = listed("lengths", lengths)
     if lengths and groups is None:
         raise ValueError("lengths are between positions: give groups, the position of each pose.")

@@ -19,10 +19,10 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
 from sklearn_raacmm.correction._change import transferred_model
-from sklearn_raacmm.error_model import UNUSED_SD, ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import directions_of, find_poses, order_explained_by, within_turn
+from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
+from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Finding, encode_groups, floats, ignored_findings, listed
+from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -30,8 +30,6 @@ _FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
 # Share of the variance of the row number that angles may explain where time is to be learnt: of two
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 _MOST_EXPLAINED = 0.2
-# The family of columns by which each kind of cause is judged.
-_FAMILIES = {"time": "temperature", "payload": "force"}
 
 
 class Data:
@@ -43,9 +41,8 @@ class Data:
     """
 
     def __init__(
-        self, arm, angles, positions, points, lengths, angle_unit, extra, in_order, like, tools,
-        blocks,
-    ):  # fmt: skip
+        self, arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks
+    ):
         check_arm(arm)
         # Within one turn, lest a warning of far angles be repeated by everything that follows.
         angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
@@ -66,7 +63,7 @@ class Data:
                 f"position {labels[alone[0]].item()!r} has a single row, row "
                 f"{np.flatnonzero(codes == alone[0])[0]}: is its label mistyped?"
             )
-        self.causes, values = checked_causes(extra, in_order, angles, codes)
+        self.causes, values = _causes(extra, angles, codes)
         kinds, positions = codes, labels[codes]
         self.arm, self.lengths, self.like = arm, lengths, listed("like", like)
         if tools is not None:
@@ -75,7 +72,9 @@ class Data:
             names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
         poses = find_poses(angles, kinds, points)
-        self.given, self.rows = (angles, positions, points, tools), poses.first
+        self.rows = poses.first
+        groups = positions if points is None else None
+        self.given = {"angles": angles, "groups": groups, "points": points, "tools": tools}
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
         self.positions, self.values = positions[self.rows], values[self.rows]
         self.tools = None if tools is None else tools[self.rows]
@@ -88,8 +87,7 @@ class Data:
     def seen_by(self, calibration):
         """The same with what a calibration of all rows has found.
 
-        Positions that are one place are joined. Lengths that are wrong are left out, and causes
-        that are not worth their price in a fit to all rows.
+        Positions that are one place are joined. Lengths that are wrong are left out.
         """
         seen = copy(self)
         one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
@@ -97,17 +95,6 @@ class Data:
         if self.lengths and self.points is None:
             wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
-        if self.causes:
-            rows, causes = self.without_lonely()[0], np.array(self.causes)
-            y, lengths = self.residuals(calibration, rows), seen.lengths_of_model(rows)
-            prior_sd = self._fitted(None, calibration, rows, y, lengths).prior_sd_
-            kinds = [name.split()[0] for name in self.causes]
-            keep = np.array([prior_sd[_FAMILIES.get(kind, kind)] > 2 * UNUSED_SD for kind in kinds])
-            if not keep.all():
-                left_out = f"{', '.join(causes[~keep])}: left out of the model."
-                text = f"The evidence does not ask for {left_out}"
-                Finding("cause-not-kept", text, weight="note").report()
-            seen.causes, seen.values = tuple(causes[keep].tolist()), self.values[:, keep]
         return seen
 
     @property
@@ -148,22 +135,21 @@ class Data:
         return [] if self.points is not None else self.lengths_among(rows)
 
     def _at(self, rows) -> Any:
-        """Angles, positions, points and tools of some rows."""
-        parts = self.angles, self.positions, self.points, self.tools
-        return [None if part is None else part[rows] for part in parts]
+        """What calibration takes of some rows."""
+        groups = self.positions if self.points is None else None
+        parts = self.angles, groups, self.points, self.tools
+        named = zip(self.given, parts, strict=True)
+        return {name: None if part is None else part[rows] for name, part in named}
 
     def calibrate(self, rows=None):
         """Calibrate on some rows; on None on all, as they were given."""
-        angles, positions, points, tools = self.given if rows is None else self._at(rows)
+        given = self.given if rows is None else self._at(rows)
         lengths = self.lengths_of_model(slice(None) if rows is None else rows)
-        groups = positions if points is None else None
-        return calibrate(self.arm, angles, groups, points=points, lengths=lengths, tools=tools)
+        return calibrate(self.arm, **given, lengths=lengths)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        angles, positions, points, tools = self._at(rows)
-        groups = positions if points is None else None
-        return calibration.residuals(angles, points, groups, tools=tools)
+        return calibration.residuals(**self._at(rows))
 
     def at_probes(self, model, calibration, rows):
         """The model as it predicts these rows, each with its own probe."""
@@ -254,17 +240,13 @@ def _regions(points):
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
-def checked_causes(extra, in_order, angles, codes):
+def _causes(extra, angles, codes):
     """Names and values (n, n_causes) of the causes offered to a model, for angles in rad.
 
-    Where the rows are in the order of measurement, directions are offered, too. Time that the
-    angles explain is refused: what it explains may be the place.
+    Time that the angles explain is refused: what it explains may be the place.
     """
     given = _given(extra, len(angles))
     check_extra(tuple(given), angles.shape[1])
-    if in_order:
-        ways = {f"direction {joint}": way for joint, way in enumerate(directions_of(angles).T, 1)}
-        given |= {name: way for name, way in ways.items() if name not in given}
     if "time" in given and (explained := order_explained_by(angles, codes)) > _MOST_EXPLAINED:
         raise ValueError(
             f"time cannot be learnt from this run: the angles explain the number of the row (R2 "

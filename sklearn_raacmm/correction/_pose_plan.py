@@ -7,11 +7,10 @@ from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.arm import Arm, check_arm, limits_of, solve
-from sklearn_raacmm.utils import Floats, floats
+from sklearn_raacmm.utils import Floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
 _PLACES, _STARTS = 4, 8
@@ -47,12 +46,13 @@ def plan_poses(
     n_positions: int = 8,
     n_poses: int = 12,
     *,
-    region: ArrayLike | None = None,
     lean_deg: float | None = 60.0,
     random_state: int | np.random.RandomState | None = 0,
 ) -> PosePlan:
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
+    Cones stand all around the base, from a quarter to 85 % of the reach away, up to 45 % of it
+    high, or where ``arm.limits`` let the arm reach.
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
     allows, and in an order of short ways (``benchmarks/bench_after_the_lab.py plan``).
 
@@ -62,9 +62,6 @@ def plan_poses(
         Nominal or calibrated.
     n_positions, n_poses : int, default=8 and 12
         Cones, and poses in each. The defaults take about twenty minutes.
-    region : array-like of shape (2, 3), default=None
-        Lowest and highest x, y and z where cones can stand, base frame, mm. None: all around the
-        base, from a quarter to 85 % of the reach away, up to 45 % of it high.
     lean_deg : float or None, default=60
         How far the probe may lean from the vertical, ``arm.up``, degrees; no frame of the wrist may
         be lower than the cone then. None: a probe that may come from anywhere, as a ball in a
@@ -96,24 +93,17 @@ def plan_poses(
     check_scalar(n_positions, "n_positions", Integral, min_val=1)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
     rng, reach = check_random_state(random_state), arm.reach_mm
-    if region is not None:
-        region = floats("region", region)
-        if region.shape != (2, 3) or not np.all(region[0] <= region[1]):
-            raise ValueError(
-                "region must be the lowest and the highest x, y and z in mm, shape (2, 3), got "
-                f"{region.tolist()!s:.60}."
-            )
     reached = []
     for _ in range(_PLACES * n_positions):
-        place = _place(rng, reach, region)
+        place = _place(rng, reach)
         poses = _poses_at(arm, place, n_poses, lean_deg, rng)
         if poses is not None:
             reached.append((place, poses))
     if len(reached) < n_positions:
         raise ValueError(
             f"only {len(reached)} of {_PLACES * n_positions} places that were tried are reached in "
-            f"{n_poses} poses, and {n_positions} are needed: give another region, a larger "
-            "lean_deg, or wider limits."
+            f"{n_poses} poses, and {n_positions} are needed: give a larger lean_deg, or wider "
+            "limits."
         )
     cones = np.array([place for place, _ in reached])
     chosen = np.array(_spread(cones, n_positions))
@@ -127,10 +117,8 @@ def plan_poses(
     return PosePlan(cones[chosen], np.concatenate(angles), groups, minutes)
 
 
-def _place(rng, reach, region):
+def _place(rng, reach):
     """A place for a cone, (3,) in mm."""
-    if region is not None:
-        return rng.uniform(*region)
     azimuth, share = rng.uniform(-np.pi, np.pi), rng.uniform(_NEAREST, _FARTHEST)
     height = rng.uniform(0, _HIGHEST) * reach
     radius = np.sqrt(max((share * reach) ** 2 - height**2, (_NEAREST * reach) ** 2))

@@ -3,7 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from sklearn_raacmm.utils import (
     encode_groups,
     group_means,
     ignored_findings,
-    listed,
     natural_order,
 )
 
@@ -39,7 +39,7 @@ _K = 2.0
 class CorrectionScores:
     """What a correction is worth at positions that neither calibration nor model had seen.
 
-    Made by :func:`cross_validate_correction` and :func:`learn_correction`.
+    Made by :func:`learn_correction`.
     ``pandas.DataFrame(scores.table)`` is the table of positions.
 
     Attributes
@@ -72,10 +72,8 @@ class CorrectionScores:
         Rows counted at each position of the table.
     left_before, left_after : ndarray of shape (n_samples, 3)
         Deviation of each point when it was left out, mm; NaN for outliers.
-    helps : bool
-        Whether the correction is worth using at new positions.
-    verdict : str
-        The same in one sentence, with the numbers.
+    n_blocks : int
+        How many blocks of positions, each of which was left out as a whole.
     findings : tuple of Finding
         What was noticed in the data. With one of weight "repair" nothing is judged.
     share : float
@@ -97,11 +95,40 @@ class CorrectionScores:
     rows_by_position: list[Any]
     left_before: np.ndarray
     left_after: np.ndarray
-    helps: bool = False
-    verdict: str = ""
+    n_blocks: int
+    fold_shares: tuple[float, ...]
     findings: tuple[Any, ...] = ()
     share: float = 1.0
-    fold_shares: tuple[float, ...] = ()
+
+    @property
+    def helps(self) -> bool:
+        """Whether the correction is worth using at new positions."""
+        return self._judgement[0]
+
+    @property
+    def verdict(self) -> str:
+        """The same in one sentence, with the numbers."""
+        return self._judgement[1]
+
+    @cached_property
+    def _judgement(self) -> tuple[bool, str]:
+        """Whether it helps, and the sentence.
+
+        With a finding of weight "repair" nothing is judged. What is handed over has to be what was
+        judged: where the model of all rows is not in use, or most of those that were judged were
+        not, the verdict says so.
+        """
+        if not self.judged:
+            first, *more = (f for f in self.findings if f.weight == "repair")
+            others = f" And {len(more)} more of the findings." * bool(more)
+            return False, f"Not judged: first repair this. {first}{others}"
+        helps, verdict = _verdict(self)
+        if (np.median(self.fold_shares) > 0) != (self.share > 0):
+            return False, (
+                f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
+                f"than those that were judged: {_shares(self.share, self.fold_shares)}."
+            )
+        return helps, verdict
 
     @property
     def judged(self) -> Any:
@@ -132,8 +159,7 @@ class CorrectionScores:
             f"inside the model's own 95 % intervals: {self.coverage:.1%} of the coordinates; its "
             f"standard deviations are multiplied by {self.std_factor:.2f}, so that 95 % are"
         )
-        if self.fold_shares:
-            lines.append(_shares(self.share, self.fold_shares))
+        lines.append(_shares(self.share, self.fold_shares))
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
         lines += [f"{finding.weight}: {finding}" for finding in self.findings]
@@ -163,28 +189,6 @@ def _shares(share, of_folds):
     return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
-def with_verdict(scores, data, findings, model):
-    """Scores with what was found, and whether the correction helps.
-
-    With a finding of weight "repair" nothing is judged. What is handed over has to be what was
-    judged: where the model of all rows is not in use, or most of those that were judged were not,
-    the verdict says so.
-    """
-    scores = replace(scores, findings=tuple(findings), share=_share_of(model))
-    helps, verdict = _verdict(scores, len(np.unique(_blocks(data, scores.rows_by_position))))
-    is_another = (np.median(scores.fold_shares) > 0) != (scores.share > 0)
-    if not scores.judged:
-        first, *more = (f for f in scores.findings if f.weight == "repair")
-        others = f" And {len(more)} more of the findings." * bool(more)
-        verdict = f"Not judged: first repair this. {first}{others}"
-    elif is_another:
-        verdict = (
-            f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
-            f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
-        )
-    return replace(scores, helps=helps and scores.judged and not is_another, verdict=verdict)
-
-
 def scores_of(data, calibration, model, cv, n_jobs, progress):
     """Scores of checked data with the calibration of all of them."""
     outliers = data.outliers(calibration)
@@ -202,6 +206,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         if progress is not None:
             progress(i + 1, len(folds))
     table, rows_by_position = _table(data, before, after)
+    blocks = data.blocks()[[rows[0] for rows in rows_by_position]]
     coverage, factor = coverage_of(after, std)
     if "scale" in calibration.unidentified:  # the arm has it from its table alone
         per_metre = _K * 1000 * calibration.scale_sd
@@ -214,7 +219,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     return CorrectionScores(
         measure="2S" if data.points is None else "mean deviation",
         table=table,
-        summary=_summary(table["before"], table["after"], _blocks(data, rows_by_position)),
+        summary=_summary(table["before"], table["after"], blocks),
         lengths=[entry[0] for entry in lengths],
         length_errors_before=errors[:, 0],
         length_errors_after=errors[:, 1],
@@ -225,58 +230,35 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         rows_by_position=rows_by_position,
         left_before=before,
         left_after=after,
+        n_blocks=len(np.unique(blocks)),
         fold_shares=tuple(fold_shares),
     )
 
 
-def _blocks(data, rows_by_position):
-    """Block of each position of the table."""
-    return data.blocks()[[rows[0] for rows in rows_by_position]]
-
-
-def _share_of(model):
+def share_of(model):
     """Share of its correction that a fitted model uses; 1 of models that know none."""
     return float(model.fading_.most) if hasattr(model, "fading_") else 1.0
 
 
 def _folds(data, kept, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
-    positions, blocks = data.positions, data.blocks()
-    every, n_blocks = np.arange(len(positions)), len(np.unique(blocks))
+    blocks = data.blocks()
+    n_blocks = len(np.unique(blocks))
     if n_blocks < 3:
         raise ValueError(
             f"at least 3 positions are needed to leave some out, got {n_blocks}; ten are a fair "
             "start."
         )
-    if cv is None or isinstance(cv, int | np.integer):
-        cv = GroupKFold(min(_N_FOLDS, n_blocks) if cv is None else int(cv))
-    is_splitter = hasattr(cv, "split")
-    splits = listed("cv", cv.split(data.angles, groups=blocks) if is_splitter else cv)
-    try:
-        splits = [(every[train], every[test]) for train, test in splits]
-    except (TypeError, ValueError, IndexError):
-        raise ValueError(
-            "cv must be a whole number, a splitter, or pairs of the rows to fit on and to leave "
-            f"out, got {cv!r:.60}."
-        ) from None
-    times = np.zeros(len(every), dtype=int)
-    for train, test in splits:
+    folds = []
+    for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=blocks):
         lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
         if len(lost):
             raise ValueError(
                 f"all positions of tool {lost[0].item()!r} are left out together: measure each "
-                "tool at more positions, give cv, or mend a mistyped label."
+                "tool at more positions, give blocks, or mend a mistyped label."
             )
-        both = np.intersect1d(positions[train], positions[test])
-        if len(both):
-            raise ValueError(
-                f"cv puts position {both[0].item()!r} on both sides: rows of one position "
-                "resemble each other, so split by position."
-            )
-        times[test] += 1
-    if np.any(times != 1):
-        raise ValueError("cv must leave out each row exactly once.")
-    return [(np.intersect1d(train, kept), np.intersect1d(test, kept)) for train, test in splits]
+        folds.append((np.intersect1d(train, kept), np.intersect1d(test, kept)))
+    return folds
 
 
 def _one_fold(data, model, train, test):
@@ -285,7 +267,7 @@ def _one_fold(data, model, train, test):
     with ignored_findings():  # whatever there is to say is said of all rows
         calibration = data.calibrate(np.sort(np.r_[train, lonely]))
         fitted, noise = data.fit(model, calibration, train)
-        share, fitted = _share_of(fitted), data.at_probes(fitted, calibration, test)
+        share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
     points = points_of(calibration.arm, data.angles[test], data.probes(calibration, test))
     labels = data.positions[test]
@@ -355,8 +337,9 @@ def coverage_of(left, std):
     return float(np.mean(ratio <= _Z95)), float(np.quantile(ratio, 0.95) / _Z95)
 
 
-def _verdict(scores, n_blocks):
+def _verdict(scores):
     """Whether it helps, and a sentence; without a known length it is no better in lengths."""
+    n_blocks = scores.n_blocks
     before, after = scores.table["before"], scores.table["after"]
     n, better = len(before), int(np.sum(after < before))
     ratio, low, high = scores.summary["ratio"]

@@ -8,17 +8,9 @@ from copy import deepcopy
 from dataclasses import replace
 from datetime import date as calendar
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.correction._change import (
-    LEAST_NOISE_MM,
-    NewPoses,
-    changed_model,
-    judged_fading,
-    with_today,
-)
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, NewPoses, changed_model, judged_fading
 from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import Finding, call_collecting, listed, one_blas_thread, validate_params
@@ -30,7 +22,7 @@ _STRANGE = 10.0
 
 @one_blas_thread
 @validate_params(
-    {"arm": [Arm, None], "date": [str, calendar, None], "accept": ["array-like", str]},
+    {"date": [str, calendar, None], "accept": ["array-like", str]},
     prefer_skip_nested_validation=True,
 )
 def update_correction(
@@ -38,9 +30,7 @@ def update_correction(
     X: ArrayLike,
     y: ArrayLike,
     *,
-    arm: Arm | None = None,
     groups: ArrayLike | None = None,
-    sample_weight: ArrayLike | None = None,
     date: str | None = None,
     accept: str | Sequence[str] = (),
 ) -> ArmResidualRegressor:
@@ -49,26 +39,22 @@ def update_correction(
     :func:`check_correction` says whether that is needed.
     Coefficients may change by a share tau of their prior standard deviation (a harmonic above order
     8 by a share of its old size), base and tool by some millimetres. The evidence finds tau for the
-    harmonics of each joint and for each other family of columns. Without new poses the result is
-    the old model; with very many new poses the old model does not matter.
+    harmonics of each joint and for each other family of columns. With very
+    many new poses the old model does not matter.
 
     Parameters
     ----------
     model : ArmResidualRegressor
-        Fitted model; it is left as it is.
+        Fitted model; it is left as it is. With another probe ``model.with_arm(result.arm)``, of the
+        registration.
     X : array-like of shape (n_samples, n_joints + n_extra)
         Joint angles of the new poses, in the model's unit; then the extra columns that it has.
     y : array-like of shape (n_samples, 3)
         Their residuals in mm, in the arm's base frame, without the correction:
         ``result.residuals(angles, points)`` of ``result = calibrate(..., correction=model,
         free=["probe"])``, or :func:`position_residuals` of a single-point test.
-    arm : Arm, default=None
-        The arm with today's probe, ``result.arm`` of the registration; None: the model's. The
-        model is moved to it, see :meth:`ArmResidualRegressor.with_arm`.
     groups : array-like of shape (n_samples,), default=None
         Label of the position of each sample, for the offsets of a single-point test.
-    sample_weight : array-like of shape (n_samples,), default=None
-        Weights. Poses that lie far off are left out by themselves.
     date : str, default=None
         When the new poses were measured, for the record; None: today.
     accept : str or list of str, default=()
@@ -125,19 +111,14 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    model = with_today(model, arm, "updated")
-    if np.shape(X)[:1] == (0,):
-        return deepcopy(model)
-    new = X, y, groups, sample_weight
-    accepted = listed("accept", accept)
-    updated, found = call_collecting(_updated, model, new, date, accepted)
+    poses, accepted = NewPoses(model, X, y, groups), listed("accept", accept)
+    updated, found = call_collecting(_updated, model, poses, date, accepted)
     updated.findings_ = tuple(found)
     return updated
 
 
-def _updated(model, new, date, accepted):
+def _updated(model, poses, date, accepted):
     """A copy of the model, brought up to date if the new poses show enough."""
-    poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."

@@ -1,10 +1,17 @@
-"""Causes beside the angles, the order of the rows and a make, in the one call."""
+"""Causes beside the angles and a make, in the one call."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, calibrate, learn_correction
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    Correction,
+    calibrate,
+    directions_of,
+    learn_correction,
+)
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 SMALL = ArmResidualRegressor(orders=3)
@@ -25,7 +32,8 @@ def test_directions_are_worth_something_where_joints_have_play(with_play):
     test = with_play
     given = test.nominal_arm, test.data, test.groups
     plain = learn_correction(*given, model=SMALL, cv=3)
-    learned = learn_correction(*given, model=SMALL, cv=3, in_order=True)
+    ways = {f"direction {joint}": way for joint, way in enumerate(directions_of(test.data).T, 1)}
+    learned = learn_correction(*given, model=SMALL, cv=3, extra=ways)
     assert learned.scores.summary["after"][0] < 0.8 * plain.scores.summary["after"][0]
     assert list(learned.causes) == [f"direction {joint}" for joint in range(1, 7)]
     assert "drift-of-run" not in codes_of(learned)
@@ -38,14 +46,14 @@ def test_directions_are_worth_something_where_joints_have_play(with_play):
 
 
 @pytest.mark.exhaustive
-def test_a_cause_that_is_none_is_not_kept():
+def test_a_cause_that_is_none_does_next_to_nothing():
     test = make_single_point(8, 20, random_state=1)
     noise = np.random.default_rng(0).normal(20, 2, len(test.data))
     learned = learn_correction(
         test.nominal_arm, test.data, test.groups, model=SMALL, cv=3, extra={"temperature": noise}
     )
-    assert learned.causes == {}
-    assert "cause-not-kept" in codes_of(learned)
+    others = (learned.correct(test.data, extra={"temperature": kelvin})[0] for kelvin in (18, 22))
+    assert np.abs(np.subtract(*others)).max() < 0.003
     missing = np.where(np.arange(160) == 3, np.nan, 20.0)
     for extra, said in (
         ({"temperature": noise[:3]}, r"extra\['temperature'\] must have shape \(160,\), got"),

@@ -1,12 +1,14 @@
 """Coefficients conditioned on new rows, against the normal distribution written out."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.correction._condition import Prior, condition, log_density, narrowed
+from sklearn_raacmm.correction._condition import condition, log_density, narrowed
 
 N_FREE = 2
 
@@ -15,28 +17,23 @@ def problem(n=30, seed=0, changed=0.5, noise_sd=0.05):
     """Rows of three coordinates, five columns in two parts, of which the second has changed."""
     rng = np.random.default_rng(seed)
     columns, free = rng.normal(size=(n, 3, 5)), rng.normal(size=(n, 3, N_FREE))
-    prior = Prior(
-        mean=rng.normal(size=5),
-        half=0.02 * rng.normal(size=(5, 4)),
-        part=np.array(["a", "a", "b", "b", "b"], dtype=object),
-        size=rng.uniform(0.5, 2, 5),
-        free_sd=5.0,
-        noise_variance=0.04**2,
-        log_noise=(-1.0, 4.0),
-    )
+    mean, half = rng.normal(size=5), 0.02 * rng.normal(size=(5, 4))
+    prior = SimpleNamespace(coef=mean, half=half, noise_variance=0.04**2)
+    changes = np.array(["a", "a", "b", "b", "b"], dtype=object), rng.uniform(0.5, 2, 5)
     change = np.r_[np.zeros(2), changed * rng.normal(size=3)]
-    y = columns @ (prior.mean + change) + free @ rng.normal(size=N_FREE)
-    return prior, columns, free, y + rng.normal(0, noise_sd, y.shape), np.ones(n)
+    y = columns @ (mean + change) + 5.0 * free @ rng.normal(size=N_FREE)
+    y += rng.normal(0, noise_sd, y.shape)
+    return prior, changes, columns, 5.0 * free, y, np.ones(n), (-1.0, 4.0)
 
 
-def of_definition(prior, columns, free, y, weights, tau, noise_sd):
+def of_definition(prior, changes, columns, free, y, weights, _, tau, noise_sd):
     """Mean and covariance of all coefficients, from their joint normal distribution with y."""
     n_columns, n_free = columns.shape[2], free.shape[2]
-    tau = np.array([tau[name] for name in prior.part])
+    tau = np.array([tau[name] for name in changes[0]])
     P = np.zeros((n_columns + n_free,) * 2)
-    P[:n_columns, :n_columns] = prior.half @ prior.half.T + np.diag((tau * prior.size) ** 2)
-    P[n_columns:, n_columns:] = prior.free_sd**2 * np.eye(n_free)
-    mean = np.r_[prior.mean, np.zeros(n_free)]
+    P[:n_columns, :n_columns] = prior.half @ prior.half.T + np.diag((tau * changes[1]) ** 2)
+    P[n_columns:, n_columns:] = np.eye(n_free)
+    mean = np.r_[prior.coef, np.zeros(n_free)]
     kept = weights > 0
     A = np.concatenate([columns, free], axis=2)[kept].reshape(-1, len(P))
     noise = noise_sd**2 / np.repeat(weights[kept], y.shape[1])
@@ -60,7 +57,7 @@ def test_posterior_is_that_of_the_joint_normal_distribution(n):
 def test_taus_and_noise_have_the_highest_posterior(n):
     """As high as another optimiser finds; on a flat ridge the places may differ."""
     given = problem(n)
-    prior, _, _, y, _ = given
+    y, log_noise = given[4], given[6]
     after = condition(*given)
 
     def negative(logs):
@@ -71,7 +68,7 @@ def test_taus_and_noise_have_the_highest_posterior(n):
         z = np.r_[(logs[:2] - np.log(0.1)) / 1.5, logs[2]]
         return 0.5 * z @ z - likelihood
 
-    bounds = [(-7, 0), (-7, 0), prior.log_noise]
+    bounds = [(-7, 0), (-7, 0), log_noise]
     best = minimize(negative, [-2.3, -2.3, 0.1], bounds=bounds, tol=1e-12).x
     found = np.log([after.tau["a"], after.tau["b"], after.noise_sd / 0.04])
     assert negative(found) < negative(best) + 1e-5
@@ -81,27 +78,27 @@ def test_noise_stays_within_its_bounds():
     given = problem(noise_sd=0.001)
     free = condition(*given)
     assert free.noise_sd == pytest.approx(0.04 * np.exp(-1))
-    held = condition(given[0]._replace(log_noise=(0.0, 4.0)), *given[1:])
+    held = condition(*given[:-1], (0.0, 4.0))
     assert held.noise_sd == pytest.approx(0.04)
 
 
 def test_rows_of_weight_zero_are_not_there():
-    prior, columns, free, y, weights = problem()
-    weights[::3] = 0
-    y[::3] = 100
-    after = condition(prior, columns, free, y, weights)
-    kept = weights > 0
-    same = condition(prior, columns[kept], free[kept], y[kept], weights[kept])
+    prior, changes, *rows, log_noise = problem()
+    rows[3][::3] = 0
+    rows[2][::3] = 100
+    after = condition(prior, changes, *rows, log_noise)
+    kept = rows[3] > 0
+    same = condition(prior, changes, *(part[kept] for part in rows), log_noise)
     assert_allclose(after.mean, same.mean, rtol=1e-9)
     assert_allclose(after.left_out[0], same.left_out[0], rtol=1e-9)
 
 
 def test_a_row_far_from_the_posterior_counts_for_nothing():
-    prior, columns, free, y, weights = problem()
-    clean = condition(prior, columns, free, y, weights)
+    *given, y, weights, log_noise = problem()
+    clean = condition(*given, y, weights, log_noise)
     y = y.copy()
     y[[4, 9]] += [[2.0, 0, 0], [0, 3.0, 0]]
-    after = condition(prior, columns, free, y, weights)
+    after = condition(*given, y, weights, log_noise)
     assert_allclose(after.row_weight[[4, 9]], 0, atol=1e-3)
     assert_allclose(after.mean, clean.mean, atol=0.05)
     # A row far from the prior alone is the change.
@@ -110,16 +107,14 @@ def test_a_row_far_from_the_posterior_counts_for_nothing():
 
 def test_rows_left_out_are_those_of_a_fit_without_them():
     given = problem(12)
-    prior, columns, free, y, weights = given
+    _, _, columns, free, y, weights, _ = given
     after = condition(*given)
     A = np.concatenate([columns, free], axis=2)
     errors, noise, std = after.left_out
     for row in (0, 7):
         others = weights.copy()
         others[row] = 0
-        mean, covariance, _ = of_definition(
-            prior, columns, free, y, others, after.tau, after.noise_sd
-        )
+        mean, covariance, _ = of_definition(*given[:5], others, given[6], after.tau, after.noise_sd)
         assert_allclose(errors[row], y[row] - A[row] @ mean, rtol=1e-6)
         variance = np.diag(A[row] @ covariance @ A[row].T)
         assert_allclose(std[row], np.sqrt(variance), rtol=1e-6)

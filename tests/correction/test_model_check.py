@@ -250,7 +250,7 @@ def test_bad_input(model):
     assert check_correction(model, angles, y, refitted="base").record["n_poses"] == len(angles)
     with pytest.raises(ValueError, match="3 poses have 9 coordinates for 9 freedoms"):
         check_correction(model, angles[:3], y[:3], refitted=["base", "probe"])
-    with pytest.raises(TypeError, match="cannot be checked"):
+    with pytest.raises(TypeError, match="cannot be updated or checked"):
         check_correction(RBFNetRegressor(max_centers=5).fit(angles, y), angles, y)
 
 

@@ -8,6 +8,7 @@ from scipy.stats import chi2, kstest, ncx2
 from sklearn_raacmm.correction._condition import Whitened, best_cause, score_tests
 
 M = 24
+MANY = 1e12  # independent errors from which the size of the covariance is known
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def drawn():
 def test_statistics_are_chi_squared_whatever_the_nuisances_are(drawn):
     root, nuisance, causes, left = drawn
     whiten = Whitened(root, nuisance)
-    tests = [score_tests(causes, whiten, one) for one in left.T]
+    tests = [score_tests(causes, whiten, one, MANY) for one in left.T]
     assert tests[0]["cause"].tolist() == ["noise", "one", "three"]
     assert tests[0]["freedom"].tolist() == [M - 4, 1, 3]
     for i in range(3):
@@ -39,7 +40,7 @@ def test_a_cause_that_is_there_is_found_as_often_as_the_textbook_says(drawn):
     whiten = Whitened(root, nuisance)
     size = 3 / np.linalg.norm(whiten(causes["one"]))
     moved = left + size * causes["one"]
-    found = [score_tests(causes, whiten, one)["p_value"][1] < 0.01 for one in moved.T]
+    found = [score_tests(causes, whiten, one, MANY)["p_value"][1] < 0.01 for one in moved.T]
     expected = ncx2.sf(chi2.isf(0.01, 1), 1, 9)
     assert np.mean(found) == pytest.approx(expected, abs=3 * np.sqrt(0.25 / 1500))
 
@@ -52,7 +53,7 @@ def test_the_statistic_is_what_least_squares_explains(drawn):
     for columns in (nuisance, np.hstack([nuisance, causes["three"]])):
         A = np.linalg.solve(root, columns)
         sums.append(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2))
-    tests = score_tests(causes, Whitened(root, nuisance), left[:, 0])
+    tests = score_tests(causes, Whitened(root, nuisance), left[:, 0], MANY)
     assert tests["statistic"][0] == pytest.approx(sums[0])
     assert tests["statistic"][2] == pytest.approx(sums[0] - sums[1])
 
@@ -61,10 +62,10 @@ def test_what_the_nuisances_take_up_is_not_tested(drawn):
     root, nuisance, causes, left = drawn
     hidden = {"hidden": nuisance[:, :1] - nuisance[:, 2:3], "nothing": np.zeros((M, 1))}
     half = {"half": np.hstack([nuisance[:, :1], causes["one"]])}
-    tests = score_tests(hidden | half, Whitened(root, nuisance), left[:, 0])
+    tests = score_tests(hidden | half, Whitened(root, nuisance), left[:, 0], MANY)
     assert tests["cause"].tolist() == ["noise", "half"]
     assert tests["freedom"].tolist() == [M - 4, 1]
-    assert best_cause(score_tests(hidden, Whitened(root, nuisance), left[:, 0])) == "noise"
+    assert best_cause(score_tests(hidden, Whitened(root, nuisance), left[:, 0], MANY)) == "noise"
 
 
 def test_repeated_nuisances_are_counted_once(drawn):
@@ -80,9 +81,9 @@ def test_the_best_cause_explains_what_is_too_much(drawn):
     whiten = Whitened(root, nuisance)
     for name, columns in causes.items():
         moved = left[:, 0] + 20 * columns.sum(axis=1)
-        assert best_cause(score_tests(causes, whiten, moved)) == name
+        assert best_cause(score_tests(causes, whiten, moved, MANY)) == name
     # More noise is none of the causes: "three" explains 3 of 20 directions, 0.3 of what is too much
     # in one draw of seven (chi2.sf(5.3, 3)).
-    names = [best_cause(score_tests(causes, whiten, 3 * one)) for one in left[:, :200].T]
+    names = [best_cause(score_tests(causes, whiten, 3 * one, MANY)) for one in left[:, :200].T]
     assert np.mean(np.array(names) == "noise") > 0.75
-    assert_array_equal(best_cause(score_tests({}, whiten, left[:, 0])), "noise")
+    assert_array_equal(best_cause(score_tests({}, whiten, left[:, 0], MANY)), "noise")

@@ -61,12 +61,10 @@ def left(model, knock, seed=99):
 
 def test_fewer_poses_than_freedoms_change_nothing(model):
     angles, y = rows(50, 1)
-    same = update_correction(model, np.empty((0, 6)), np.empty((0, 3)))
     with pytest.warns(UserWarning, match="3 new poses give 9 coordinates, .* the 9 freedoms"):
         few = update_correction(model, angles[:3], y[:3])
-    for one in (same, few):
-        assert_allclose(one.predict(angles), model.predict(angles), rtol=0)
-        assert one is not model
+    assert_allclose(few.predict(angles), model.predict(angles), rtol=0)
+    assert few is not model
 
 
 def test_new_poses_that_show_nothing_new_change_next_to_nothing(model):

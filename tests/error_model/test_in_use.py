@@ -104,7 +104,7 @@ def test_a_registration_finds_the_probe_through_the_moved_model():
     y = found.residuals(new, points)
     moved = model.with_arm(found.arm)
     assert np.abs(y - moved.predict(new)).max() < 0.003
-    updated = update_correction(model, new, y, arm=found.arm)
+    updated = update_correction(moved, new, y)
     assert updated.arm_ == found.arm
     assert np.abs(y - updated.predict(new)).max() < 0.003
 
