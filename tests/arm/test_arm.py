@@ -107,16 +107,6 @@ def test_jacobian_against_central_differences(convention):
         assert_allclose(arm.jacobian(angles)[:, :, i], slope, atol=1e-5)
 
 
-def test_chunks_do_not_show():
-    arm = Arm.from_name("panda")
-    angles = random_angles(arm, 10_000)
-    rows = [0, 4095, 4096, 8191, 8192, 9999]
-    assert_array_equal(arm.forward(angles)[rows], arm.forward(angles[rows]))
-    assert_array_equal(arm.frames(angles)[rows], arm.frames(angles[rows]))
-    assert_array_equal(arm.jacobian(angles)[rows], arm.jacobian(angles[rows]))
-    assert arm.forward(np.empty((0, 7))).shape == (0, 3)
-
-
 def test_the_unit_is_given():
     arm = Arm.from_name("panda")
     angles = random_angles(arm)
@@ -293,15 +283,6 @@ def test_what_is_no_source_of_json():
 
 
 # -- units that are most likely wrong --------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["forward", "frames", "jacobian", "azimuth"])
-def test_radians_given_as_degrees_are_warned_of(method):
-    arm = Arm.from_name("panda")
-    angles = np.random.default_rng(0).uniform(-3, 3, (20, 7))
-    with pytest.warns(UserWarning, match=r'reach 2.9\d+ only \(joint \d\): .* angle_unit="rad"'):
-        wrong = getattr(arm, method)(angles, angle_unit="deg")
-    assert_array_equal(wrong, getattr(arm, method)(np.deg2rad(angles)))
 
 
 @pytest.mark.parametrize(

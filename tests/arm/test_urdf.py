@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate
-from sklearn_raacmm.datasets import make_single_point
 
 
 def urdf(*joints, name="robot"):
@@ -359,13 +358,12 @@ def test_names_and_limits_are_read_and_kept(tmp_path):
     assert not arm.limits.flags.writeable
 
 
-def test_calibrate_keeps_them():
-    data = make_single_point(n_positions=5, n_poses=10, random_state=0)
-    names, limits = tuple("ABCDEF"), [[-3, 3]] * 6
-    nominal = data.nominal_arm.replace(names=names, limits=limits)
-    arm = calibrate(nominal, data.data, data.groups).arm
-    assert arm.names == names
-    assert arm.limits.tolist() == limits
+def test_calibrate_keeps_them(angles):
+    arm = Arm.from_name("aacmm6", names=tuple("ABCDEF"), limits=[[-3, 3]] * 6)
+    points = arm.forward(angles[:, :6]) + np.array([900.0, 0, 0])
+    again = calibrate(arm, angles[:, :6], points=points, free=["probe"]).arm
+    assert again.names == arm.names
+    assert again.limits.tolist() == arm.limits.tolist()
 
 
 def test_the_file_has_the_calibrated_points_and_everything_else(angles, tmp_path):

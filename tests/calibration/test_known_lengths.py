@@ -43,16 +43,6 @@ def test_true_lengths_are_not_named(pairs):
     assert not findings(known(pairs))
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor"), [("inches", 25.4), ("centimetres", 10.0), ("metres", 1000.0)]
-)
-@pytest.mark.parametrize("pairs", [ONE, THREE[:2]])
-def test_another_unit_is_named(pairs, unit, factor):
-    found = of_lengths(known(pairs, lambda mm: mm / factor))
-    assert (found.code, found.weight) == ("unit-of-lengths", "repair")
-    assert f"lengths may be in {unit}" in found.text
-
-
 @pytest.mark.parametrize(("pairs", "only"), [(THREE, 1), (THREE, 2)])
 def test_one_wrong_length_is_told_from_the_others(pairs, only):
     """What the cones and the other lengths say of it is right, and nothing else is as likely."""
@@ -88,13 +78,6 @@ def test_of_one_length_and_a_table_both_are_named():
         assert "another known length tells which is right" in found.advice
     text = of_lengths(known(THREE), table).text
     assert text.endswith("): all lengths of the table may be wrong.")
-
-
-def test_two_lengths_of_one_pair_disagree():
-    lengths = [(0, 1, true_length(0, 1), 0.01), (0, 1, true_length(0, 1) + 1, 0.01)]
-    found = of_lengths(lengths)
-    assert (found.code, found.weight) == ("wrong-length", "doubt")
-    assert found.text.startswith("2 of 2 known lengths disagree")
 
 
 def test_a_link_mistyped_is_named_with_a_known_length():

@@ -270,23 +270,6 @@ def test_a_likelier_explanation_hands_nothing_over(model):
     assert [finding.weight for finding in taken.findings_] == ["repair"]
 
 
-def test_explanations_that_are_as_likely_are_named_together(model):
-    """A turn that is free explains the other sign nearly as well; many rows tell them apart."""
-    both = r"corrected twice .* nats[)], or if their axes are others: they are turned and mirrored"
-    for n, said in ((60, both), (300, r"corrected twice .* nats[)][.] Give measured")):
-        angles, y = rows(n, 1)
-        with pytest.raises(FindingError, match=said):
-            update_correction(model, angles, -y)
-
-
-def test_a_missing_row_is_named_by_its_number(model):
-    angles, y = rows(61, 1)
-    # Residual 31 is that of the angles that are in row 30 now.
-    with pytest.raises(FindingError, match="of the row before, from row 30 on") as caught:
-        update_correction(model, np.delete(angles, 30, axis=0), y[:60])
-    assert caught.value.finding.rows == (30,)
-
-
 def test_new_poses_that_nothing_is_wrong_with_are_taken(model):
     """A knock, a moved base and slips are changes, and no mistakes, in any order of the rows."""
     # A slip near the end is no reason to call the last rows late.

@@ -5,9 +5,7 @@ import warnings
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn import config_context
 from sklearn.base import clone
-from sklearn.model_selection import GroupKFold, cross_validate
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.arm import reach_mm
@@ -222,26 +220,6 @@ def test_kinematic_errors_come_back_in_their_units():
     assert abs(value["d3"] * length + 0.05) < 4 * sd["d3"] * length < 0.02
     assert abs(value["alpha4"] + 12) < 4 * sd["alpha4"] < 4
     assert len(model.harmonics_) <= 1
-
-
-def test_is_a_scikit_learn_estimator(eccentric):
-    arm, theta, y, _ = eccentric
-    groups = np.arange(len(y)) % 8
-    with config_context(enable_metadata_routing=True):
-        routed = ArmResidualRegressor(arm, orders=2, offsets=True, causes=["kinematics"])
-        with pytest.raises(ValueError, match="offsets=True needs groups"):
-            routed.fit(theta, y)
-        routed.set_fit_request(groups=True, sample_weight=True)
-        routed.set_score_request(sample_weight=True)
-        scores = cross_validate(
-            routed,
-            theta,
-            y,
-            cv=GroupKFold(4),
-            params={"groups": groups, "sample_weight": np.ones(len(y))},
-            error_score="raise",
-        )
-    assert np.all(np.isfinite(scores["test_score"]))
 
 
 def test_errors(eccentric):

@@ -109,16 +109,6 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
         assert_allclose(deviations[of], spread, rtol=1e-6)
 
 
-def test_repeats_and_weights_have_the_same_blocks():
-    """Of neighbouring positions, by their mean points."""
-    test, *_ = draw(2)
-    weights = np.random.default_rng(0).integers(1, 4, len(test.data))
-    points, rows = test.arm.forward(test.data), np.repeat(np.arange(len(test.data)), weights)
-    once = _blocks(points, test.groups, weights.astype(float))
-    assert_array_equal(once[rows], _blocks(points[rows], test.groups[rows], np.ones(len(rows))))
-    assert all(len(np.unique(once[test.groups == i])) == 1 for i in range(16))
-
-
 @pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore:The positions differ by constants")  # of that cause
 def test_intervals_hold_where_a_cause_is_missing():

@@ -12,7 +12,7 @@ from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Task, minimise, objective
 from sklearn_raacmm.network._rows import merge
-from sklearn_raacmm.network._search import robust_spread, search
+from sklearn_raacmm.network._search import search
 
 
 def data_of(X, y):
@@ -34,7 +34,8 @@ def task_of(data, **changes):
 
 @pytest.mark.parametrize("constants", [False, True])
 @pytest.mark.parametrize("isotropic", [False, True])
-def test_gradient_of_the_objective(isotropic, constants):
+@pytest.mark.parametrize("name", sorted(KERNELS))
+def test_gradient_of_the_objective(name, isotropic, constants):
     X, y, _ = waves(40)
     data = data_of(np.column_stack([X, X[:, 0] ** 3]), np.column_stack([y, y**2]))
     theta = np.append([0.3] if isotropic else [0.3, 1.0], [-2.0, -3.0])
@@ -45,8 +46,8 @@ def test_gradient_of_the_objective(isotropic, constants):
         changes |= {"constants": True}
         theta = np.append(theta, -0.5)
     task = task_of(data, **changes)
-    _, gradient = objective(task, theta, data, "gaussian")
-    numeric = approx_fprime(theta, lambda t: objective(task, t, data, "gaussian")[0], 1e-7)
+    _, gradient = objective(task, theta, data, name)
+    numeric = approx_fprime(theta, lambda t: objective(task, t, data, name)[0], 1e-7)
     np.testing.assert_allclose(gradient, numeric, rtol=5e-4, atol=1e-4)
 
 
@@ -123,21 +124,6 @@ def test_numbers_too_far_from_all_others_are_refused(far):
     X[:2] = 1e6
     model = RBFNetRegressor(random_state=0).fit(X, y)
     assert np.mean(np.square(model.predict(X[2:]) - y[2:])) < 0.01 * y.var()
-
-
-def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
-    rng = np.random.default_rng(0)
-    X = np.column_stack([rng.standard_normal(500), rng.integers(0, 2, 500), np.full(500, 3.0)])
-    weights = rng.uniform(0.5, 2, 500)
-    mean = np.average(X, axis=0, weights=weights)
-    expected = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weights))
-    np.testing.assert_allclose(robust_spread(X, weights), expected, atol=1e-12)
-    X[0, 0] = 1e9
-    assert robust_spread(X, weights)[0] < 2
-    # A rare mark is all there is of its feature.
-    rare = np.zeros((500, 1))
-    rare[:5] = 1.0
-    assert robust_spread(rare, np.ones(500))[0] == pytest.approx(rare.std())
 
 
 def test_a_width_at_its_bound_is_said(monkeypatch):

@@ -185,13 +185,6 @@ def test_angles_seen_in_fit_stay_as_they_are():
     assert_allclose(pose.turn_start_, middle, atol=1e-9)  # as far from both ends
 
 
-def test_half_of_the_rows_one_turn_on():
-    X = np.random.default_rng(0).uniform(-1, 1, (40, 6))
-    turned = X + 2 * np.pi * (np.arange(40) % 2)[:, None]
-    features = PoseFeatures(joints="all").fit(turned).transform(turned)
-    assert np.all(np.ptp(features, axis=0) < 2)
-
-
 # -- equations (2) and (3) against their closed forms, and against frames on other arms -----------
 
 A2, A4, D3, D5 = 62.0, 40.0, 750.0, 500.0
