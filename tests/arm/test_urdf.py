@@ -201,6 +201,7 @@ FORK = '<joint name="f" type="fixed"><parent link="l3"/><child link="finger"/></
         (change(PANDA, '<child link="l8"/>', '<child link="l7"/>'), "link 'l7' has two parents"),
         (change(PANDA, '<axis xyz="0 0 1"/>', '<mimic joint="j2"/>'), "'j1' mimics another"),
         ("<sdf></sdf>", "not a URDF: its outermost element is 'sdf'"),
+        ('<mujoco model="a"/>', "'mujoco', that of MuJoCo's MJCF: take the URDF"),
         ("<robot></robot>", "has no joints"),
         (urdf(("j", "revolute", "0 0 1", "0 0 0", "")), "has 1 revolute joints"),
     ],

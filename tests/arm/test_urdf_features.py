@@ -105,22 +105,6 @@ def change_of(vector, out=0, up=0):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (change(PLAIN, "</robot>", RAIL), r"'rail' is prismatic; .* base='foot' begins behind it"),
-        (
-            change(PLAIN, "<robot name", PREFIX, "</robot>", '<xacro:arm d="2"/></robot>'),
-            "holds xacro macros",
-        ),
-        ('<mujoco model="a"/>', "'mujoco', that of MuJoCo's MJCF: take the URDF"),
-    ],
-)
-def test_what_is_not_read_is_named(text, message):
-    with pytest.raises(ValueError, match=message):
-        Arm.from_urdf(text)
-
-
-@pytest.mark.parametrize(
     ("angle", "off", "weight"), [("1.5708", "3.7e-06", "note"), ("1.57", "0.0008", "doubt")]
 )
 def test_rounding_of_angles_is_told_with_its_size(angle, off, weight):

@@ -334,30 +334,6 @@ def test_groups_of_one_point_are_named_and_do_not_count():
         calibrate(AACMM6, more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
 
 
-def test_a_correction_that_makes_the_scatter_larger_is_warned_of():
-    """One of another arm: a gear that this one has not. The right one, and none, raise nothing."""
-    rng = np.random.default_rng(3)
-    arm = Arm.from_name("ur10", probe=(0, 0, 93))
-    angles = rng.uniform(-2.5, 2.5, (60, 6))
-
-    def bend(q):
-        return 0.3 * np.cos(17 * q[:, :1]) * np.array([1.0, -1.0, 0.5])
-
-    class Model:
-        def __init__(self, size):
-            self.size = size
-
-        def predict(self, q):
-            return self.size * bend(q)
-
-    points = arm.forward(angles) - bend(angles) + rng.normal(0, 0.02, (60, 3)) + [1000, 0, 0]
-    for size in (1.0, 0.0):
-        calibrate(arm, angles, points=points, correction=Model(size), free=["probe"])
-    with pytest.warns(UserWarning, match="do not use it here. Is it of this arm") as caught:
-        calibrate(arm, angles, points=points, correction=Model(-1.0), free=["probe"])
-    assert caught[0].filename == __file__
-
-
 def test_a_plate_of_known_points_shows_the_scale_as_a_fit_of_its_places_does():
     """Against the plate fitted to the measured centres with a frame of its own and a scale."""
     truth = AACMM6.replace(a=1.002 * AACMM6.a, d=1.002 * AACMM6.d, probe=1.002 * AACMM6.probe)

@@ -30,20 +30,6 @@ def eccentric():
     return ARM, theta, y + np.random.default_rng(2).normal(0, 0.003, y.shape), y
 
 
-@pytest.mark.exhaustive
-def test_chance_does_not_look_like_a_harmonic():
-    """Of 40 fits to noise, few find more than the lowest orders, which cost next to nothing."""
-    theta = draw_angles(ARM, 100)
-    for highest in (5, 60):
-        counts = []
-        for seed in range(20):
-            y = np.random.default_rng(seed).normal(size=(100, 3))
-            model = ArmResidualRegressor(ARM, orders=highest, **ALONE).fit(theta, y)
-            counts.append(np.count_nonzero(model.harmonics_["order"] > 2))
-            assert np.linalg.norm(model.predict(theta), axis=1).mean() < 0.4  # of noise: 1.6
-        assert np.count_nonzero(counts) <= 5
-
-
 # -- the regressor --------------------------------------------------------------------------------
 
 
@@ -262,13 +248,6 @@ def leave_placements_out(data):
 def test_a_real_arm_at_unseen_placements(panda):
     before, after = leave_placements_out(panda("panda_3"))
     assert after < 0.85 * before
-
-
-@pytest.mark.exhaustive
-@pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")
-def test_a_real_arm_with_outliers_is_not_made_worse(panda):
-    before, after = leave_placements_out(panda("panda_2"))
-    assert after < before
 
 
 @pytest.mark.exhaustive

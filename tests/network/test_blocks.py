@@ -142,17 +142,19 @@ def test_dask_arrays_with_wrong_shapes_are_refused():
         model.fit(X[:, 0], Y)
 
 
-def test_bad_values_in_one_chunk_are_named(few_in_memory):
+@pytest.mark.parametrize(
+    ("which", "rows", "bad", "message"),
+    [
+        (0, 2345, np.nan, "Input X contains"),
+        (1, 2345, np.inf, "Input y contains"),
+        (2, 2345, -1.0, "Negative values in data passed to sample_weight"),
+        (2, slice(None), 0.0, "Sample weights must contain at least one non-zero"),
+    ],
+)
+def test_bad_values_in_one_chunk_are_named(which, rows, bad, message, few_in_memory):
     da = pytest.importorskip("dask.array")
-    X, Y, weights = data(3000)
-    model = RBFNetRegressor(5, length_scale=1.0, alpha=0.1, random_state=0)
-    for name, bad in (("X", np.nan), ("y", np.inf)):
-        broken = {"X": X.copy(), "y": Y.copy()}
-        broken[name][2345, 1] = bad
-        with pytest.raises(ValueError, match=f"Input {name} contains"):
-            model.fit(*(da.from_array(a, chunks=(500, -1)) for a in broken.values()))
-    weights[7] = -1
-    with pytest.raises(ValueError, match="Negative values in data passed to sample_weight"):
-        model.fit(da.from_array(X, chunks=(500, -1)), Y, sample_weight=weights)
-    with pytest.raises(ValueError, match=r"Sample weights must contain at least one non-zero"):
-        model.fit(da.from_array(X, chunks=(500, -1)), Y, sample_weight=np.zeros(3000))
+    given = data(3000)
+    given[which][rows] = bad
+    X, Y, weights = (da.from_array(a, chunks=500) for a in given)
+    with pytest.raises(ValueError, match=message):
+        RBFNetRegressor(5, length_scale=1.0, alpha=0.1).fit(X, Y, sample_weight=weights)

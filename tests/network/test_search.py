@@ -14,17 +14,12 @@ from sklearn_raacmm.network._likelihood import Task, minimise, objective
 from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.network._search import search
 
+from ._data import smooth
+
 
 def data_of(X, y):
     Y = np.reshape(y - np.mean(y, axis=0), (len(X), -1))
     return merge(X, Y / Y.std(axis=0), np.ones(len(X)))
-
-
-def waves(n, seed=0, noise=0.1):
-    rng = np.random.default_rng(seed)
-    X = rng.uniform(-2, 2, (n, 2))
-    f = np.sin(2 * X[:, 0]) + np.cos(X[:, 1])
-    return X, f + noise * rng.standard_normal(n), f
 
 
 def task_of(data, **changes):
@@ -36,7 +31,7 @@ def task_of(data, **changes):
 @pytest.mark.parametrize("isotropic", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS))
 def test_gradient_of_the_objective(name, isotropic, constants):
-    X, y, _ = waves(40)
+    X, y, _ = smooth(40)
     data = data_of(np.column_stack([X, X[:, 0] ** 3]), np.column_stack([y, y**2]))
     theta = np.append([0.3] if isotropic else [0.3, 1.0], [-2.0, -3.0])
     changes = {"isotropic": isotropic}
@@ -54,7 +49,7 @@ def test_gradient_of_the_objective(name, isotropic, constants):
 @pytest.mark.parametrize("isotropic", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS))
 def test_never_ends_worse_than_it_started(name, isotropic):
-    X, y, f = waves(400)
+    X, y, f = smooth(400)
     data = data_of(X, y)
     task = task_of(data, isotropic=isotropic)
     start = task.start(0.5, 0.1)

@@ -222,6 +222,8 @@ def test_std_is_turned_as_a_covariance(isotropic):
     assert_allclose(mean, turn.apply(inner_mean), atol=1e-10)
     assert_allclose(std, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), atol=1e-10)
     assert_array_equal(mean, model.predict(X))
+    with pytest.raises(ValueError, match="return_cov=True is not supported"):
+        model.predict(X, return_cov=True)
 
 
 def test_one_std_a_row_is_the_same_in_every_frame(isotropic):
@@ -236,23 +238,7 @@ def test_one_std_a_row_is_the_same_in_every_frame(isotropic):
     assert_allclose(std, np.repeat(np.arange(200.0)[:, None], 3, axis=1), rtol=1e-14)
 
 
-def test_return_cov_is_refused(isotropic):
-    X, y, *_ = isotropic
-    model = CylindricalResidualTarget(gaussian_process()).fit(X, y)
-    with pytest.raises(ValueError, match="return_cov=True is not supported"):
-        model.predict(X, return_cov=True)
-
-
 # -- a good citizen of scikit-learn ---------------------------------------------------------------
-
-
-def test_routing_asks_for_what_is_not_requested(isotropic):
-    X, y, *_ = isotropic
-    with config_context(enable_metadata_routing=True):
-        with pytest.raises(UnsetMetadataPassedError, match="sample_weight"):
-            CylindricalResidualTarget(Ridge()).fit(X, y, sample_weight=np.ones(len(y)))
-        # The default regressor is ours, and asks.
-        CylindricalResidualTarget().fit(X, y, sample_weight=np.ones(len(y)))
 
 
 @pytest.mark.parametrize("routing", [False, True])
