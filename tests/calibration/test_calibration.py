@@ -371,6 +371,3 @@ def test_a_plate_of_known_points_shows_the_scale_as_a_fit_of_its_places_does():
 def test_places_that_are_none(places, message):
     with pytest.raises(ValueError, match=message):
         lengths_of_places(places)
-
-
-# -- limits of the findings: on one side of each there is none -------------------------------------

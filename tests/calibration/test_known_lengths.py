@@ -54,19 +54,6 @@ def test_one_wrong_length_is_told_from_the_others(pairs, only):
     assert float(said[2]) == pytest.approx(true_length(i, j) + 12, abs=0.01)
 
 
-def test_a_constant_of_all_lengths_is_named():
-    found = of_lengths(known(THREE, lambda mm: mm + 12))
-    assert "all may be 1" in found.text
-    assert "too long, as by the diameter of a ball" in found.text
-    assert " or " not in found.text
-
-
-def test_ends_of_another_bar_are_named():
-    found = of_lengths([(0, 2, true_length(0, 1), 0.01)])
-    assert f"0 to 2 may be {true_length(0, 2):.3g}" in found.text
-    assert "(that is 0 to 1)" in found.text
-
-
 def test_of_one_length_and_a_table_both_are_named():
     """Which of them is wrong, one length does not show; two that agree do."""
     arm = TEST.nominal_arm

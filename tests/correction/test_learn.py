@@ -25,6 +25,7 @@ from sklearn_raacmm import (
     learn_correction,
     position_residuals,
 )
+from sklearn_raacmm.correction._scores import coverage_of
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -82,6 +83,18 @@ def test_intervals_are_those_of_student_of_the_logarithm(learned):
     for end, expected in ((low, limit), (high, -limit)):
         left = table["after"] - end * table["before"]
         assert stats.ttest_1samp(left, 0).statistic == pytest.approx(expected, rel=1e-6)
+
+
+def test_coverage_is_that_of_the_raw_deviations():
+    """Ten times as large deviations hold more, by the normal distribution."""
+    rng = np.random.default_rng(0)
+    std = rng.uniform(0.1, 2, (4000, 3))
+    left = 2.5 * std * rng.standard_normal((4000, 3))
+    left[:10] = np.nan  # outliers are not counted
+    for times in (0.5, 1.0, 10.0):
+        share, factor = coverage_of(left, times * std)
+        assert share == pytest.approx(2 * stats.norm.cdf(1.96 * times / 2.5) - 1, abs=0.01)
+        assert factor == pytest.approx(2.5 / times, rel=0.04)  # two deviations of the quantile
 
 
 def test_corrected_points_are_nearer_to_the_truth(test_data, learned):

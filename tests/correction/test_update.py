@@ -15,8 +15,11 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
+from sklearn_raacmm.correction._condition import Prior
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import FindingError, FindingWarning
+
+from .test_condition import of_definition
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 ARCSEC = np.pi / 180 / 3600
@@ -120,21 +123,14 @@ def test_posterior_against_the_textbook(model):
         change += 2 * [entry["tau"][f"harmonics of joint {joint + 1}"] * size]
     change += [entry["tau"][name] * old.prior_sd[name] for name in families]
     # The coefficients of the model, and those of a place that may be 5 mm off.
-    P = np.zeros((len(mean) + 9,) * 2)
-    P[: len(mean), : len(mean)] = half @ half.T + np.diag(np.square(change))
-    P[len(mean) :, len(mean) :] = 25 * np.eye(9)
-    mean = np.r_[mean, np.zeros(9)]
-
-    def columns(angles):
-        return np.concatenate([new.columns(angles), place_columns(angles)], axis=2)
-
-    A = columns(angles).reshape(120, -1)
-    gain = np.linalg.solve(A @ P @ A.T + entry["noise_sd_mm"] ** 2 * np.eye(120), A @ P).T
-    mean, P = mean + gain @ (y.ravel() - A @ mean), P - gain @ A @ P
+    prior = Prior(mean, half, np.full(len(mean), "all"), np.array(change), 5.0, 0.0, (0.0, 0.0))
+    given = new.columns(angles), place_columns(angles), y, np.ones(40)
+    mean, P, _ = of_definition(prior, *given, {"all": 1.0}, entry["noise_sd_mm"])
     far = rows(20, 5)[0]
+    columns = np.concatenate([new.columns(far), place_columns(far)], axis=2)
     found, std = new.predict(far, return_std=True)
-    assert_allclose(found, columns(far) @ mean, atol=2e-5)
-    variance = np.einsum("nij,jk,nik->ni", columns(far), P, columns(far))
+    assert_allclose(found, columns @ mean, atol=2e-5)
+    variance = np.einsum("nij,jk,nik->ni", columns, P, columns)
     assert_allclose(std, np.sqrt(variance), rtol=1e-3)
 
 
@@ -152,15 +148,6 @@ def test_single_points_update_too():
     assert np.median(std) < 3 * np.median(old_std)
     with pytest.raises(ValueError, match="give groups, the position of each new pose"):
         update_correction(model, X, y)
-
-
-def test_rows_of_another_arm_are_named(model):
-    angles, _ = rows(60, 1)
-    y = np.random.default_rng(0).normal(0, 5, (60, 3))
-    with pytest.warns(UserWarning, match="are they of this arm"):
-        update_correction(model, angles, y)
-    with pytest.raises(ValueError, match="X has 60 rows, but y has 4"):
-        update_correction(model, angles, y[:4])
 
 
 @pytest.mark.exhaustive

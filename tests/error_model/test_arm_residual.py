@@ -272,9 +272,6 @@ def test_a_real_robot_at_unseen_goals(ur10):
     assert {(1, 17), (2, 17), (3, 17)} <= found
 
 
-# -- score and correction -------------------------------------------------------------------------
-
-
 def test_score_is_that_of_deviations_within_positions():
     """With the positions, and without them, for rows of one position are from one point."""
     test = make_single_point(n_positions=8, n_poses=15, random_state=3)

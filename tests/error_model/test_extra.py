@@ -14,7 +14,7 @@ from sklearn.preprocessing import FunctionTransformer
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.arm._kinematics import reach_mm
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
-from sklearn_raacmm.error_model._columns import ARCSEC
+from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
 
 from ._arms import ARMS, columns_by_name, displaced, draw_angles
 
@@ -100,6 +100,24 @@ CAUSES = {
     "temperature": ({"drift_k": 8.0}, ["temperature"], 0.7),
     "payload": ({"payload_n": 20.0}, ["payload"], 0.35),
 }
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_rows_may_have_probes_of_their_own(arm):
+    """The columns are those of an arm with that probe, in units of the model's own arm."""
+    terms = Terms(np.array([(1, 1), (3, 2)]), True, True, True, (("temperature", (20.0,)),))
+    rows = np.column_stack([draw_angles(arm, 20), np.linspace(15, 30, 20)])
+    for length in (-40.0, 400.0):
+        own = arm.replace(probe=arm.probe + np.array([5.0, -8.0, length]))
+        found = columns_of(arm, terms).at(np.hstack([rows, np.tile(own.probe, (20, 1))]))
+        expected = columns_of(own, terms).at(rows)
+        ratio, waves = reach_mm(arm) / reach_mm(own), 2 * len(terms.harmonics)
+        places = {name: waves + i for i, name in enumerate(columns_of(own, terms).names)}
+        for i, name in enumerate(columns_of(arm, terms).names):
+            is_length = name[:-1] in ("a", "d", "probe_", "base_")
+            unit = ratio if is_length else 1 / ratio if name.startswith("load") else 1.0
+            assert_allclose(found[:, :, waves + i], unit * expected[:, :, places[name]], atol=1e-12)
+        assert_allclose(found[:, :, :waves], expected[:, :, :waves], atol=1e-12)
 
 
 def left_at_unseen_positions(test, values, extra):

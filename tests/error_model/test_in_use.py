@@ -1,5 +1,7 @@
 """A fitted model in use: moved to a probe, uncertain together, and the other way round."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -140,6 +142,20 @@ def test_the_joint_covariance_contains_the_single_ones(cones):
         model.distance_std(X, X[1:])
     with pytest.raises(ValueError, match="cannot both be True"):
         model.predict(X, return_std=True, return_cov=True)
+
+
+@pytest.mark.parametrize("std_scale", [0.2, 1.0, 2.0])
+def test_what_positions_do_not_show_is_the_rest_of_the_covariance(cones, std_scale):
+    """By products with the whole roots; of a narrow root what is shown may be more than both."""
+    test, model = cones
+    linear = dataclasses.replace(model.linear_model_, std_scale=std_scale)
+    X = test.data[::3]
+    both, shown = (
+        linear.joint_covariance(X, with_unseen=some).diagonal() for some in (True, False)
+    )
+    found = linear.unseen_variance(X)
+    assert_allclose(found.ravel(), np.maximum(both - shown, 0), atol=1e-9 * both.max())
+    assert found.max() > 0.1 * both.max()
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg"])

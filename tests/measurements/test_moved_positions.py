@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import moved_positions
 from sklearn_raacmm.measurements._moved_positions import MOVED, find_steps
@@ -101,14 +101,14 @@ def test_a_pose_that_was_recorded_many_times_is_one():
     assert rows_of(steps) == [(2, 499, 500)]
 
 
+# -- what users see -------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("n", [0, 1, 5, 6])
 def test_few_rows(n):
     angles, left = poses_and_noise()
     left[n // 2 :] += 1.0
     assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
-
-
-# -- what users see -------------------------------------------------------------------------------
 
 
 def moved_test(machine="none", n_positions=5):
@@ -141,16 +141,6 @@ def test_the_warning_names_position_rows_and_size():
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
     assert not list(moved_positions(left, angles, labels, NOISE**2, numbers))
-
-
-@pytest.mark.exhaustive
-def test_the_one_call_counts_all_rows():
-    """Rows after a step may be outliers, which the model does not see."""
-    test, angles, groups, first = moved_test("typical", 7)
-    model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as found:
-        learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
-    assert [one.filename for one in found if "fixed point" in str(one.message)] == [__file__]
 
 
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")  # of calibrate

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sklearn_raacmm.network._kernels import kernel_matrix
-from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out, of_noise
+from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out
 from sklearn_raacmm.network._rows import Rows
 
 
@@ -42,15 +42,6 @@ def test_value_with_constants_is_the_density_of_a_normal_variable():
         densities.append(-density - extra)
     # Neither constants of 2 pi and the weights nor the quadratic form, which is n.
     np.testing.assert_allclose(np.diff(values), np.diff(densities), rtol=1e-9)
-
-
-def test_a_large_ridge_is_noise_alone():
-    data = some_data(q=2)
-    large = exact_likelihood(data, "gaussian", np.zeros(3), np.full(2, np.log(1e9)))[0]
-    value, density = of_noise(data)
-    assert large == pytest.approx(value, abs=1e-5)
-    K = covariance(data, "gaussian", np.zeros(3))[0]
-    assert left_out(data, K, np.full(2, 1e9)) == pytest.approx(density, abs=1e-5)
 
 
 @pytest.mark.parametrize("ratio", [None, 0.0, 3.0])

@@ -1,5 +1,8 @@
 """Each output's own network, and one hidden layer for all, against networks of each alone."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -137,3 +140,18 @@ def test_outliers_in_one_of_the_outputs():
     robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, Y)
     assert np.all(robust.row_weight_[rows] == 0)
     assert np.std(robust.predict(X) - truth, axis=0).max() < 0.06
+
+
+def test_files(given):
+    *_, T, model = given
+    again = pickle.loads(pickle.dumps(model))
+    np.testing.assert_array_equal(again.predict(T), model.predict(T))
+    for sentence, changes in {
+        r"its networks predict the outputs \[1, 2\]": {"networks_": model.networks_[1:]},
+        "networks_ holds something else": {"networks_": (1, 2, 3)},
+        "center_indices_ of RBFNetRegressor": {"center_indices_": model.center_indices_[:-1]},
+    }.items():
+        lost = copy.deepcopy(model)
+        vars(lost).update(changes)
+        with pytest.raises(ValueError, match=sentence):
+            pickle.loads(pickle.dumps(lost))

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import RidgeCV
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Task, minimise, objective
 from sklearn_raacmm.network._rows import merge
-from sklearn_raacmm.network._search import search
 
 from ._data import smooth
 
@@ -119,55 +116,6 @@ def test_numbers_too_far_from_all_others_are_refused(far):
     X[:2] = 1e6
     model = RBFNetRegressor(random_state=0).fit(X, y)
     assert np.mean(np.square(model.predict(X[2:]) - y[2:])) < 0.01 * y.var()
-
-
-def test_a_width_at_its_bound_is_said(monkeypatch):
-    monkeypatch.setattr("sklearn_raacmm.network._likelihood.WIDTH_BOUNDS", (0.8, 1e3))
-    monkeypatch.setattr(_search, "WIDTH_BOUNDS", (0.8, 1e3))
-    X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
-    with pytest.warns(
-        ConvergenceWarning, match="width of feature 0 ended at its lower bound"
-    ) as said:
-        RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))
-    assert said[0].filename == __file__  # the line of the call
-
-
-def test_a_rough_and_a_smooth_start_and_the_better_end(monkeypatch):
-    """A ripple on a trend: each is a peak of the likelihood, and the starts meet both."""
-    rng = np.random.default_rng(0)
-    x = rng.uniform(-2, 2, (60, 1))
-    y = np.sin(2 * x[:, 0]) + 0.3 * np.sin(25 * x[:, 0]) + 0.2 * rng.standard_normal(60)
-    data = data_of(x, y)
-    starts, ends = [], []
-
-    def watched(task, theta, *args):
-        starts.append(np.exp(theta[0]))
-        theta = minimise(task, theta, *args)
-        ends.append(np.exp(task.unpack(theta)[0]))
-        return theta
-
-    monkeypatch.setattr(_search, "minimise", watched)
-    found = search(data, ("gaussian",), random_state=np.random.RandomState(0))
-    assert min(starts) < _search.WIDE <= max(starts)
-    assert found.length_scale[0] in [end[0] for end in ends]
-
-
-@pytest.mark.exhaustive
-def test_a_kernel_that_trails_on_few_rows_may_lead_on_more():
-    """Every kernel is scored on all rows at its own end on few, none is the one to beat."""
-    rng = np.random.default_rng(1)
-    X = rng.uniform(-1, 1, (1000, 2))
-    f = np.abs(np.sin(4 * X[:, 0])) + np.abs(X[:, 1] - 0.2)
-    data = data_of(X, f + 0.02 * rng.standard_normal(1000))
-    found = search(data, _search.AUTO_KERNELS, random_state=np.random.RandomState(0))
-    alone = {
-        name: search(data, (name,), random_state=np.random.RandomState(0)).log_likelihood
-        for name in _search.AUTO_KERNELS
-    }
-    assert found.kernel != "gaussian"
-    assert alone[found.kernel] > max(alone.values()) - 5
-    reordered = search(data, _search.AUTO_KERNELS[::-1], random_state=np.random.RandomState(0))
-    assert reordered.log_likelihood == pytest.approx(found.log_likelihood, abs=3)
 
 
 def test_where_no_noise_is_left_rows_left_out_say_whether_it_is_linear():

@@ -1,7 +1,5 @@
 """The forward selection and its algebra against refits, fastcan, and extended precision."""
 
-from functools import reduce
-
 import mpmath
 import numpy as np
 import pytest
@@ -9,14 +7,7 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._centers import forward_selection
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky, psd_root
-from sklearn_raacmm.network._linear import (
-    first_weights,
-    nested_least_squares,
-    stack_triangles,
-    triangular_factor,
-)
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -95,20 +86,6 @@ def extended_precision(W, t, n_select):
     return chosen, min(lengths)
 
 
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-@pytest.mark.parametrize("apart", [1e-7, 1e-8])
-def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apart, scale):
-    n = 30
-    rng = np.random.default_rng(0)
-    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * rng.normal(size=(n, n))])
-    coordinates = coordinates @ np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0] * scale
-    target = rng.normal(size=(n + 1, 1))
-    indices = forward_selection(coordinates, target, 1e-10, n - 1)[0]
-    order, least = extended_precision(coordinates.T, target[:, 0], n - 1)
-    assert least < 10 * apart
-    np.testing.assert_array_equal(indices, order)
-
-
 def test_residual_is_that_of_extended_precision_on_wide_widths():
     # 40 rows, widths so wide that the kernel matrix has condition far beyond 1e16.
     rng = np.random.default_rng(1)
@@ -173,38 +150,3 @@ def test_pivoted_cholesky_where_distances_lose_digits():
     assert complete
     assert len(pivots) == 6
     assert np.abs(exact - rows @ rows.T).max() < 1e-8
-
-
-@pytest.mark.parametrize("alphas", [[0.0, 0.0], [0.3, 0.3], [0.02, 0.7]])
-def test_path_is_that_of_separate_fits(alphas):
-    X, Y, weights = problem(2, n=60)
-    root = np.sqrt(weights)[:, None]
-    tail = root * np.ones((60, 1))
-    K = np.exp(-0.5 * cdist(X, X[:9], "sqeuclidean") / 0.4**2)
-    U = np.linalg.cholesky(K[:9]).T
-    within = np.array([0.5, 0.25])
-    rows = np.hstack([tail, root * K, root * Y])
-    # In blocks, some shorter than wide.
-    R = reduce(stack_triangles, map(triangular_factor, (rows[:5], rows[5:40], rows[40:])))
-    rss, objective, *solved = nested_least_squares(R, 1, U, np.array(alphas), within)
-    for m in (0, 1, 4, 9):
-        A = np.hstack([tail, root * K[:, :m]])
-        for i in range(2):
-            R = np.zeros((m + 1, m + 1))
-            R[1:, 1:] = alphas[i] * K[:m, :m]
-            b = root[:, 0] * Y[:, i]
-            w = np.linalg.inv(A.T @ A + R) @ A.T @ b
-            left = np.sum((b - A @ w) ** 2)
-            np.testing.assert_allclose(first_weights(*solved, 1 + m)[:, i], w, rtol=1e-8, atol=1e-8)
-            assert rss[m, i] == pytest.approx(left + within[i])
-            assert objective[m, i] == pytest.approx(left + w @ R @ w + within[i])
-
-
-@pytest.mark.parametrize("length_scale", [0.1, 0.4, 5.0])  # sound, nearly singular, singular
-def test_root_of_a_kernel_matrix(length_scale):
-    Z = np.random.default_rng(0).uniform(-1, 1, (60, 2)) / length_scale
-    K = kernel_matrix(Z, Z, "gaussian")
-    root = psd_root(K)
-    np.testing.assert_allclose(root.T @ root, K, atol=1e-12)
-    # No direction is without a penalty.
-    assert np.linalg.svd(root, compute_uv=False).min() ** 2 > 1e-16 * len(K)

@@ -90,9 +90,6 @@ def test_position_residuals_refuses_groups(groups, weights, message):
         position_residuals(np.ones((4, 3)), groups, weights)
 
 
-# -- the two frames -------------------------------------------------------------------------------
-
-
 def test_rotation_against_scipy():
     rng = np.random.default_rng(3)
     vectors, phi = rng.normal(size=(50, 3)), rng.uniform(-7, 7, 50)
