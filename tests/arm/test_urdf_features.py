@@ -79,47 +79,6 @@ def test_points_are_those_by_hand(text, ends, tmp_path):
     )
 
 
-def test_a_chain_that_ends_in_a_joint_gets_a_link():
-    """The probe of a calibrated arm is beside the last axis: 0.5 mm up, 0.2 along the link."""
-    text = PLAIN[: PLAIN.index('  <joint name="end"')] + "</robot>\n"
-    text = change(text, '<link name="hand"/>', '<!-- "probe" -->')
-    arm = Arm.from_urdf(text)
-    assert_allclose(arm.forward([[0, 0]]), [[300, 0, 100]], atol=1e-10)
-    gap = np.array([[0.2, 0, 0.5]])
-    moved = arm.replace(probe=arm.probe + gap[0] @ arm.frames([[0, 0]])[0, -1, :, :3])
-    with pytest.warns(
-        UserWarning, match=r"0\.5385 mm beside .* link 'probe_' was added, .*'lower'"
-    ):
-        written = moved.update_urdf(text)
-    again = Arm.from_urdf(written, tip="probe_")
-    by_hand = change_of(gap[0]) + change_of(np.zeros(3), 300, 100)
-    assert_allclose(again.forward(ANGLES), by_hand, atol=1e-9)
-    assert again.names == ("turn", "lift")
-    assert Arm.from_urdf(again.update_urdf(written)) == again
-
-
-def change_of(vector, out=0, up=0):
-    """A vector of the last link's frame in the base frame, turned by hand, from a place."""
-    x, z = vector[0] * np.cos(LIFT) - vector[2] * np.sin(LIFT) + out, vector[0] * np.sin(LIFT)
-    return np.column_stack([x * np.cos(TURN), x * np.sin(TURN), z + vector[2] * np.cos(LIFT) + up])
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (change(PLAIN, "</robot>", RAIL), r"'rail' is prismatic; .* base='foot' begins behind it"),
-        (
-            change(PLAIN, "<robot name", PREFIX, "</robot>", '<xacro:arm d="2"/></robot>'),
-            "holds xacro macros",
-        ),
-        ('<mujoco model="a"/>', "'mujoco', that of MuJoCo's MJCF: take the URDF"),
-    ],
-)
-def test_what_is_not_read_is_named(text, message):
-    with pytest.raises(ValueError, match=message):
-        Arm.from_urdf(text)
-
-
 @pytest.mark.parametrize(
     ("angle", "off", "weight"), [("1.5708", "3.7e-06", "note"), ("1.57", "0.0008", "doubt")]
 )

@@ -8,10 +8,6 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate, lengths_of_places
-from sklearn_raacmm.arm import FIELDS
-from sklearn_raacmm.calibration import are_wrong
-from sklearn_raacmm.calibration._checks import check_problem, wrong_units
-from sklearn_raacmm.calibration._findings import wrong_table
 from sklearn_raacmm.calibration._fit import Fit
 from sklearn_raacmm.calibration._problem import Problem
 from sklearn_raacmm.utils import FindingWarning
@@ -321,18 +317,6 @@ def test_bad_input_gets_one_clear_sentence(change, message):
         calibrate(AACMM6, **{**good, **change})
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit"),
-    [(1e-3, "metres"), (0.1, "inches or centimetres"), (1 / 25.4, "inches or centimetres")],
-)
-def test_a_table_in_another_unit_is_named_by_it(factor, unit):
-    angles, groups, _ = single_point_test(AACMM6, 2, 4)
-    own, problem = AACMM6, check_problem(angles, groups, None, [], None, None)
-    small = own.replace(a=factor * own.a, d=factor * own.d, probe=factor * own.probe)
-    (found,) = wrong_units(small, angles, problem)
-    assert f"its lengths are most likely in {unit}. Give millimetres" in str(found)
-
-
 def test_groups_of_one_point_are_named_and_do_not_count():
     truth = disturbed(AACMM6)
     angles, groups, targets = single_point_test(truth, noise_mm=0.05)
@@ -348,30 +332,6 @@ def test_groups_of_one_point_are_named_and_do_not_count():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         calibrate(AACMM6, more[:-1], labels[:-1], lengths=[(100, 101, length, 0.05)])
-
-
-def test_a_correction_that_makes_the_scatter_larger_is_warned_of():
-    """One of another arm: a gear that this one has not. The right one, and none, raise nothing."""
-    rng = np.random.default_rng(3)
-    arm = Arm.from_name("ur10", probe=(0, 0, 93))
-    angles = rng.uniform(-2.5, 2.5, (60, 6))
-
-    def bend(q):
-        return 0.3 * np.cos(17 * q[:, :1]) * np.array([1.0, -1.0, 0.5])
-
-    class Model:
-        def __init__(self, size):
-            self.size = size
-
-        def predict(self, q):
-            return self.size * bend(q)
-
-    points = arm.forward(angles) - bend(angles) + rng.normal(0, 0.02, (60, 3)) + [1000, 0, 0]
-    for size in (1.0, 0.0):
-        calibrate(arm, angles, points=points, correction=Model(size), free=["probe"])
-    with pytest.warns(UserWarning, match="do not use it here. Is it of this arm") as caught:
-        calibrate(arm, angles, points=points, correction=Model(-1.0), free=["probe"])
-    assert caught[0].filename == __file__
 
 
 def test_a_plate_of_known_points_shows_the_scale_as_a_fit_of_its_places_does():
@@ -411,40 +371,3 @@ def test_a_plate_of_known_points_shows_the_scale_as_a_fit_of_its_places_does():
 def test_places_that_are_none(places, message):
     with pytest.raises(ValueError, match=message):
         lengths_of_places(places)
-
-
-# -- limits of the findings: on one side of each there is none -------------------------------------
-
-
-@pytest.mark.parametrize("moved", [-62.1025, 10.1])
-def test_a_table_that_is_off_is_named_in_plain_words(moved):
-    names = [f"{field}{i + 1}" for field in FIELDS[:-1] for i in range(6)]
-    nominal = np.concatenate([getattr(AACMM6, field) for field in FIELDS[:-1]])
-    far, sd = np.full(len(names), 10.0), np.full(len(names), 0.1)
-    a4 = names.index("a4")
-    given = nominal.copy()
-    given[a4] += 0.98 * np.sign(moved) * 10
-    assert not [*wrong_table(names, given, nominal, sd, far, [])]
-    given[a4] = nominal[a4] + moved
-    (found,) = wrong_table(names, given, nominal, sd, far, [])
-    assert found.code == "table-off"
-    assert found.joints == (4,)
-    assert found.size_mm == pytest.approx(abs(moved))
-    says = f"the length of link 4 (a4) is 62.1 mm, the table says {given[a4]:.6g} mm"
-    assert says in found.text
-    assert not [*wrong_table(names, given, nominal, 200 * sd, far, [])]  # not known so well
-    (found,) = wrong_table(names, given, nominal, sd, far, [], scatter_mm=32.9)
-    assert "the points scatter by 32.9 mm: search_table" in str(found)
-
-
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(
-    ("sd", "sigma", "limit"),
-    [(0.01, 0.001, 0.0505), (0.001, 0.02, 0.1415)],
-    ids=["length", "points"],
-)
-def test_a_length_disagrees_beyond_five_standard_deviations(sd, sigma, limit, sign):
-    """Of the length as it was given and of the points at its two ends together."""
-    lengths = [("A", "B", 400.0, sd)]
-    assert not are_wrong(lengths, np.array([sign * 0.99 * limit]), sigma)
-    assert are_wrong(lengths, np.array([sign * 1.01 * limit]), sigma)

@@ -95,18 +95,6 @@ def test_the_noise_is_found_whatever_the_loss(loss):
     assert np.mean(found) == pytest.approx(0.1, rel=0.04)
 
 
-def test_slipped_poses_do_not_enlarge_the_noise():
-    angles, points = tracker_rows(ARM, 300)
-    clean = calibrate(ARM, angles, points=points)
-    rng = np.random.default_rng(1)
-    bad = rng.choice(300, 15, replace=False)
-    points[bad] += rng.normal(0, 5, (15, 3))
-    result = calibrate(ARM, angles, points=points)
-    assert set(result.outliers) == set(bad)
-    assert_allclose(np.flatnonzero(result.sample_weight == 0), np.sort(bad))
-    assert result.sigma_mm == pytest.approx(clean.sigma_mm, rel=0.03)
-
-
 def test_names_of_outliers_are_right_where_a_smooth_error_is_left():
     """The simulated machine has harmonics and gravity that no calibration takes."""
     names, found = 0, 0

@@ -11,7 +11,7 @@ from sklearn.model_selection import GroupKFold
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.calibration._labels import places_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.utils import FindingError, FindingWarning
+from sklearn_raacmm.utils import FindingWarning
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 PANDA = Arm.from_name("panda", probe=(0, 0, 138))
@@ -92,35 +92,16 @@ def test_one_place_under_two_names_is_left_out_as_one():
     assert len(np.unique(cv.blocks[TEST.groups == 0])) == 1
 
 
-def test_exchanged_labels_and_marks_of_missing_values_refuse_no_table():
-    """What calibration has left out does not count where a table is refused."""
+def test_exchanged_labels_and_marks_of_missing_values_are_named_by_their_rows():
+    """They do not count, so that all other rows have the arm of the clean data."""
     groups, angles = TEST.groups.copy(), TEST.data.copy()
     groups[[12, 52]] = groups[[52, 12]]
     angles[[3, 40, 77]] = np.deg2rad(999 - 720)
     with pytest.warns(FindingWarning) as caught:
-        learned = learn_correction(TEST.nominal_arm, angles, groups, model=SMALL, cv=3)
+        arm = calibrate(TEST.nominal_arm, angles, groups).arm
     clean = calibrate(TEST.nominal_arm, TEST.data, TEST.groups).arm.forward(TEST.data)
-    assert learned.calibration.scatter_after_mm > 20
     assert {w.message.finding.code: w.message.finding.rows for w in caught} == {
         "wrong-label": (12, 52),
         "no-reading": (3, 40, 77),
     }
-    moved = np.linalg.norm(learned.calibration.arm.forward(TEST.data) - clean, axis=1)
-    assert moved.max() < 0.2
-    assert learned.helps
-
-
-def test_labels_that_are_rows_late_are_refused_by_name():
-    with pytest.raises(FindingError, match="The labels of 45 of 144 rows do not fit") as refused:
-        learn_correction(TEST.nominal_arm, TEST.data, np.roll(TEST.groups, 5), model=SMALL)
-    assert refused.value.finding.rows == tuple(
-        np.flatnonzero(np.roll(TEST.groups, 5) != TEST.groups)
-    )
-
-
-def test_labels_at_random_and_reversed_joints_are_no_wrong_labels():
-    rng = np.random.default_rng(0)
-    assert "no-such-arm" in found(TEST.nominal_arm, TEST.data, rng.permutation(TEST.groups))
-    turned = found(TEST.nominal_arm, TEST.data * [1, 1, 1, -1, 1, 1], TEST.groups)
-    assert "no-such-arm" in turned
-    assert "wrong-label" not in turned
+    assert np.linalg.norm(arm.forward(TEST.data) - clean, axis=1).max() < 0.2

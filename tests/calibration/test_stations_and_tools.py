@@ -15,10 +15,13 @@ ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 class Bend:
     """A correction that is no model of ours: the arm sinks as it reaches out."""
 
+    def __init__(self, size=-1e-6):
+        self.size = size
+
     def predict(self, angles):
         points = ARM.forward(angles)
         out = np.zeros_like(points)
-        out[:, 2] = -1e-6 * (points[:, 0] ** 2 + points[:, 1] ** 2)
+        out[:, 2] = self.size * (points[:, 0] ** 2 + points[:, 1] ** 2)
         return out
 
 
@@ -100,6 +103,8 @@ def test_base_and_tool_are_fitted_through_the_correction():
     naive = calibrate(ARM, angles, points=points, free=["probe"])
     assert np.linalg.norm(naive.arm.probe - true.probe) > 0.05
     assert np.linalg.norm(naive.base_translation - [100, 200, 300]) > 0.05
+    with pytest.warns(UserWarning, match="do not use it here. Is it of this arm"):
+        calibrate(ARM, angles, points=points, correction=Bend(1e-6), free=["probe"])
     # `residuals` are those of the arm alone: what the correction has to predict.
     assert_allclose(through.residuals(angles, points), Bend().predict(angles), atol=1e-4)
     degrees = calibrate(

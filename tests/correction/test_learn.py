@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import re
 import warnings
 
 import numpy as np
@@ -332,15 +331,6 @@ def test_saved_and_loaded(tmp_path, learned, test_data):
     for correction in (learned, saved):
         with pytest.raises(ValueError, match="'temp', of which the model knows nothing"):
             correction.correct(one, extra={"temp": 25.0})
-
-
-def test_shows_itself(learned):
-    text = repr(learned)
-    assert learned.verdict in text
-    assert "inside the model's own 95 % intervals" in text
-    assert "share of the correction that is used" in text
-    for label, before in zip("ABCDEFG", learned.scores.table["before"], strict=True):
-        assert re.search(rf"^{label} +20 +{before:.4f} ", text, re.MULTILINE)
 
 
 @pytest.mark.exhaustive

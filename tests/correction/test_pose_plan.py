@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, plan_poses
-from sklearn_raacmm.arm import reach_mm
 
 ARM = Arm.from_name("aacmm6")
 
@@ -24,7 +23,7 @@ def test_poses_reach_their_cones_from_above():
 
 def test_places_are_within_reach_and_the_plan_is_the_same_again():
     plan, again = (plan_poses(ARM, 3, 6, lean_deg=None) for _ in range(2))
-    away = np.linalg.norm(plan.positions, axis=1) / reach_mm(ARM)
+    away = np.linalg.norm(plan.positions, axis=1) / ARM.reach_mm
     assert (away >= 0.25).all()
     assert (away <= 0.85).all()
     assert np.array_equal(plan.angles, again.angles)

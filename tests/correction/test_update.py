@@ -15,8 +15,11 @@ from sklearn_raacmm import (
     position_residuals,
     update_correction,
 )
+from sklearn_raacmm.correction._condition import Prior
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import FindingError, FindingWarning
+
+from .test_condition import of_definition
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 ARCSEC = np.pi / 180 / 3600
@@ -118,21 +121,14 @@ def test_posterior_against_the_textbook(model):
         change += 2 * [entry["tau"][f"harmonics of joint {joint + 1}"] * size]
     change += [entry["tau"][name] * old.prior_sd[name] for name in families]
     # The coefficients of the model, and those of a place that may be 5 mm off.
-    P = np.zeros((len(mean) + 9,) * 2)
-    P[: len(mean), : len(mean)] = half @ half.T + np.diag(np.square(change))
-    P[len(mean) :, len(mean) :] = 25 * np.eye(9)
-    mean = np.r_[mean, np.zeros(9)]
-
-    def columns(angles):
-        return np.concatenate([new.columns(angles), place_columns(angles)], axis=2)
-
-    A = columns(angles).reshape(120, -1)
-    gain = np.linalg.solve(A @ P @ A.T + entry["noise_sd_mm"] ** 2 * np.eye(120), A @ P).T
-    mean, P = mean + gain @ (y.ravel() - A @ mean), P - gain @ A @ P
+    prior = Prior(mean, half, np.full(len(mean), "all"), np.array(change), 5.0, 0.0, (0.0, 0.0))
+    given = new.columns(angles), place_columns(angles), y, np.ones(40)
+    mean, P, _ = of_definition(prior, *given, {"all": 1.0}, entry["noise_sd_mm"])
     far = rows(20, 5)[0]
+    columns = np.concatenate([new.columns(far), place_columns(far)], axis=2)
     found, std = new.predict(far, return_std=True)
-    assert_allclose(found, columns(far) @ mean, atol=2e-5)
-    variance = np.einsum("nij,jk,nik->ni", columns(far), P, columns(far))
+    assert_allclose(found, columns @ mean, atol=2e-5)
+    variance = np.einsum("nij,jk,nik->ni", columns, P, columns)
     assert_allclose(std, np.sqrt(variance), rtol=1e-3)
 
 
@@ -150,15 +146,6 @@ def test_single_points_update_too():
     assert np.median(std) < 3 * np.median(old_std)
     with pytest.raises(ValueError, match="give groups, the position of each new pose"):
         update_correction(model, X, y)
-
-
-def test_rows_of_another_arm_are_named(model):
-    angles, _ = rows(60, 1)
-    y = np.random.default_rng(0).normal(0, 5, (60, 3))
-    with pytest.warns(UserWarning, match="are they of this arm"):
-        update_correction(model, angles, y)
-    with pytest.raises(ValueError, match="X has 60 rows, but y has 4"):
-        update_correction(model, angles, y[:4])
 
 
 @pytest.mark.exhaustive
@@ -266,23 +253,6 @@ def test_a_likelier_explanation_hands_nothing_over(model):
     with pytest.warns(UserWarning, match="corrected already"):
         taken = update_correction(model, angles, corrected, accept="corrected-already")
     assert [finding.weight for finding in taken.findings_] == ["repair"]
-
-
-def test_explanations_that_are_as_likely_are_named_together(model):
-    """A turn that is free explains the other sign nearly as well; many rows tell them apart."""
-    both = r"corrected twice .* nats[)], or if their axes are others: they are turned and mirrored"
-    for n, said in ((60, both), (300, r"corrected twice .* nats[)][.] Give measured")):
-        angles, y = rows(n, 1)
-        with pytest.raises(FindingError, match=said):
-            update_correction(model, angles, -y)
-
-
-def test_a_missing_row_is_named_by_its_number(model):
-    angles, y = rows(61, 1)
-    # Residual 31 is that of the angles that are in row 30 now.
-    with pytest.raises(FindingError, match="of the row before, from row 30 on") as caught:
-        update_correction(model, np.delete(angles, 30, axis=0), y[:60])
-    assert caught.value.finding.rows == (30,)
 
 
 def test_new_poses_that_nothing_is_wrong_with_are_taken(model):

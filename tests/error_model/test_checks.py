@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
-from sklearn_raacmm.error_model._checks import _check_vectors, _have_offsets
+from sklearn_raacmm.error_model._checks import _have_offsets
 
 ARM = Arm.from_name("aacmm6")
 RNG = np.random.default_rng(0)
@@ -56,15 +56,6 @@ def test_weights_that_are_no_repeats_are_named(scale):
         estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=weights)
     with pytest.raises(ValueError, match=r"sample_weight holds 4e\+10, but a weight"):
         estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=1e9 * np.arange(1.0, 41))
-
-
-def test_a_residual_of_ten_reaches_is_in_another_unit():
-    y = np.zeros((5, 3))
-    y[2, 1] = 9.9 * ARM.reach_mm
-    assert _check_vectors(y, ARM) is y
-    y[2, 1] = 10.1 * ARM.reach_mm
-    with pytest.raises(ValueError, match=r"y holds a residual of .* mm, but the arm reaches"):
-        _check_vectors(y, ARM)
 
 
 def test_residuals_of_which_most_are_zero_do_not_overflow():

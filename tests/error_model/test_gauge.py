@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm import Arm
 from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.error_model._linear_model import place_fields
-from sklearn_raacmm.error_model._sums import without_motions
-from sklearn_raacmm.inference import Sums
 from sklearn_raacmm.utils import centred
 
 NAMES = ("aacmm6", "panda", "ur10")
-# Standard deviations of the causes of the simulated errors, by family (harmonics first), arcsec.
-SIZES = np.array([5.0, 10.0, 4.0, 2.0])
-NOISE_MM = 0.005
 
 
 def polynomials(points, gravity=True):
@@ -70,80 +64,3 @@ def test_fields_are_motions_scale_and_bends(name, gravity):
     left = expected - moved @ np.linalg.lstsq(moved, expected, rcond=None)[0]
     assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(expected)
     assert np.linalg.cond(moved) < 100
-
-
-def test_a_model_without_such_causes_has_no_fields():
-    arm = Arm.from_name("aacmm6")
-    terms = Terms(np.array([(1, 1), (2, 3)]), False, False, True)
-    assert place_fields(columns_of(arm, terms)).shape == (2 * 2 + 48, 0)
-    assert place_fields(columns_of(arm, terms._replace(wobble=False))).shape == (4, 0)
-
-
-def errors_over_deviations(name, seed, single_point):
-    """Errors at positions left out over their standard deviations, of a model that is complete."""
-    arm, rng = Arm.from_name(name, probe=(5.0, -8.0, 120.0)), np.random.default_rng(seed)
-    theta, codes = poses_at_points(arm, 30, 12, rng)
-    terms = Terms(np.array([(1, 1), (1, 2), (2, 1), (3, 3), (4, 2)]), True, True, True)
-    family = np.r_[np.zeros(10, int), 1 + columns_of(arm, terms).family]
-    columns = columns_of(arm, terms).at(theta)
-    truth = columns @ rng.normal(0, SIZES[family])
-    y = truth + rng.normal(0, NOISE_MM, truth.shape)
-    y = centred(y, codes) if single_point else y
-    train = codes % 3 > 0
-    model = ArmResidualRegressor(arm, orders=3)
-    model.fit(theta[train], y[train], groups=codes[train])
-    linear = model.linear_model_
-    error = linear.predict(theta)[0] - truth
-    if single_point:
-        labels = np.unique(codes[train])
-        fields = polynomials(arm.forward(theta) / 1000)
-        means = [
-            np.stack([part[codes == i].mean(axis=0) for i in labels]) for part in (fields, error)
-        ]
-        seen = means[0].reshape(-1, fields.shape[2])
-        error = error - fields @ np.linalg.lstsq(seen, means[1].ravel(), rcond=None)[0]
-    std = model.predict(theta, return_std=True)[1]
-    return (error / std)[~train], linear.std_scale
-
-
-@pytest.mark.filterwarnings("ignore:y are not the deviations")  # they are drawn
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("single_point", [False, True])
-def test_deviations_are_right_on_three_arms(single_point):
-    """Monte Carlo: root mean square of error over deviation is 1, 95 % lie within 1.96.
-
-    Of the posterior, since the model is complete; widened deviations, of 20 positions each, may be
-    a little too wide.
-    """
-    found = [
-        errors_over_deviations(name, seed, single_point) for name in NAMES for seed in range(12)
-    ]
-    own = [scale * z for z, scale in found]
-    assert 0.9 < np.sqrt(np.mean([np.mean(z**2) for z in own])) < 1.1
-    inside = [[np.mean(np.abs(z) < 1.96) for z in part] for part in (own, [z for z, _ in found])]
-    assert np.mean(inside[0]) == pytest.approx(0.95, abs=0.02)
-    assert 0.93 < np.mean(inside[1]) < 0.98
-
-
-@pytest.mark.parametrize("name", ["aacmm6", "panda"])
-def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
-    """What is taken out moves all points as a rigid body of another size does, in seven ways."""
-    arm = Arm.from_name(name, probe=(10.0, -20.0, 150.0))
-    rng = np.random.default_rng(0)
-    theta = rng.uniform(-2, 2, (60, arm.n_joints))
-    terms = Terms(np.array([(2, 1)]), False, True, False)
-    n = len(columns_of(arm, terms).names)
-    sums = Sums(np.eye(n), np.zeros(n), np.zeros((n, 2)), None, None, 0.0, 0.0, None)
-    taken = np.eye(n) - without_motions(sums, columns_of(arm, terms)).gram
-    size, vectors = np.linalg.eigh(taken)
-    assert_allclose(size, size > 0.5, atol=1e-12)  # a projection
-    out = vectors[:, size > 0.5]
-    moved = (columns_of(arm, terms).at(theta)[:, :, 2:] @ out).reshape(180, -1)
-    points, one = arm.forward(theta), np.ones((60, 1))
-    motions = [np.kron(one, e[:, None]) for e in np.eye(3)]
-    motions += [np.cross(e, points).reshape(-1, 1) for e in np.eye(3)]
-    motions = np.column_stack([*motions, points.ravel()])
-    motions /= np.linalg.norm(motions, axis=0)
-    left = moved - motions @ np.linalg.lstsq(motions, moved, rcond=None)[0]
-    assert np.abs(left).max() < 1e-9 * np.abs(moved).max()
-    assert np.linalg.matrix_rank(moved, tol=1e-9 * np.linalg.norm(moved)) == 7

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
-from sklearn_raacmm.datasets import ArmErrors, make_single_point
+from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import Fading, judge
 
 ARM = Arm.from_name("aacmm6")
@@ -112,53 +112,6 @@ def test_one_position_or_one_place_is_not_left_out(cones, n_places, n_positions)
     assert model.helps_
 
 
-CORNERS = {
-    "one side of its base": lambda x, y, z: np.abs(np.arctan2(y, x)),
-    "near": lambda x, y, z: x**2 + y**2 + z**2,
-    "far": lambda x, y, z: -(x**2 + y**2 + z**2),
-    "low": lambda x, y, z: z,
-    "high": lambda x, y, z: -z,
-}
-
-
-@pytest.fixture(scope="module")
-def two_days():
-    """Simulated: three kinds of arms on a day and on another one, 4 K warmer."""
-    found = []
-    for mix in ("gravity", "typical", "eccentricity"):
-        errors = ArmErrors.from_name(mix)
-        warm = replace(errors, warming_k=errors.warming_k + 4.0)
-        day, other_day = (
-            make_single_point(24, 15, machine=machine, random_state=1) for machine in (errors, warm)
-        )
-        assert day.arm == other_day.arm
-        found.append((day, other_day))
-    return found
-
-
-@pytest.mark.exhaustive
-@pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
-@pytest.mark.parametrize("corner", CORNERS)
-def test_trained_in_one_corner_used_elsewhere_on_another_day(two_days, corner):
-    """A third of the positions teaches; the others are measured on the warmer day."""
-    gains = []
-    for day, other_day in two_days:
-        where = CORNERS[corner](*(day.simulation.positions - day.simulation.machine.shoulder).T)
-        trained = np.isin(day.groups, np.argsort(where)[:8])
-        for absolute in (False, True):
-            y = day.points - day.simulation.true_points if absolute else day.target
-            model = ArmResidualRegressor(day.arm, orders=8)
-            model.fit(day.data[trained], y[trained], groups=day.groups[trained])
-            assert model.offsets_ != absolute
-            elsewhere = ~trained
-            left = other_day.points - model.predict(other_day.data)
-            left = position_residuals(left[elsewhere], other_day.groups[elsewhere])
-            before = np.linalg.norm(other_day.target[elsewhere], axis=1).mean()
-            gains.append(1 - np.linalg.norm(left, axis=1).mean() / before)
-    assert min(gains) > 0
-    assert np.mean(gains) > 0.3
-
-
 # -- fading ---------------------------------------------------------------------------------------
 
 
@@ -183,9 +136,6 @@ def test_corrections_fade_away_from_the_data(cones):
     with pytest.warns(UserWarning, match="60 of 60 poses lie where the model knows little") as seen:
         model.predict(theta[-60:] + 3)
     assert seen[0].filename == __file__
-
-
-# -- what changes nothing -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("offsets", [False, True])

@@ -109,40 +109,6 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
         assert_allclose(deviations[of], spread, rtol=1e-6)
 
 
-def test_repeats_and_weights_have_the_same_blocks():
-    """Of neighbouring positions, by their mean points."""
-    test, *_ = draw(2)
-    weights = np.random.default_rng(0).integers(1, 4, len(test.data))
-    points, rows = test.arm.forward(test.data), np.repeat(np.arange(len(test.data)), weights)
-    once = _blocks(points, test.groups, weights.astype(float))
-    assert_array_equal(once[rows], _blocks(points[rows], test.groups[rows], np.ones(len(rows))))
-    assert all(len(np.unique(once[test.groups == i])) == 1 for i in range(16))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.filterwarnings("ignore:The positions differ by constants")  # of that cause
-def test_intervals_hold_where_a_cause_is_missing():
-    """Simulated arms with errors that no column has: posterior too sure, intervals right."""
-    raw, honest = [], []
-    for seed in range(4):
-        test = make_single_point(24, 12, machine="gravity", random_state=seed)
-        y = test.points - test.simulation.true_points
-        train = np.isin(test.groups, np.random.default_rng(seed).permutation(24)[:16])
-        model = ArmResidualRegressor(test.arm, orders=3, causes=["kinematics"])
-        model.fit(test.data[train], y[train], groups=test.groups[train])
-        error = np.abs(y[~train] - model.linear_model_.predict(test.data[~train])[0])
-        _, std = model.predict(test.data[~train], return_std=True, with_noise=True)
-        linear = model.linear_model_
-        plain = np.hypot(linear.predict(test.data[~train], return_std=True)[1], linear.noise_sd)
-        raw.append(np.mean(error < 1.96 * plain))
-        honest.append(np.mean(error < 1.96 * std))
-        quiet = model.predict(test.data[~train], return_std=True)[1]
-        size = linear.noise_scale * linear.noise_sd
-        assert_allclose(std, np.hypot(quiet, size * linear.noise_ratio(test.data[~train])))
-    assert 0.89 < np.mean(honest) < 0.98
-    assert np.mean(honest) > np.mean(raw)
-
-
 def test_fading_is_wieners_factor():
     doubt = np.array([0.0, 0.05, 0.5])
     assert_allclose(Fading(0.1, 2.0).share(doubt), [1, 0.5, 1 / 101])

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import ArmResidualRegressor
-from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import ARCSEC, columns_of
 from sklearn_raacmm.error_model._fit import fit_linear_model, offered_harmonics
@@ -64,21 +63,6 @@ def test_orders_of_gears_are_found_by_default():
     assert np.all(table["order"][4:] < 10)
     assert np.all(table["amplitude_arcsec"][4:] < 2.0)
     assert model.noise_sd_ == pytest.approx(0.01, rel=0.1)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("n_rows", "offsets"), [(3000, True), (3000, False), (12_000, True)])
-def test_evidence_does_not_run_away(n_rows, offsets):
-    """It preferred an arm of no size, whose points all lie together, from 12 000 rows on."""
-    d = make_single_point(n_positions=n_rows // 30, n_poses=30, random_state=0)
-    y = d.target if offsets else d.points - d.simulation.true_points
-    columns = columns_of(d.arm, Terms(offered_harmonics(d.data, 4), True, True, True))
-    rows = Rows(d.arm, d.data, y, np.ones(len(y)), d.groups if offsets else None)
-    model = fit_linear_model(rows, columns, with_field=True).model
-    assert 2 < model.prior_sd["kinematics"] < 30
-    assert 30 < model.prior_sd["gravity"] < 300
-    assert model.prior_sd["wobble"] < 5
-    assert 0.002 < model.noise_sd < 0.006
 
 
 def test_a_model_is_not_sure_of_angles_where_it_has_no_poses():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_raacmm.inference import Extra, GramRows, Problem, Structures, Sums, combined, search
+from sklearn_raacmm.inference import Extra, GramRows, Problem, Structures, Sums, search
 from sklearn_raacmm.inference._linear import columns_of
 
 
@@ -89,21 +89,6 @@ def test_other_observations_are_rows_of_their_own_variance(toys):
     B /= scale[:, None]
     coef = np.linalg.solve(B.T @ B + np.diag(1 / found.prior), B.T @ (np.r_[toy.y, values] / scale))
     assert_allclose(found.coef, coef, rtol=1e-8)
-
-
-def test_sums_add_up(toys):
-    toy, first = toys.drawn(0), np.arange(80) < 30
-    whole = toy.problem.sums
-    parts = [toys.sums_of(toy.A[rows], toy.H[rows], toy.y[rows]) for rows in (first, ~first)]
-    for found, expected in (
-        (combined(parts, (1, 1)), whole),
-        (combined((whole, parts[0]), (1, -1)), parts[1]),
-    ):
-        for name in Sums._fields[:7]:
-            value = getattr(expected, name)
-            atol = 1e-12 * np.abs(whole.own).max()
-            assert_allclose(getattr(found, name), value, atol=atol, err_msg=name)
-        assert_allclose(found.rows([3, 1]), expected.rows([3, 1]), atol=1e-11)
 
 
 def test_directions_of_rounding_are_no_information():

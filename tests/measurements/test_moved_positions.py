@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import _moved_positions, moved_positions
+from sklearn_raacmm.measurements import moved_positions
 from sklearn_raacmm.measurements._moved_positions import MOVED, find_steps
 from sklearn_raacmm.utils import numbered_rows
 
@@ -101,34 +101,14 @@ def test_a_pose_that_was_recorded_many_times_is_one():
     assert rows_of(steps) == [(2, 499, 500)]
 
 
+# -- what users see -------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("n", [0, 1, 5, 6])
 def test_few_rows(n):
     angles, left = poses_and_noise()
     left[n // 2 :] += 1.0
     assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
-
-
-def test_exact_residuals():
-    angles, _ = poses_and_noise()
-    assert find_steps(np.zeros((120, 3)), angles, CODES) == []
-
-
-def test_variance_of_a_difference_of_means_against_its_covariance():
-    """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
-    angles, left = poses_and_noise()
-    poses = _moved_positions._sorted_poses(left, angles, CODES)
-    spread = np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1])
-    place = poses.place[:8]
-    apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
-    gamma = np.where(apart < 1.5, 0.3, np.where(apart < 2.5, 0.5, 1.1))
-    np.fill_diagonal(gamma, 0.0)
-    w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
-    expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
-    found = _moved_positions._variance_of_difference(place, 3, spread)
-    assert_allclose(found, expected, rtol=1e-12)
-
-
-# -- what users see -------------------------------------------------------------------------------
 
 
 def moved_test(machine="none", n_positions=5):
@@ -161,16 +141,6 @@ def test_the_warning_names_position_rows_and_size():
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
     assert not list(moved_positions(left, angles, labels, NOISE**2, numbers))
-
-
-@pytest.mark.exhaustive
-def test_the_one_call_counts_all_rows():
-    """Rows after a step may be outliers, which the model does not see."""
-    test, angles, groups, first = moved_test("typical", 7)
-    model = ArmResidualRegressor(orders=2)
-    with pytest.warns(UserWarning, match=f"between rows {first - 1} and {first}\\.") as found:
-        learn_correction(test.nominal_arm, angles, groups, model=model, cv=3)
-    assert [one.filename for one in found if "fixed point" in str(one.message)] == [__file__]
 
 
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")  # of calibrate

@@ -7,22 +7,16 @@ import pytest
 from mpmath import mp, mpf
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import Network, _fit
+from sklearn_raacmm.network import _fit
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._rows import merge, prepare
 from sklearn_raacmm.network._search import Structure
 from sklearn_raacmm.utils import centred
 
-
-def rough(n=120, d=3, seed=0):
-    rng = np.random.default_rng(seed)
-    X = rng.uniform(-1, 1, (n, d))
-    f = np.sin(5 * X).sum(axis=1)
-    return X, f + 0.1 * rng.standard_normal(n), f
-
+from ._data import rough
 
 GIVEN = {"length_scale": [0.4, 0.5, 0.6], "alpha": 0.02}
-X, Y, _ = rough()
+X, Y, _ = rough(120, 3, 5)
 T = np.random.default_rng(1).uniform(-1.5, 1.5, (15, 3))
 
 
@@ -151,7 +145,7 @@ def test_a_limit_of_centres_out_of_reach_takes_all_rows(monkeypatch):
 
 
 def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
-    A, y, _ = rough(600)
+    A, y, _ = rough(600, 3, 5)
     weights = np.random.default_rng(0).uniform(0.5, 2, 600)
     problem = prepare(merge(A, y[:, None], weights), 0)
     functions = Structure("matern32", np.array([0.5, 1.0, 2.0]), np.array([0.1]))
@@ -174,23 +168,3 @@ def test_a_kept_model_is_small_and_the_same():
     assert len(pickle.dumps(model)) == size
     assert size < 8 * len(X) ** 2 / 2
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).predict(T, True), expected)
-    state = model.networks_[0].__getstate__()
-    state["weights"] = state["weights"][:-1]
-    with pytest.raises(ValueError, match="weights of Network has shape"):
-        Network.__new__(Network).__setstate__(state)
-
-
-def test_outliers_are_left_out():
-    y = Y.copy()
-    y[::15] += 20
-    model = RBFNetRegressor(**GIVEN, loss="tukey").fit(X, y)
-    assert model.stop_reason_ == "all rows"
-    assert np.all(model.row_weight_[::15] == 0)
-    # The noise that is known to be too small counts in the uncertainty of the function, too.
-    (posterior,) = model.networks_
-    ratio = posterior.noise_variance / posterior.signal_variance
-    np.testing.assert_allclose(ratio, posterior.alpha, rtol=1e-12)
-    wider = posterior.with_noise(2.0).std(T)
-    np.testing.assert_allclose(wider, np.sqrt(2) * posterior.std(T))
-    clean = RBFNetRegressor(**GIVEN).fit(np.delete(X, np.s_[::15], 0), np.delete(Y, np.s_[::15]))
-    np.testing.assert_allclose(model.predict(T), clean.predict(T), atol=0.1)

@@ -8,22 +8,12 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _read
-from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend, summarise
-from sklearn_raacmm.network._rows import merge, prepare
 
 
 @pytest.fixture
 def few_in_memory(monkeypatch):
     monkeypatch.setattr(_read, "HELD_ROWS", 600)
     monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
-
-
-def in_blocks(X, Y, weights, degree, size, ridged=False):
-    """The problem of rows of which a sample is held."""
-    chunks = ArrayChunks(X, Y, weights)
-    n, weight, rows, complete = draw_rows(chunks, X.shape[1], size, 1)
-    assert not complete
-    return extend(prepare(rows, degree, ridged), chunks, n, weight, np.arange(Y.shape[1]))
 
 
 def data(n=6000, seed=0):
@@ -52,7 +42,7 @@ SETTINGS = {
 )
 def test_neither_order_nor_splits_matter(name, few_in_memory):
     da = pytest.importorskip("dask.array")
-    X, Y, weights = data()
+    X, Y, weights = data(2400)
     model = RBFNetRegressor(loss="squared", random_state=0, max_centers=300)
     model.set_params(**SETTINGS[name])
     expected = model.fit(X, Y, sample_weight=weights).predict(X)
@@ -73,7 +63,9 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
     settings = {"n_centers": 30, "length_scale": 0.7, "alpha": 1e-3, "degree": degree}
     settings |= {"random_state": 0, "shared": True}
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
-    # All rows are candidates here too, but seen through sums over blocks.
+    # All rows are candidates here too, but seen through sums over blocks, with fewer rows than
+    # columns.
+    monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 20)
     monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
     monkeypatch.setattr(_read, "HELD_ROWS", 3949)
     blocks = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
@@ -97,26 +89,6 @@ def test_centres_chosen_by_a_coarse_factor_leave_hardly_more(few_in_memory):
 def kernel(model, X):
     gap = np.square((X[:, None] - model.centers_) / model.length_scale_).sum(axis=2)
     return np.exp(-0.5 * gap)
-
-
-@pytest.mark.parametrize("degree", [-1, 0, 1])
-def test_moments_of_blocks_are_those_of_all_rows(degree, monkeypatch):
-    X, Y, weights = data(5000)
-    X = np.column_stack([X + 1e3, X[:, 0] - X[:, 1], np.full(len(X), 7.0)])
-    Y = np.column_stack([Y, np.full(len(Y), -2.0)])
-    monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 700)
-    blocks = in_blocks(X, Y, weights, degree, 200)
-    whole = prepare(merge(X, Y, weights), degree)
-    assert (blocks.n_total, blocks.unit) == pytest.approx((whole.n_total, whole.unit))
-    np.testing.assert_allclose(blocks.spread, whole.spread, rtol=1e-9)
-    assert blocks.spread[2] == (0 if degree >= 0 else pytest.approx(2.0))
-    # Either basis spans the same polynomials.
-    for problem in (blocks, whole):
-        gram = problem.reduce(lambda b: b.basis.T @ b.basis, np.add, 5)
-        np.testing.assert_allclose(gram, np.eye(problem.n_tail), atol=1e-9)
-    assert blocks.n_tail == whole.n_tail == {-1: 0, 0: 1, 1: 4}[degree]
-    about = [p.reduce(lambda b: b.targets.T @ b.basis, np.add, 5) for p in (blocks, whole)]
-    np.testing.assert_allclose(*(a @ a.T for a in about), rtol=1e-7, atol=1e-7 * len(X))
 
 
 def test_rows_that_repeat_are_merged_where_they_all_fit(few_in_memory):
@@ -172,27 +144,19 @@ def test_dask_arrays_with_wrong_shapes_are_refused():
         model.fit(X[:, 0], Y)
 
 
-def test_bad_values_in_one_chunk_are_named(few_in_memory):
-    da = pytest.importorskip("dask.array")
-    X, Y, weights = data(3000)
-    model = RBFNetRegressor(5, length_scale=1.0, alpha=0.1, random_state=0)
-    for name, bad in (("X", np.nan), ("y", np.inf)):
-        broken = {"X": X.copy(), "y": Y.copy()}
-        broken[name][2345, 1] = bad
-        with pytest.raises(ValueError, match=f"Input {name} contains"):
-            model.fit(*(da.from_array(a, chunks=(500, -1)) for a in broken.values()))
-    weights[7] = -1
-    with pytest.raises(ValueError, match="Negative values in data passed to sample_weight"):
-        model.fit(da.from_array(X, chunks=(500, -1)), Y, sample_weight=weights)
-    with pytest.raises(ValueError, match=r"Sample weights must contain at least one non-zero"):
-        model.fit(da.from_array(X, chunks=(500, -1)), Y, sample_weight=np.zeros(3000))
-
-
 @pytest.mark.parametrize(
-    ("size", "complete"), [(250, True), (249, False), (100, False), (40, False)]
+    ("which", "rows", "bad", "message"),
+    [
+        (0, 2345, np.nan, "Input X contains"),
+        (1, 2345, np.inf, "Input y contains"),
+        (2, 2345, -1.0, "Negative values in data passed to sample_weight"),
+        (2, slice(None), 0.0, "Sample weights must contain at least one non-zero"),
+    ],
 )
-def test_a_sample_of_a_block_says_whether_it_is_all_of_it(size, complete):
-    """Of 300 rows 250 have weight."""
-    _, _, sample, is_all = summarise(*data(300), 0, 0, size)
-    assert is_all is complete
-    assert len(sample.X) == size
+def test_bad_values_in_one_chunk_are_named(which, rows, bad, message, few_in_memory):
+    da = pytest.importorskip("dask.array")
+    given = data(3000)
+    given[which][rows] = bad
+    X, Y, weights = (da.from_array(a, chunks=500) for a in given)
+    with pytest.raises(ValueError, match=message):
+        RBFNetRegressor(5, length_scale=1.0, alpha=0.1).fit(X, Y, sample_weight=weights)

@@ -9,14 +9,7 @@ from sklearn.gaussian_process.kernels import RBF
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _centers, _fit
 
-
-def rough(n=500, d=4, seed=0):
-    """Waves of the length of the rows' spacing: no factor of low rank tells the rows apart."""
-    rng = np.random.default_rng(seed)
-    X = rng.uniform(-1, 1, (n, d))
-    f = np.sin(4 * X).sum(axis=1)
-    return X, f + 0.1 * rng.standard_normal(n), f
-
+from ._data import rough
 
 GIVEN = {"length_scale": 0.5, "alpha": 0.01}
 
@@ -24,7 +17,7 @@ GIVEN = {"length_scale": 0.5, "alpha": 0.01}
 def test_a_cut_factor_does_not_end_the_choice(monkeypatch):
     # What the factor leaves out says nothing of the candidates within its span: with a rank of 200
     # of 500 the choice used to end after a few dozen, as if the others depended on them.
-    X, y, _ = rough()
+    X, y, _ = rough(500, 4, 4)
     monkeypatch.setattr(_centers, "MAX_RANK", 200)
     with pytest.warns(ConvergenceWarning, match="lies outside the 200 dimensions"):
         model = RBFNetRegressor(**GIVEN, max_centers=130).fit(X, y)
@@ -36,7 +29,7 @@ def test_a_cut_factor_does_not_end_the_choice(monkeypatch):
 
 
 def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
-    X, y, _ = rough(300)
+    X, y, _ = rough(300, 4, 4)
     monkeypatch.setattr(_centers, "MAX_RANK", 100)
     monkeypatch.setattr(_centers, "RANK_PER_CENTER", 0.1)
     with pytest.warns(ConvergenceWarning, match="of the prior variance at the candidates"):
@@ -49,11 +42,11 @@ def test_the_rank_is_named_where_it_ended_the_choice(monkeypatch):
 
 
 def test_more_centres_on_demand_raise_the_rank(monkeypatch):
-    X, y, _ = rough(500)
+    X, y, _ = rough(500, 4, 4)
     monkeypatch.setattr(_centers, "MAX_RANK", 100)
     monkeypatch.setattr(_centers, "MAX_CENTERS", 60)
     monkeypatch.setattr(_fit, "takes_all_rows", lambda *args: False)
-    T, _, truth = rough(400, seed=1)
+    T, _, truth = rough(400, 4, 4, seed=1)
     with pytest.warns(ConvergenceWarning) as record:
         few = RBFNetRegressor(**GIVEN).fit(X, y)
     assert any("Give a larger max_centers" in str(w.message) for w in record)

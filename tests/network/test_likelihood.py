@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
-from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out, of_noise
+from sklearn_raacmm.network._kernels import kernel_matrix
+from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out
 from sklearn_raacmm.network._rows import Rows
 
 
@@ -19,26 +18,6 @@ def some_data(n=40, q=2, within=(0.1, 0.2), seed=0):
 
 
 THETA = np.array([0.1, 0.4, -0.2, -1.0, -3.0])
-
-
-@pytest.mark.parametrize("constants", [False, True])
-@pytest.mark.parametrize("name", sorted(KERNELS))
-def test_gradients_against_finite_differences(name, constants):
-    theta = np.append(THETA, -1.0)
-    data = some_data()
-    data = data._replace(codes=np.sort(np.arange(40) % 7)) if constants else data
-
-    def function(t):
-        return exact_likelihood(data, name, t[:3], t[3:5], np.exp(t[5]) if constants else 0.0)
-
-    _, gradient, _, of_signal = function(theta)
-    for found, part in (
-        (gradient, lambda t: function(t)[0]),
-        (of_signal[0], lambda t: function(t)[2][0]),
-        (of_signal[1], lambda t: function(t)[2][1]),
-    ):
-        numeric = approx_fprime(theta, part, 1e-7)
-        np.testing.assert_allclose(found, numeric, atol=2e-5 * np.abs(numeric).max())
 
 
 def covariance_of(data, alpha, ratio, kernel="matern52"):
@@ -65,15 +44,6 @@ def test_value_with_constants_is_the_density_of_a_normal_variable():
     np.testing.assert_allclose(np.diff(values), np.diff(densities), rtol=1e-9)
 
 
-def test_a_large_ridge_is_noise_alone():
-    data = some_data(q=2)
-    large = exact_likelihood(data, "gaussian", np.zeros(3), np.full(2, np.log(1e9)))[0]
-    value, density = of_noise(data)
-    assert large == pytest.approx(value, abs=1e-5)
-    K = covariance(data, "gaussian", np.zeros(3))[0]
-    assert left_out(data, K, np.full(2, 1e9)) == pytest.approx(density, abs=1e-5)
-
-
 @pytest.mark.parametrize("ratio", [None, 0.0, 3.0])
 def test_what_is_left_out_by_leaving_it_out(ratio):
     """Row by row, or groups as a whole, whose rows have a common constant."""
@@ -94,13 +64,3 @@ def test_what_is_left_out_by_leaving_it_out(ratio):
     data = data if ratio is None else data._replace(codes=codes)
     found = left_out(data, covariance(data, "matern52", np.zeros(3))[0], alphas, ratio or 0.0)
     assert found == pytest.approx(density, rel=1e-8)
-
-
-def test_weights_and_repeats_have_one_likelihood():
-    data, counts = some_data(20, q=1, within=(0.0,)), np.random.default_rng(1).integers(1, 4, 20)
-    often = data.some(np.repeat(np.arange(20), counts))
-    once, often = data._replace(weights=counts + 0.0), often._replace(weights=np.ones(counts.sum()))
-    theta = "matern52", np.zeros(3), np.array([-2.0])
-    one, two = exact_likelihood(once, *theta), exact_likelihood(often, *theta)
-    assert one[0] == pytest.approx(two[0], rel=1e-10)
-    np.testing.assert_allclose(one[1], two[1], rtol=1e-7, atol=1e-10)

@@ -30,8 +30,9 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def model(data):
-    return RBFNetRegressor(random_state=0).fit(*data[:2])
+def networks(data):
+    """With hidden layers of their own, and with one that they share."""
+    return [RBFNetRegressor(shared=some, random_state=0).fit(*data[:2]) for some in (False, True)]
 
 
 @pytest.fixture(scope="module")
@@ -85,44 +86,37 @@ def test_each_output_has_the_network_that_it_would_have_alone(given):
         np.testing.assert_allclose(mean[:, i], phi @ model.coef_[i] + linear)
 
 
-def test_widths_are_found_for_each_output(data, model):
-    X, Y, T = data
+def test_widths_are_found_for_each_output(data, networks):
+    (X, Y, T), (model, shared) = data, networks
     error = np.std(model.predict(T) - waves(T), axis=0)
     assert error[[0, 3]].max() < 0.06
     assert error[[2, 4]].max() < 0.25
     assert error[1] < 1e-12  # the constant
     assert np.all(model.length_scale_[0] > 2 * model.length_scale_[2])
-    for i in range(5):  # on the same draws
-        own = RBFNetRegressor(random_state=0).fit(X, Y[:, i])
+    parts = [RBFNetRegressor(random_state=0).fit(X, y) for y in Y.T]  # on the same draws
+    for i, own in enumerate(parts):
         np.testing.assert_allclose(model.predict(T)[:, i], own.predict(T), atol=1e-10)
-    # Widths that all share give up one of the two kinds, or follow the noise of the other.
-    shared = RBFNetRegressor(shared=True, random_state=0).fit(X, Y)
-    assert len(shared.networks_) == 1
-    assert np.max(np.std(shared.predict(T) - waves(T), axis=0) / np.fmax(error, 1e-3)) > 1.3
-
-
-def test_sums_over_outputs(data, model):
-    X, Y, _ = data
-    parts = [RBFNetRegressor(random_state=0).fit(X, y) for y in Y.T]
     assert model.n_iter_ == sum(part.n_iter_ for part in parts)
     value = sum(part.log_marginal_likelihood_value_ for part in parts)
     assert model.log_marginal_likelihood_value_ == pytest.approx(value, rel=1e-12)
     assert model.stop_reason_ == ", ".join(part.stop_reason_ for part in parts)
+    # Widths that all share give up one of the two kinds, or follow the noise of the other.
+    assert len(shared.networks_) == 1
+    assert np.max(np.std(shared.predict(T) - waves(T), axis=0) / np.fmax(error, 1e-3)) > 1.3
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_the_order_of_outputs_does_not_matter(data, shared):
+def test_the_order_of_outputs_does_not_matter(data, networks, shared):
     X, Y, T = data
-    order = np.array([4, 1, 3, 0, 2])
-    one = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y)
+    order, one = np.array([4, 1, 3, 0, 2]), networks[shared]
     other = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y[:, order])
     atol = 2e-3 if shared else 1e-12
     np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
 
 
-def test_what_has_been_found_can_be_given(data):
+def test_what_has_been_found_can_be_given(data, networks):
     X, Y, T = data
-    model = RBFNetRegressor(shared=True, random_state=0).fit(X, Y)
+    model = networks[True]
     again = clone(model).set_params(
         kernel=model.kernel_, length_scale=model.length_scale_, alpha=model.alpha_
     )

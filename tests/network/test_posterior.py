@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from mpmath import mp, mpf
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -103,31 +102,6 @@ def test_gradients_are_those_of_differences(kernel, degree, y):
         slope = (model.predict(there) - model.predict(back)) / (2 * step)
         scale = np.abs(slope).max(axis=0)
         np.testing.assert_allclose(gradient[..., j] / scale, slope / scale, atol=1e-6)
-
-
-def test_gradients_keep_their_digits():
-    # Against forty digits, from weights and centres.
-    few, width, alpha = X[:12], [0.7, 60.0], 0.02
-    model = RBFNetRegressor(12, length_scale=width, alpha=alpha, degree=-1).fit(few, Y[:12, 0])
-    found = model.predict_gradient(T[:4])
-    with mp.workdps(40):
-        scaled = [[mpf(float(v)) / mpf(w) for v, w in zip(x, width, strict=True)] for x in few]
-
-        def k(a, b):
-            return mp.exp(-sum((u - v) ** 2 for u, v in zip(a, b, strict=True)) / 2)
-
-        n = len(few)
-        C = mp.matrix(n, n)
-        for i in range(n):
-            for j in range(n):
-                C[i, j] = k(scaled[i], scaled[j]) + (mpf(alpha) if i == j else 0)
-        weights = C**-1 * mp.matrix([mpf(float(v)) for v in Y[:12, 0]])
-        for i, x in enumerate(T[:4]):
-            t = [mpf(float(v)) / mpf(w) for v, w in zip(x, width, strict=True)]
-            for j in range(2):
-                slopes = [-(t[j] - c[j]) / mpf(width[j]) * k(t, c) for c in scaled]
-                mean = sum(w * s for w, s in zip(weights, slopes, strict=True))
-                assert abs(found[i, j] - mean) < 1e-9 * np.abs(found).max()
 
 
 def test_variances_are_the_means_of_their_posterior():

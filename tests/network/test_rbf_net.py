@@ -11,12 +11,7 @@ from sklearn.kernel_ridge import KernelRidge
 
 from sklearn_raacmm import RBFNetRegressor
 
-
-def smooth(n, seed=0, noise=0.1, d=2):
-    rng = np.random.default_rng(seed)
-    X = rng.uniform(-2, 2, (n, d))
-    f = np.sin(2 * X[:, 0]) + np.cos(X[:, -1])
-    return X, f + noise * rng.standard_normal(n), f
+from ._data import smooth
 
 
 @pytest.mark.parametrize(
@@ -197,19 +192,6 @@ def test_more_centres_than_candidates_takes_all_and_says_so():
     assert caught[0].filename == __file__  # the line of the call
     every = RBFNetRegressor(30, length_scale=0.5, alpha=0.1).fit(X, y)
     np.testing.assert_array_equal(model.predict(X), every.predict(X))
-
-
-@pytest.mark.parametrize("repeats", [1, 2])
-def test_one_observation_says_nothing_of_its_error(repeats):
-    X, y = np.repeat([[1.0, 2.0]], repeats, axis=0), np.full(repeats, 3.0)
-    for with_noise in (True, False):
-        mean, std = (
-            RBFNetRegressor()
-            .fit(X, y)
-            .predict([[5.0, 5.0]], return_std=True, with_noise=with_noise)
-        )
-        assert mean == pytest.approx(3.0)
-        assert std[0] == np.inf
 
 
 @pytest.mark.parametrize(("name", "units"), [("X", (1e-200, 1)), ("y", (1, 1e-200))])

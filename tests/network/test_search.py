@@ -4,27 +4,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import RidgeCV
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _search
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Task, minimise, objective
 from sklearn_raacmm.network._rows import merge
-from sklearn_raacmm.network._search import robust_spread, search
+
+from ._data import smooth
 
 
 def data_of(X, y):
     Y = np.reshape(y - np.mean(y, axis=0), (len(X), -1))
     return merge(X, Y / Y.std(axis=0), np.ones(len(X)))
-
-
-def waves(n, seed=0, noise=0.1):
-    rng = np.random.default_rng(seed)
-    X = rng.uniform(-2, 2, (n, 2))
-    f = np.sin(2 * X[:, 0]) + np.cos(X[:, 1])
-    return X, f + noise * rng.standard_normal(n), f
 
 
 def task_of(data, **changes):
@@ -34,8 +26,9 @@ def task_of(data, **changes):
 
 @pytest.mark.parametrize("constants", [False, True])
 @pytest.mark.parametrize("isotropic", [False, True])
-def test_gradient_of_the_objective(isotropic, constants):
-    X, y, _ = waves(40)
+@pytest.mark.parametrize("name", sorted(KERNELS))
+def test_gradient_of_the_objective(name, isotropic, constants):
+    X, y, _ = smooth(40)
     data = data_of(np.column_stack([X, X[:, 0] ** 3]), np.column_stack([y, y**2]))
     theta = np.append([0.3] if isotropic else [0.3, 1.0], [-2.0, -3.0])
     changes = {"isotropic": isotropic}
@@ -45,15 +38,15 @@ def test_gradient_of_the_objective(isotropic, constants):
         changes |= {"constants": True}
         theta = np.append(theta, -0.5)
     task = task_of(data, **changes)
-    _, gradient = objective(task, theta, data, "gaussian")
-    numeric = approx_fprime(theta, lambda t: objective(task, t, data, "gaussian")[0], 1e-7)
+    _, gradient = objective(task, theta, data, name)
+    numeric = approx_fprime(theta, lambda t: objective(task, t, data, name)[0], 1e-7)
     np.testing.assert_allclose(gradient, numeric, rtol=5e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("isotropic", [False, True])
 @pytest.mark.parametrize("name", sorted(KERNELS))
 def test_never_ends_worse_than_it_started(name, isotropic):
-    X, y, f = waves(400)
+    X, y, f = smooth(400)
     data = data_of(X, y)
     task = task_of(data, isotropic=isotropic)
     start = task.start(0.5, 0.1)
@@ -123,70 +116,6 @@ def test_numbers_too_far_from_all_others_are_refused(far):
     X[:2] = 1e6
     model = RBFNetRegressor(random_state=0).fit(X, y)
     assert np.mean(np.square(model.predict(X[2:]) - y[2:])) < 0.01 * y.var()
-
-
-def test_robust_spread_is_the_standard_deviation_where_nothing_is_far_out():
-    rng = np.random.default_rng(0)
-    X = np.column_stack([rng.standard_normal(500), rng.integers(0, 2, 500), np.full(500, 3.0)])
-    weights = rng.uniform(0.5, 2, 500)
-    mean = np.average(X, axis=0, weights=weights)
-    expected = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weights))
-    np.testing.assert_allclose(robust_spread(X, weights), expected, atol=1e-12)
-    X[0, 0] = 1e9
-    assert robust_spread(X, weights)[0] < 2
-    # A rare mark is all there is of its feature.
-    rare = np.zeros((500, 1))
-    rare[:5] = 1.0
-    assert robust_spread(rare, np.ones(500))[0] == pytest.approx(rare.std())
-
-
-def test_a_width_at_its_bound_is_said(monkeypatch):
-    monkeypatch.setattr("sklearn_raacmm.network._likelihood.WIDTH_BOUNDS", (0.8, 1e3))
-    monkeypatch.setattr(_search, "WIDTH_BOUNDS", (0.8, 1e3))
-    X = np.sort(np.random.default_rng(0).uniform(-1, 1, (200, 1)), axis=0)
-    with pytest.warns(
-        ConvergenceWarning, match="width of feature 0 ended at its lower bound"
-    ) as said:
-        RBFNetRegressor(random_state=0).fit(X, np.sin(8 * X[:, 0]))
-    assert said[0].filename == __file__  # the line of the call
-
-
-def test_a_rough_and_a_smooth_start_and_the_better_end(monkeypatch):
-    """A ripple on a trend: each is a peak of the likelihood, and the starts meet both."""
-    rng = np.random.default_rng(0)
-    x = rng.uniform(-2, 2, (60, 1))
-    y = np.sin(2 * x[:, 0]) + 0.3 * np.sin(25 * x[:, 0]) + 0.2 * rng.standard_normal(60)
-    data = data_of(x, y)
-    starts, ends = [], []
-
-    def watched(task, theta, *args):
-        starts.append(np.exp(theta[0]))
-        theta = minimise(task, theta, *args)
-        ends.append(np.exp(task.unpack(theta)[0]))
-        return theta
-
-    monkeypatch.setattr(_search, "minimise", watched)
-    found = search(data, ("gaussian",), random_state=np.random.RandomState(0))
-    assert min(starts) < _search.WIDE <= max(starts)
-    assert found.length_scale[0] in [end[0] for end in ends]
-
-
-@pytest.mark.exhaustive
-def test_a_kernel_that_trails_on_few_rows_may_lead_on_more():
-    """Every kernel is scored on all rows at its own end on few, none is the one to beat."""
-    rng = np.random.default_rng(1)
-    X = rng.uniform(-1, 1, (1000, 2))
-    f = np.abs(np.sin(4 * X[:, 0])) + np.abs(X[:, 1] - 0.2)
-    data = data_of(X, f + 0.02 * rng.standard_normal(1000))
-    found = search(data, _search.AUTO_KERNELS, random_state=np.random.RandomState(0))
-    alone = {
-        name: search(data, (name,), random_state=np.random.RandomState(0)).log_likelihood
-        for name in _search.AUTO_KERNELS
-    }
-    assert found.kernel != "gaussian"
-    assert alone[found.kernel] > max(alone.values()) - 5
-    reordered = search(data, _search.AUTO_KERNELS[::-1], random_state=np.random.RandomState(0))
-    assert reordered.log_likelihood == pytest.approx(found.log_likelihood, abs=3)
 
 
 def test_where_no_noise_is_left_rows_left_out_say_whether_it_is_linear():

@@ -1,7 +1,5 @@
 """The forward selection and its algebra against refits, fastcan, and extended precision."""
 
-from functools import reduce
-
 import mpmath
 import numpy as np
 import pytest
@@ -9,14 +7,7 @@ from fastcan import FastCan
 from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._centers import forward_selection
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky, psd_root
-from sklearn_raacmm.network._linear import (
-    first_weights,
-    nested_least_squares,
-    stack_triangles,
-    triangular_factor,
-)
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -78,31 +69,6 @@ def test_same_centres_as_fastcan(length_scale):
     np.testing.assert_array_equal(model.center_indices_, expected)
 
 
-def left_over(coordinates, target, chosen):
-    """What least squares on the chosen candidates leave of every output, squared."""
-    A = coordinates[chosen].T
-    return np.square(target - A @ np.linalg.lstsq(A, target, rcond=None)[0]).sum(axis=0)
-
-
-@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
-def test_until_all_that_is_left_depends_on_the_chosen(scale):
-    rng = np.random.default_rng(3)
-    coordinates, target = scale * rng.normal(size=(10, 6)), rng.normal(size=(6, 2))
-    coordinates[3] = 0.0
-    indices, reduction, stop = forward_selection(coordinates, target, 1e-10, 10)
-    assert stop == "dependent"
-    assert len(indices) == 6
-    left = [left_over(coordinates, target, list(indices[:k])) for k in range(7)]
-    np.testing.assert_allclose(reduction, -np.diff(left, axis=0), atol=1e-12)
-    for k, j in enumerate(indices):
-        chosen = list(indices[:k])
-        others = [i for i in range(10) if i not in chosen]
-        falls = {i: (left[k] - left_over(coordinates, target, [*chosen, i])).sum() for i in others}
-        # Where one dimension is left, all candidates are worth the same.
-        assert falls[j] >= max(falls.values()) - 1e-12
-    np.testing.assert_allclose(left[-1], 0, atol=1e-12)
-
-
 def extended_precision(W, t, n_select):
     """Explicit Gram-Schmidt on all columns with three more digits: order, and what was left."""
     W, t = W.astype(np.longdouble), t.astype(np.longdouble)
@@ -118,41 +84,6 @@ def extended_precision(W, t, n_select):
         W = W - np.outer(q, q @ W)
         t = t - q * (q @ t)
     return chosen, min(lengths)
-
-
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-@pytest.mark.parametrize("apart", [1e-7, 1e-8])
-def test_what_is_left_of_nearly_parallel_candidates_is_not_lost_in_rounding(apart, scale):
-    n = 30
-    rng = np.random.default_rng(0)
-    coordinates = np.hstack([rng.uniform(0.5, 1, (n, 1)), apart * rng.normal(size=(n, n))])
-    coordinates = coordinates @ np.linalg.qr(rng.normal(size=(n + 1, n + 1)))[0] * scale
-    target = rng.normal(size=(n + 1, 1))
-    indices = forward_selection(coordinates, target, 1e-10, n - 1)[0]
-    order, least = extended_precision(coordinates.T, target[:, 0], n - 1)
-    assert least < 10 * apart
-    np.testing.assert_array_equal(indices, order)
-
-
-@pytest.mark.parametrize(
-    ("enough", "n_select", "n_steps", "stop"),
-    [
-        (None, 2, 2, "n_select"),
-        (None, 9, 4, "dependent"),
-        ([29.0, 13.0], 9, 2, "enough"),  # reached to the digit
-        ([29.5, 13.0], 9, 3, "enough"),
-        ([25.0, 17.5], 9, 4, "enough"),  # every output has to reach its own
-        ([30.5, 0.0], 3, 3, "n_select"),
-    ],
-)
-def test_stops_when_enough_is_explained(enough, n_select, n_steps, stop):
-    # Orthogonal candidates: each lowers the objectives by squares of the targets' coordinates.
-    target = np.array([[1.0, 2.0], [2.0, 3.0], [5.0, 2.0], [1.0, 1.0]])
-    goal = None if enough is None else lambda k, summed: bool(np.all(summed >= enough))
-    indices, reduction, why = forward_selection(np.eye(4), target, 1e-10, n_select, enough=goal)
-    assert why == stop
-    assert list(indices) == [2, 1, 0, 3][:n_steps]
-    np.testing.assert_allclose(reduction, np.square(target)[indices])
 
 
 def test_residual_is_that_of_extended_precision_on_wide_widths():
@@ -219,76 +150,3 @@ def test_pivoted_cholesky_where_distances_lose_digits():
     assert complete
     assert len(pivots) == 6
     assert np.abs(exact - rows @ rows.T).max() < 1e-8
-
-
-@pytest.mark.parametrize("name", list(KERNELS))
-def test_kernel_slope_is_the_derivative(name):
-    s = np.linspace(0.05, 9, 40)
-    h = 1e-6
-    function = KERNELS[name]
-    numeric = (function(s + h) - function(s - h)) / (2 * h)
-    value, slope = function(s.copy(), slope=True)
-    np.testing.assert_allclose(slope, numeric, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(value, function(s.copy()), rtol=1e-14)
-
-
-@pytest.mark.parametrize("alphas", [[0.0, 0.0], [0.3, 0.3], [0.02, 0.7]])
-def test_path_is_that_of_separate_fits(alphas):
-    X, Y, weights = problem(2, n=60)
-    root = np.sqrt(weights)[:, None]
-    tail = root * np.ones((60, 1))
-    K = np.exp(-0.5 * cdist(X, X[:9], "sqeuclidean") / 0.4**2)
-    U = np.linalg.cholesky(K[:9]).T
-    within = np.array([0.5, 0.25])
-    rows = np.hstack([tail, root * K, root * Y])
-    # In blocks, some shorter than wide.
-    R = reduce(stack_triangles, map(triangular_factor, (rows[:5], rows[5:40], rows[40:])))
-    rss, objective, *solved = nested_least_squares(R, 1, U, np.array(alphas), within)
-    for m in (0, 1, 4, 9):
-        A = np.hstack([tail, root * K[:, :m]])
-        for i in range(2):
-            R = np.zeros((m + 1, m + 1))
-            R[1:, 1:] = alphas[i] * K[:m, :m]
-            b = root[:, 0] * Y[:, i]
-            w = np.linalg.inv(A.T @ A + R) @ A.T @ b
-            left = np.sum((b - A @ w) ** 2)
-            np.testing.assert_allclose(first_weights(*solved, 1 + m)[:, i], w, rtol=1e-8, atol=1e-8)
-            assert rss[m, i] == pytest.approx(left + within[i])
-            assert objective[m, i] == pytest.approx(left + w @ R @ w + within[i])
-
-
-@pytest.mark.parametrize("length_scale", [0.1, 0.4, 5.0])  # sound, nearly singular, singular
-def test_root_of_a_kernel_matrix(length_scale):
-    Z = np.random.default_rng(0).uniform(-1, 1, (60, 2)) / length_scale
-    K = kernel_matrix(Z, Z, "gaussian")
-    root = psd_root(K)
-    np.testing.assert_allclose(root.T @ root, K, atol=1e-12)
-    # No direction is without a penalty.
-    assert np.linalg.svd(root, compute_uv=False).min() ** 2 > 1e-16 * len(K)
-
-
-def magnitudes(rows):
-    return np.abs(np.linalg.qr(rows, mode="r"))
-
-
-@pytest.mark.parametrize("sizes", [(50, 7), (7, 7), (3, 7), (200, 80), (0, 5)])
-@pytest.mark.parametrize("further", [3, 7, 90])
-def test_factors_of_two_blocks_are_those_of_all_rows(sizes, further):
-    rng = np.random.default_rng(0)
-    upper, lower = rng.normal(size=sizes), rng.normal(size=(further, sizes[1]))
-    expected = magnitudes(np.vstack([upper, lower]))
-    R = triangular_factor(upper.copy())
-    # Rows that are a triangle themselves, and rows that are none, as those of a ridge.
-    for below in (triangular_factor(lower.copy()), lower):
-        found = stack_triangles(R, below)
-        assert not np.any(np.tril(found, -1))
-        np.testing.assert_allclose(np.abs(found), expected, rtol=1e-9, atol=1e-12)
-
-
-def test_small_columns_keep_their_digits():
-    # A Gram matrix would lose columns below 1e-8 of the largest.
-    rng = np.random.default_rng(1)
-    scale = 10.0 ** -np.arange(14)
-    rows = rng.normal(size=(300, 14))
-    found = triangular_factor(rows * scale) / scale
-    np.testing.assert_allclose(np.abs(found), magnitudes(rows), rtol=1e-9, atol=1e-13)

@@ -1,6 +1,4 @@
 import numpy as np
-import pandas as pd
-import polars as pl
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -53,63 +51,34 @@ def test_periodic_is_cosine_and_sine_of_the_same_angles(joints):
     assert_allclose(np.arctan2(features[:, 1::2], features[:, ::2]), plain, atol=1e-12)
 
 
+@pytest.mark.parametrize("joints", ["pose", "all"])
 @pytest.mark.parametrize("name", NAMES)
-def test_appended_azimuth_is_that_of_the_arm(name):
+def test_appended_azimuth_is_that_of_the_arm(name, joints):
     arm = Arm.from_name(name)
     angles = random_angles(arm)
-    features = PoseFeatures(arm, append_azimuth=True).fit_transform(angles)
-    assert_array_equal(features[:, :3], PoseFeatures(arm).fit_transform(angles))
+    features = PoseFeatures(arm, append_azimuth=True, joints=joints).fit_transform(angles)
+    assert_array_equal(features[:, :-2], PoseFeatures(arm, joints=joints).fit_transform(angles))
     azimuth = arm.azimuth(angles)
     direction = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-    assert_allclose(features[:, 3:], direction, atol=1e-14)
+    assert_allclose(features[:, -2:], direction, atol=1e-14)
 
 
-@pytest.mark.parametrize("joints", ["pose", "all"])
-@pytest.mark.parametrize("encoding", ["angle", "periodic"])
-def test_degrees(joints, encoding):
-    angles = random_angles(Arm.from_name("aacmm6"))
-    params = {"joints": joints, "encoding": encoding, "append_azimuth": True}
-    degrees = PoseFeatures(angle_unit="deg", **params).fit_transform(np.rad2deg(angles))
-    assert_allclose(degrees, PoseFeatures(**params).fit_transform(angles), atol=1e-12)
+POSE = ["theta3", "theta4", "theta_dis"]
 
 
 @pytest.mark.parametrize(
     ("params", "names"),
     [
-        ({}, ["theta3", "theta4", "theta_dis"]),
-        (
-            {"arm": Arm.from_name("aacmm6").replace(pose_joints=(4, 2))},
-            ["theta4", "theta2", "theta_dis"],
-        ),
-        ({"append_azimuth": True}, ["theta3", "theta4", "theta_dis", "azimuth_cos", "azimuth_sin"]),
-        (
-            {"encoding": "periodic"},
-            [f"{a}_{part}" for a in ("theta3", "theta4", "theta_dis") for part in ("cos", "sin")],
-        ),
+        ({}, POSE),
+        ({"arm": Arm.from_name("aacmm6", pose_joints=(4, 2))}, ["theta4", "theta2", "theta_dis"]),
+        ({"append_azimuth": True}, [*POSE, "azimuth_cos", "azimuth_sin"]),
+        ({"encoding": "periodic"}, [f"{a}_{part}" for a in POSE for part in ("cos", "sin")]),
         ({"joints": "all"}, [f"theta{i}" for i in range(1, 7)]),
     ],
 )
-def test_names_and_containers(params, names):
-    angles = random_angles(Arm.from_name("aacmm6"))
-    pose = PoseFeatures(**params)
-    values = pose.fit_transform(angles)
-    assert pose.get_feature_names_out().tolist() == names
-    for container in (pd.DataFrame, pl.DataFrame):
-        pose.set_output(transform=container.__module__.split(".")[0])
-        frame = pose.fit_transform(angles)
-        assert isinstance(frame, container)
-        assert list(frame.columns) == names
-        assert_array_equal(frame.to_numpy(), values)
-
-
-@pytest.mark.parametrize("encoding", ["angle", "periodic"])
-def test_float32_in_float32_out(encoding):
-    angles = random_angles(Arm.from_name("aacmm6")).astype(np.float32)
-    pose = PoseFeatures(encoding=encoding, append_azimuth=True)
-    features = pose.fit_transform(angles)
-    assert features.dtype == np.float32
-    # Computed in float64, rounded once.
-    assert_array_equal(features, pose.transform(angles.astype(np.float64)).astype(np.float32))
+def test_names_of_features(params, names):
+    pose = PoseFeatures(**params).set_output(transform="pandas")
+    assert pose.fit_transform(random_angles(Arm.from_name("aacmm6"))).columns.tolist() == names
 
 
 # -- bad input ------------------------------------------------------------------------------------
@@ -185,8 +154,66 @@ def test_angles_seen_in_fit_stay_as_they_are():
     assert_allclose(pose.turn_start_, middle, atol=1e-9)  # as far from both ends
 
 
-def test_half_of_the_rows_one_turn_on():
-    X = np.random.default_rng(0).uniform(-1, 1, (40, 6))
-    turned = X + 2 * np.pi * (np.arange(40) % 2)[:, None]
-    features = PoseFeatures(joints="all").fit(turned).transform(turned)
-    assert np.all(np.ptp(features, axis=0) < 2)
+# -- equations (2) and (3) against their closed forms, and against frames on other arms -----------
+
+A2, A4, D3, D5 = 62.0, 40.0, 750.0, 500.0
+
+
+def ideal():
+    return Arm.from_degrees(
+        a=[0, A2, 0, A4, 0, 0],
+        alpha=[-90, -90, 90, -90, 90, -90],
+        d=[376.5, 0, D3, 0, D5, 15],
+        probe=(0, 0, 98),
+    )
+
+
+def test_both_are_functions_of_the_elbow_alone():
+    angles = np.random.default_rng(0).uniform(-3, 3, (200, 6))
+    elbow = angles[:, 3]
+    first, second, phi = D3, np.hypot(A4, D5), np.arctan2(A4, D5)
+    squared = first**2 + second**2 + 2 * first * second * np.cos(elbow - phi)
+    distance = shoulder_wrist_distance(ideal(), angles)
+    assert_allclose(distance, np.sqrt(squared), rtol=1e-12)
+    gamma = elbow_angle(ideal(), angles)
+    by_cosines = (first**2 + second**2 - squared) / (2 * first * second)
+    assert_allclose(np.cos(gamma), by_cosines, atol=1e-12)
+    # theta4 = phi +- (pi - gamma), up to whole turns.
+    turn = 2 * np.pi
+    miss = [np.abs((elbow - phi - s * (np.pi - gamma) + 3) % turn - 3) for s in (1, -1)]
+    assert np.minimum(*miss).max() < 1e-12
+
+
+def test_a_straight_arm_keeps_its_digits():
+    straight = np.zeros((1, 6))
+    straight[0, 3] = np.arctan2(A4, D5) + 1e-9
+    assert np.pi - elbow_angle(ideal(), straight)[0] == pytest.approx(1e-9, rel=1e-5)
+
+
+@pytest.mark.parametrize(("name", "elbow_frame"), [("aacmm6", 3), ("ur10", 2), ("panda", 4)])
+def test_other_arms_by_their_frames(name, elbow_frame):
+    arm = Arm.from_name(name)
+    angles = np.random.default_rng(1).uniform(-2, 2, (20, arm.n_joints))
+    origins = arm.frames(angles)[..., 3]
+    shoulder, wrist = (origins[:, frame] for frame in arm.pose_frames)
+    elbow = origins[:, elbow_frame]
+    distance = shoulder_wrist_distance(arm, np.rad2deg(angles), angle_unit="deg")
+    assert_allclose(distance, np.linalg.norm(wrist - shoulder, axis=1))
+    first, second = (np.linalg.norm(end - elbow, axis=1) for end in (shoulder, wrist))
+    gamma = np.arccos((first**2 + second**2 - distance**2) / (2 * first * second))
+    assert_allclose(elbow_angle(arm, angles), gamma, atol=1e-6)
+    # The elbow turns about its own joint: the sides stay as long as they are.
+    assert np.ptp(first) < 1e-9
+    bent = angles.copy()
+    bent[:, arm.pose_joints[1] - 1] += 0.3
+    change = elbow_angle(arm, bent) - elbow_angle(arm, angles)
+    assert np.abs(change).min() > 0.01
+
+
+def test_no_rows_and_no_triangle():
+    assert shoulder_wrist_distance(ideal(), np.empty((0, 6))).shape == (0,)
+    assert elbow_angle(ideal(), np.empty((0, 6))).shape == (0,)
+    with pytest.raises(ValueError, match="leaves its angle undefined"):
+        elbow_angle(ideal().replace(pose_frames=(3, 5)), np.zeros((1, 6)))
+    with pytest.raises(ValueError, match="6 joints"):
+        elbow_angle(ideal(), np.zeros((1, 5)))

@@ -1,14 +1,13 @@
 """Residuals known up to a constant at each position, in the chain."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.ensemble import ExtraTreesRegressor
-from sklearn.exceptions import UnsetMetadataPassedError
 from sklearn.linear_model import Ridge
+from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
@@ -16,7 +15,6 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability, within_position_r2_score
-from sklearn_raacmm.residuals._point_correction import positions_of, score_within
 from sklearn_raacmm.utils import centred
 
 
@@ -53,24 +51,6 @@ def test_others_are_fitted_as_without_labels(regressor):
     known, unknown = plain(regressor).fit(X, y, groups=groups), plain(regressor).fit(X, y)
     assert known.by_position_
     assert_array_equal(known.predict(X), unknown.predict(X))
-
-
-@pytest.mark.exhaustive
-def test_a_regressor_that_takes_groups_is_handed_them():
-    X, y, groups = deviations()
-    names = np.array(list("uvwxyz"))[groups]
-    network = RBFNetRegressor(10, random_state=0)
-    expected = clone(network).fit(X, y, groups=groups).predict(X)
-    inner = make_pipeline("passthrough", make_pipeline(network))
-    for routing in (False, True):
-        with config_context(enable_metadata_routing=routing):
-            for regressor in (network, inner):
-                model = plain(regressor).fit(X, y, groups=names)
-                assert_array_equal(model.predict(X), expected)
-                assert model.by_position_
-    scaled = make_pipeline(StandardScaler(), network)
-    expected = clone(scaled).fit(X, y, rbfnetregressor__groups=groups).predict(X)
-    assert_array_equal(plain(scaled).fit(X, y, regressor__groups=names).predict(X), expected)
 
 
 def test_constants_that_features_imitate_are_not_handed_on():
@@ -118,38 +98,6 @@ def test_a_search_within_splits_by_position():
 # -- score ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_score_against_pandas(weighted):
-    _, y, groups = deviations()
-    rng = np.random.default_rng(2)
-    p = 0.8 * y + rng.normal(size=(6, 3))[groups]  # any constants
-    w = rng.uniform(0.2, 2, len(y)) if weighted else np.ones(len(y))
-
-    def sum_of_squares(values):
-        sums = pd.DataFrame(values).mul(w, axis=0).groupby(groups).sum()
-        means = sums.div(pd.Series(w).groupby(groups).sum(), 0)
-        return w @ np.square(values - means.loc[groups].to_numpy()).sum(axis=1)
-
-    expected = 1 - sum_of_squares(y - p) / sum_of_squares(y)
-    score = score_within(y, p, groups, w if weighted else None)
-    assert score == pytest.approx(expected)
-    if not weighted:
-        assert score == pytest.approx(within_position_r2_score(y, p, groups=groups))
-    # Known in full: the constants count.
-    full = y + 2 * rng.normal(size=(6, 3))[groups]
-    assert score_within(full, 0 * full, groups) <= 0
-    assert score_within(full, full, groups) == 1
-
-
-def test_the_points_that_residuals_are_from_tell_positions(test):
-    codes = positions_of(test.arm.forward(test.data), test.target)
-    table = pd.crosstab(codes, test.groups).to_numpy()
-    assert table.shape == (12, 12)
-    assert np.count_nonzero(table) == 12
-    rng = np.random.default_rng(0)
-    assert positions_of(test.arm.forward(test.data), rng.normal(size=(180, 3))) is None
-
-
 def test_score_of_the_chain(test):
     X, y, groups = test.data, test.target, test.groups
     pose = PoseFeatures(test.arm, append_azimuth=True)
@@ -159,6 +107,13 @@ def test_score_of_the_chain(test):
     expected = within_position_r2_score(y, a.predict(X), groups=groups)
     assert a.score(X, y) == pytest.approx(expected)
     assert a.score(X, y, groups=groups) == pytest.approx(expected)
+    rng = np.random.default_rng(2)
+    times = rng.integers(1, 4, len(y))
+    once = a.score(X, y, groups=groups, sample_weight=times)
+    often = (np.repeat(values, times, axis=0) for values in (X, y, groups))
+    assert a.score(*often) == pytest.approx(once)
+    full = y + rng.normal(size=(12, 3))[groups]  # the constants count
+    assert a.score(X, full, groups=groups) == pytest.approx(r2_score(full, a.predict(X)))
     assert b[-1].score(b[:-1].transform(X), y, groups=groups) == pytest.approx(expected)
     with pytest.raises(ValueError, match=r"score got no groups: take\s+scoring=sklearn_raacmm"):
         b.score(X, y)
@@ -189,23 +144,9 @@ def test_cross_validation_without_a_scorer_picks_the_right_model(test):
             assert results[1.0]["test_score"][i] == pytest.approx(expected)
 
 
-# -- searches -------------------------------------------------------------------------------------
-
-
-def test_groups_may_be_kept_from_the_fit(test):
-    """Then the positions are found, unless ``groups=False`` says that there are none."""
-    X, y, groups = test.data, test.target, test.groups
-    with config_context(enable_metadata_routing=True):
-        model = chain(test, Ridge()).set_fit_request(groups=False)
-        search = GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
-        assert search.best_estimator_.by_position_
-        assert not chain(test, Ridge()).fit(X, y, groups=False).by_position_
-        model.set_fit_request(groups=None)
-        with pytest.raises(UnsetMetadataPassedError, match="groups"):
-            GridSearchCV(model, {}, cv=GroupKFold(3)).fit(X, y, groups=groups)
-
-
-# -- corrected points -----------------------------------------------------------------------------
+def test_positions_are_found_unless_there_are_none(test):
+    assert chain(test, Ridge()).fit(test.data, test.target).by_position_
+    assert not chain(test, Ridge()).fit(test.data, test.target, groups=False).by_position_
 
 
 def test_correct(test):

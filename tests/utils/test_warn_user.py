@@ -66,18 +66,6 @@ def test_lines_of_the_package_are_skipped_and_no_others():
     assert (one.category, str(one.message)) == (FutureWarning, "so")
 
 
-def test_once_for_each_line_where_python_is_asked_for_that():
-    twice = function(
-        f"{PACKAGE}/_a.py", "def f():\n warn('first')\n warn('second')", warn=warn_user
-    )
-    call = function("/elsewhere.py", "def f():\n for _ in range(3):\n  g()\n g()", g=twice)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default")
-        call()
-    expected = [(line, text) for line in (3, 4) for text in ("first", "second")]
-    assert [(one.lineno, str(one.message)) for one in caught] == expected
-
-
 DOUBT = Finding("moved-position", "Position 'a' moved by 2 mm.", "Fasten it.")
 
 
