@@ -48,10 +48,9 @@ _USUAL = 0.95
 # How far new positions exceed what a model expects of them along one cause: what arms have in
 # common of it, the mean factor of the variance and the number of positions that it is worth; by the
 # own positions alone no p-value is small. Over all directions that averages out: the size of all is
-# as the own positions say, each worth so many errors. Chosen by likelihood on eight arms of each of
-# the kinds of ``benchmarks/bench_check.py``, with 12 positions, and on three with 8 and with 5. Of
-# one cause 5 positions were 6 nats likelier than 10, but 2 instead of 1 of 225 knocks were lost.
-_FACTOR_OF_ARMS, _POSITIONS_OF_ARMS = 1.5, 10
+# as the own positions say, each worth so many errors. The likeliest of eight arms of each of the
+# kinds of ``benchmarks/bench_check.py``, with 12 positions, and of three with 8 and with 5.
+_FACTOR_OF_ARMS, _POSITIONS_OF_ARMS = 1.5, 5
 _ERRORS_OF_POSITION = 5
 # Sets of poses drawn for the freedoms of a mean.
 _DRAWS = 1000

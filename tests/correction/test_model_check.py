@@ -118,7 +118,7 @@ def test_what_is_real_and_small_is_said_to_be_small(model):
 def test_few_positions_raise_fewer_alarms():
     """With the same residuals the p-value is that of F: larger from 12 positions than from 500.
 
-    Five errors of each say how large all is. For one cause other arms stand for 10 positions more,
+    Five errors of each say how large all is. For one cause other arms stand for 5 positions more,
     with half as much variance again.
     """
     fitted = ArmResidualRegressor(ARM, orders=4).fit(*rows(300, 0))
@@ -130,8 +130,8 @@ def test_few_positions_raise_fewer_alarms():
     noise, causes, freedom = few.tests[0], few.tests[1:-1], few.tests["freedom"]
     mean = few.tests["statistic"] / freedom
     assert_allclose(noise["p_value"], stats.f.sf(mean[0], freedom[0], 5 * 12))
-    ratio = mean[1:-1] / ((12 + 1.5 * 10) / (12 + 10))
-    assert_allclose(causes["p_value"], stats.f.sf(ratio, freedom[1:-1], 12 + 10))
+    ratio = mean[1:-1] / ((12 + 1.5 * 5) / (12 + 5))
+    assert_allclose(causes["p_value"], stats.f.sf(ratio, freedom[1:-1], 12 + 5))
     assert few.p_value > many.p_value
 
 
