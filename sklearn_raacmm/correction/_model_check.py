@@ -204,13 +204,13 @@ def check_correction(
     If the correction holds, ``y - predict(X)`` is normal with the covariance ``A S A' + s^2 I`` of
     the model's posterior and noise, both widened by `std_scale` and `noise_scale` of its linear
     model. One test is of the size of all against that, one of their mean distance; one of each
-    cause, a score test. The widening is known from the arm's own positions and, as 20 more, from
-    other arms: the freedoms of the denominator of Fisher's F. The smallest p-value
+    cause, a score test. The widening is known from the arm's own positions, for one cause with 5
+    more of other arms: the freedoms of the denominator of Fisher's F. The smallest p-value
     times the number of tests is compared with the rate (Bonferroni). A pose that lies farther off
     than 95 % do counts as though it lay there.
 
-    A single-point test without known lengths shows no scale, and of joint 1 nothing but harmonics;
-    a moved base shows in residuals of an earlier registration; a drift where rows are in order.
+    A single-point test shows no drift, no scale without known lengths, and of joint 1 nothing but
+    harmonics; a moved base shows in residuals of an earlier registration.
 
     Examples
     --------
