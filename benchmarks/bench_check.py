@@ -4,12 +4,13 @@
 
 ``changes``: an arm that has learned 500 poses is checked with 40 of another day: without a change,
 after a knock of one joint, with a loose probe, and 5 K warmer. ``kinds``: the same of arms whose
-errors no model describes completely, in single-point tests and tracker series. ``dwells``: 90 poses
-of which a logger wrote 100 rows each, beside one row a pose: mean distances in um at other
-positions. ``set-ups``: a tracker or a target that moved half way. ``steps``: looked for in what the
-model leaves of clean tests, in three orders, and after the socket of one position moved halfway.
-``findings``: how often each is made where nothing is wrong, when half of the positions are learnt
-and 60 poses of the others update the model; then with the wrong sign.
+errors no model describes completely, in single-point tests and tracker series; rates with Wilson's
+intervals. ``dwells``: 90 poses of which a logger wrote 100 rows each, beside one row a pose: mean
+distances in um at other positions. ``set-ups``: a tracker or a target that moved half way.
+``steps``: looked for in what the model leaves of clean tests, in three orders, and after the socket
+of one position moved halfway. ``findings``: how often each is made where nothing is wrong, when
+half of the positions are learnt and 60 poses of the others update the model, all in a drawn order;
+then with the wrong sign.
 """
 
 from collections import Counter
@@ -29,6 +30,7 @@ from _arm_folds import (
     read_ur10,
     run_part,
 )
+from scipy.stats import binomtest
 from sklearn.cluster import KMeans
 
 from sklearn_raacmm import (
@@ -43,7 +45,7 @@ from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
 from sklearn_raacmm.measurements._moved_positions import find_steps
 from sklearn_raacmm.utils import FindingError, centred, collected_findings
 
-RATE = 0.01
+RATE, CLEAR = 0.01, 1e-4
 TYPICAL = ArmErrors()
 KINDS = {
     "typical": TYPICAL,
@@ -55,7 +57,7 @@ KINDS = {
 
 
 class Counts:
-    """Checks of one kind of arm: alarms, and causes named rightly, by what was changed."""
+    """Checks of one kind of arm: alarms, named rightly, and clear ones, by what was changed."""
 
     def __init__(self, kind):
         self.kind, self.of = kind, {}
@@ -64,14 +66,16 @@ class Counts:
         """Check once, where the right cause is known."""
         found = check_correction(model, angles, y, false_alarm_rate=RATE, **options)
         right = not found.holds and found.suspect == cause
-        self.of.setdefault(change, []).append((not found.holds, right))
+        self.of.setdefault(change, []).append((not found.holds, right, found.p_value < CLEAR))
 
     def show(self):
         """Print a line for each change."""
         for change, checks in self.of.items():
-            (alarms, right), n = np.sum(checks, axis=0), len(checks)
-            named = f"named rightly {right} of {alarms}"
-            print(f"{self.kind}, {change}: {alarms} of {n}, {alarms / n:.1%}; {named}")
+            (alarms, right, clear), n = np.sum(checks, axis=0), len(checks)
+            low, high = binomtest(alarms, n).proportion_ci(method="wilson")
+            named = f"named rightly {right}, p < {CLEAR}: {clear}"
+            rate = f"{alarms / n:.1%} ({low:.1%} to {high:.1%})"
+            print(f"{self.kind}, {change}: {alarms} of {n}, {rate}; {named}", flush=True)
 
 
 def knock(arm, arcsec):
@@ -151,8 +155,11 @@ def kind_of_arm(kind, errors, options):
         model = ArmResidualRegressor(known.arm).fit(known.data, known.target, groups=known.groups)
         for day in range(options.days):
             new = make_single_point(6, 10, machine=machine, random_state=1000 * (day + 1) + seed)
-            moved, cause = knock(known.arm, 10)(new.data, None, 1 + (seed + day) % 3)
-            for name, by, what in (("none", 0.0, "nothing"), ("knock of 10 arc s", moved, cause)):
+            for name, by, what in (
+                ("none", 0.0, "nothing"),
+                ("knock of 10 arc s", *knock(known.arm, 10)(new.data, None, 1 + (seed + day) % 3)),
+                ("corrected twice", -model.predict(new.data), "noise"),
+            ):
                 counts.check(name, what, model, new.data, new.target + by, groups=new.groups)
     counts.show()
 
@@ -200,12 +207,8 @@ def kinds(options):
         kind_of_arm(kind, errors, options)
     if options.real:
         kind_of_series("UR10", *ur10(5956), options.runs)
-        for name in ("panda_2", "panda_3"):
+        for name in ("panda_2", "panda_3", "panda_6", "panda_7"):
             kind_of_panda(name, max(options.runs // 10, 5))
-
-
-def um(vectors):
-    return f"{1e3 * mean_deviation(vectors):.1f}"
 
 
 def dwells(options):
@@ -215,7 +218,7 @@ def dwells(options):
         truth = test.points - test.simulation.true_points
         rng = np.random.default_rng(seed)
         for kind in ("cones", "tracker"):
-            found = [um(centred(truth[new], test.groups[new] - 9))]
+            found = [mean_deviation(centred(truth[new], test.groups[new] - 9))]
             for n in (1, 100):
                 rows = np.repeat(np.flatnonzero(train), n)
                 angles = test.data[rows] + (n > 1) * rng.normal(0, 5e-6, (len(rows), 6))
@@ -224,8 +227,9 @@ def dwells(options):
                 y = position_residuals(points, groups) if kind == "cones" else y
                 model = ArmResidualRegressor(test.arm).fit(angles, y, groups=groups)
                 left = truth[new] - model.predict(test.data[new])
-                found.append(um(centred(left, test.groups[new] - 9)))
-            print(f"{kind}, seed {seed}: none {found[0]}, one row {found[1]}, stream {found[2]}")
+                found.append(mean_deviation(centred(left, test.groups[new] - 9)))
+            none, one, stream = 1e3 * np.array(found)
+            print(f"{kind}, seed {seed}: none {none:.1f}, one row {one:.1f}, stream {stream:.1f}")
 
 
 def set_ups(options):
@@ -334,9 +338,6 @@ def found_in(name, run):
     def given(rows):
         return {"groups": groups[rows]} if points is None else {"points": points[rows]}
 
-    def labels(rows):
-        return groups[rows] if points is None else None
-
     with collected_findings() as of_arm:
         result = calibrate(arm, angles[first], **given(first), lengths=known)
     y = np.zeros((len(angles), 3))
@@ -344,13 +345,14 @@ def found_in(name, run):
         y[half] = result.residuals(angles[half], **given(half))
     with collected_findings() as of_fit:
         model = ArmResidualRegressor(result.arm)
-        model.fit(angles[first], y[first], groups=labels(first))
+        model.fit(angles[first], y[first], groups=given(first).get("groups"))
     new = np.flatnonzero(~first)[:60]
+    labels = given(new).get("groups")
     found = {"calibrate": of_arm, "fit": of_fit}
     for what, sign in (("update", 1), ("wrong sign", -1)):
         with collected_findings() as of_update:
             try:
-                update_correction(model, angles[new], sign * y[new], groups=labels(new))
+                update_correction(model, angles[new], sign * y[new], groups=labels)
             except FindingError as error:
                 of_update.append(error.finding)
         found[what] = of_update
@@ -358,10 +360,8 @@ def found_in(name, run):
 
 
 def findings(options):
-    names = list(KINDS)
-    if options.real:
-        names += ["panda_2", "panda_3", "panda_6", "panda_7", "UR10 A", "UR10 B"]
-    for name in names:
+    real = ["panda_2", "panda_3", "panda_6", "panda_7", "UR10 A", "UR10 B"]
+    for name in [*KINDS, *real] if options.real else KINDS:
         every = [found_in(name, run) for run in range(options.runs)]
         for what in every[0]:
             codes = Counter(code for found in every for code in found[what])
