@@ -10,6 +10,7 @@ deep inside NumPy.
 import contextlib
 import re
 import warnings
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,7 @@ import pytest
 import scipy.sparse
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
+from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
@@ -47,7 +49,20 @@ from sklearn_raacmm import (
     shoulder_wrist_distance,
     update_correction,
 )
-from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_gauge, make_single_point
+from sklearn_raacmm.acceptance import (
+    AcceptanceRun,
+    Artefact,
+    evaluate_acceptance,
+    predict_acceptance,
+)
+from sklearn_raacmm.datasets import (
+    ArmErrors,
+    SimulatedArm,
+    fetch_panda_ball_socket,
+    fetch_ur10_tracker,
+    make_gauge,
+    make_single_point,
+)
 
 
 def spread(n_rows, n_columns):
@@ -522,8 +537,18 @@ def refused():
     yield lambda warming: MACHINE.forward(ANGLES, warming_k=warming), "warming", [np.nan], "warming"
     yield lambda n_poses: MACHINE.find_poses([400, 0, 300], n_poses), "n_poses", [-1], "n_poses"
     yield ArmErrors.only, "sag", [1], "unexpected keyword argument 'sag'"
-    repeatability = partial(display.RepeatabilityDisplay.from_predictions, POINTS, RESIDUALS)
-    yield partial(repeatability, groups=GROUPS), "statistic", ["3s"], "'3s' is not"
+    repeatability = partial(
+        display.RepeatabilityDisplay.from_predictions, POINTS, RESIDUALS, groups=GROUPS
+    )
+    yield repeatability, "statistic", ["3s"], "'3s' is not"
+    yield repeatability, "interval", [95], "between 0 and 1, got 95"
+    yield repeatability, "ax", ["axes", 3.5, np.ones(1), [None]], "Axes of matplotlib are needed"
+    yield repeatability, "name", [["axes"], [None]], "name must be a text for the legend, got"
+    of_model = partial(
+        display.RepeatabilityDisplay.from_estimator, X=ANGLES, y=POINTS, groups=GROUPS
+    )
+    yield of_model, "estimator", [None, "model", LARGE], "estimator must be a fitted model, got"
+    yield of_model, "estimator", [Ridge()], "not fitted"
     bars = partial(display.LengthErrorDisplay.from_predictions, y_pred=RESIDUALS, **BARS)
     yield bars, "points", [RESIDUALS], "not residuals"
     yield poses, "max_poses", [0], "max_poses"
@@ -540,6 +565,70 @@ def refused():
         for flag in ("return_std", "with_noise"):
             no_flags = ["yes", None, 2, 0.5, GROUPS, [True]]  # such as labels in the second place
             yield partial(predict, ANGLES), flag, no_flags, f"{flag} must be True or False, got "
+    yield from refused_in_export()
+    yield from refused_in_datasets()
+    yield from refused_in_acceptance()
+
+
+def refused_in_export():
+    in_c, describe = partial(export.export_c, FITTED), partial(export.describe, FITTED)
+    named = partial(in_c, path="arm.c")
+    no_names = ["", "2d", "a b", "a;b", "a-b", "_a", "a__b", "é", "a\n", "x" * 41, 3]
+    yield named, "name", [*no_names, "a(void){}", 'a"', "a/*"], "name must"
+    no_paths = ["arm", "arm.cpp", "arm.h", 'a".c', "a\n.c", "a b.c", "é.c"]
+    yield partial(in_c, name="arm"), "path", no_paths, r"path must name a file .* ends in \.c"
+    yield in_c, "path", ["arm-7.c"], "name must be a C identifier.*arm-7"
+    yield named, "dtype", ["float64"], "dtype must be"
+    yield named, "fade", [True], "fade must be 'small', 'exact' or False, got True"
+    for function in (named, partial(export.load_c, FITTED)):
+        yield function, "std", ["yes"], "std must be"
+    no_poses = [ANGLES[:, :5], ANGLES[0], ANGLES[:0], ANGLES * np.nan]
+    yield named, "poses", no_poses, "poses must be rows of 6 finite numbers"
+    for function in (partial(export.export_c, path="arm.c"), partial(export.describe, X=ANGLES)):
+        yield function, "model", [network(), clone(CHAIN)], "not fitted"
+    function = partial(export.export_c, path="arm.c")
+    yield function, "model", [RBFNetRegressor], "is a class, not an instance"
+    yield function, "model", [PoseFeatures(ARM).fit(ANGLES)], "regressor at its end"
+    yield partial(describe, y=RESIDUALS), "X", [None], "X, which is None"
+    yield partial(describe, ANGLES), "y", [RESIDUALS[:-1]], "inconsistent numbers"
+
+
+def refused_in_datasets():
+    for field in fields(ArmErrors):
+        yield ArmErrors, field.name, ["1", np.nan, (1, 2, 3), None, -np.inf], field.name
+    yield ArmErrors, "counterbalance", [1.2], r"\[0, 1\], got 1.2"
+    yield ArmErrors, "seating_um", [-1], "got -1"
+    yield partial(make_single_point, 2), "n_poses", [1], "n_poses == 1, must be >= 2"
+    machines = "'eccentricity', 'gravity'.* got 'perfect'"
+    yield make_single_point, "machine", ["perfect"], machines
+    yield make_gauge, "lengths", [3000, []], "between 0 and 2159 mm"
+    yield partial(MACHINE.find_poses, n_poses=5), "point", [[2000, 0, 0]], "0 poses reach .* 151%"
+    yield partial(MACHINE.solve, ANGLES[:2]), "points", [[[2e3] * 3] * 2], "2 of 2 points"
+    for fetch in (fetch_panda_ball_socket, fetch_ur10_tracker):
+        yield fetch, "base_url", ["/some/folder"], "base_url must be an address"
+        yield fetch, "as_frame", [2], "'as_frame' parameter"
+    yield fetch_panda_ball_socket, "arm", ["panda_1"], "panda_2"
+
+
+def refused_in_acceptance():
+    run = AcceptanceRun(test=["length"], artefact=["bar"], points=[[0, 0, 0]])
+    yield partial(replace, run), "points", [None], "needs angles or points"
+    yield partial(replace, run), "end", [["a", "b"]], "end has 2 rows, test has 1"
+    yield partial(replace, run), "tip_mm", [-1], "tip_mm must be a diameter"
+    bar = partial(Artefact, name="bar")
+    yield bar, "size_mm", [0.0], "size_mm must be positive"
+    yield bar, "fixture_mm", [-0.1], "fixture_mm must be a number of 0 or more, got -0.1"
+    weighed = replace(run, test=["weight"])
+    yield evaluate_acceptance, "run", [weighed], "has the test 'weight'; known are probing"
+    evaluated = partial(evaluate_acceptance, run)
+    yield evaluated, "limits", [{"P_Sise": 0.1}], "limits names 'P_Sise'"
+    limits = [{"P_Size": -0.1}, {"P_Size": (0.1, 0.2)}]
+    yield evaluated, "limits", limits, "must be a positive number or A, s, B"
+    yield evaluated, "rule", ["half"], "'half' is not"
+    yield partial(predict_acceptance, LINEAR), "plan", [run], "a plan needs joint angles"
+    plan = replace(run, points=None, angles=ANGLES[:1])
+    yield partial(predict_acceptance, plan=plan), "model", [CHAIN], "Pipeline has no sample_y"
+    yield partial(predict_acceptance, LINEAR, plan), "n_draws", [1], "n_draws"
 
 
 @pytest.mark.parametrize(("function", "option", "values", "sentence"), refused())
@@ -553,6 +642,7 @@ def test_what_an_option_cannot_take_gets_a_sentence(
         # A large value does not fill the screen.
         assert value is not LARGE or len(str(caught.value)) < 200
     assert not list(tmp_path.iterdir())
+    assert not plt.get_fignums()
 
 
 @pytest.mark.parametrize(

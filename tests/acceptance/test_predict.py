@@ -1,8 +1,5 @@
 """Predictions of runs: drawn anew by hand, and simulated runs against what is stated of them."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -58,16 +55,6 @@ def test_without_errors_artefacts_are_measured_as_they_are(data):
     found = predict_acceptance(White(data.arm, 0.0), exact, n_draws=2)
     for name, ends in found.items():
         np.testing.assert_allclose(ends, 0, atol=1e-9, err_msg=name)
-
-
-def test_what_cannot_be_predicted_is_refused(data):
-    points = np.zeros((len(data.run.test), 3))
-    with pytest.raises(ValueError, match="a plan needs joint angles"):
-        predict_acceptance(White(data.arm, 0.1), replace(data.run, angles=None, points=points))
-    with pytest.raises(TypeError, match="SimpleNamespace has no sample_y"):
-        predict_acceptance(SimpleNamespace(arm_=data.arm), data.run)
-    with pytest.raises(ValueError, match="n_draws"):
-        predict_acceptance(White(data.arm, 0.1), data.run, n_draws=1)
 
 
 @pytest.mark.exhaustive

@@ -1,5 +1,6 @@
 """C99: the compiled model is the model, and the text cannot be anything but that."""
 
+import copy
 import ctypes
 import os
 import re
@@ -10,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import make_pipeline
@@ -319,25 +319,6 @@ def test_comments_hold_no_code(data, tmp_path):
         )
 
 
-NAMES = ["", "2d", "a b", "a;b", "a-b", "_a", "a__b", "é", "a\n", "x" * 41]
-NAMES += [3, "a(void){}", 'a"', "a/*"]
-PATHS = ["arm", "arm.cpp", "arm.h", 'a".c', "a\n.c", "a b.c", "é.c"]
-
-
-def test_names_are_c_identifiers_and_paths_name_a_c_file(small, tmp_path):
-    for name in NAMES:
-        with pytest.raises(ValueError, match="name must"):
-            export_c(small, tmp_path / "arm.c", name=name)
-    for path in PATHS:
-        with pytest.raises(ValueError, match=r"path must name a file .* ends in \.c"):
-            export_c(small, tmp_path / path, name="arm")
-    with pytest.raises(ValueError, match=r"name must be a C identifier.*arm-7"):
-        export_c(small, tmp_path / "arm-7.c")
-    assert not list(tmp_path.iterdir())
-    source, _ = export_c(small, tmp_path / "arm-7.c", name="arm_7")
-    assert '#include "arm-7.h"' in source.read_text()
-
-
 # -- what cannot be exported ---------------------------------------------------------------------
 
 
@@ -371,26 +352,12 @@ def test_names_the_step_that_cannot_be_exported(data, tmp_path):
         export_c(ridge, tmp_path / "arm.c", std=True)
 
 
-def test_bad_calls_are_refused(data, tmp_path):
-    path = tmp_path / "arm.c"
-    for model in (form_a(data.arm), form_b(data.arm), RBFNetRegressor()):
-        with pytest.raises(NotFittedError, match="not fitted"):
-            export_c(model, path)
-    with pytest.raises(TypeError, match="is a class, not an instance"):
-        export_c(RBFNetRegressor, path)
-    fitted = network().fit(data.data, data.target)
-    with pytest.raises(ValueError, match="dtype must be"):
-        export_c(fitted, path, dtype="float64")
-    with pytest.raises(TypeError, match="std must be"):
-        export_c(fitted, path, std="yes")
-    with pytest.raises(ValueError, match="fade must be 'small', 'exact' or False, got True"):
-        export_c(fitted, path, fade=True)
-    with pytest.raises(ValueError, match="regressor at its end"):
-        export_c(PoseFeatures(data.arm).fit(data.data), path)
-    fitted.networks_[0].coef[0, 0] = 1e300
+def test_a_number_that_is_no_float_is_refused(small, tmp_path):
+    large = copy.deepcopy(small)
+    large.networks_[0].coef[0, 0] = 1e300
     with pytest.raises(ValueError, match=r"1e\+300.*not a finite float"):
-        export_c(fitted, path, dtype="float")
-    assert not path.exists()
+        export_c(large, tmp_path / "arm.c", dtype="float")
+    assert not list(tmp_path.iterdir())
 
 
 # -- the arm's own error model --------------------------------------------------------------------

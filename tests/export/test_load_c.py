@@ -106,5 +106,3 @@ def test_bad_calls_are_refused(model, data):
     for call in (flat.correct, flat.point):
         with pytest.raises(ValueError, match="no arm and three outputs"):
             call(data.data[0])
-    with pytest.raises(TypeError, match="std must be"):
-        load_c(model, std="yes")

@@ -7,8 +7,6 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
-from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
 from sklearn.svm import LinearSVR
 
@@ -106,12 +104,3 @@ def test_without_an_arm_and_without_volume():
     X = rng.uniform(0.1, 1, (30, 2))  # a plane
     pose = make_pipeline(PoseFeatures(arm), LinearSVR(random_state=0)).fit(X, X[:, 0])
     assert describe(pose, X)["training"]["hull_volume_litre"] == 0
-
-
-def test_bad_calls_are_refused(model, data):
-    with pytest.raises(NotFittedError):
-        describe(clone(model), data.data)
-    with pytest.raises(ValueError, match="X, which is None"):
-        describe(model, y=data.target)
-    with pytest.raises(ValueError, match="inconsistent numbers"):
-        describe(model, data.data, data.target[:-1])
