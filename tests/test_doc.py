@@ -161,25 +161,6 @@ def test_numbers_of_the_readme_are_those_of_the_results(results):
     assert results.filled(text, results.Results(contents)) != text
 
 
-def test_every_number_that_a_page_takes_is_there(results):
-    known = results.substitutions()
-    for page in PAGES:
-        used = re.findall(r"\{\{ ?(\w+) ?\}\}", read(page))
-        assert set(used) <= set(known), page.name
-    assert known["less_linear_ur10"] in known["table_headline"] or known["table_real"]
-
-
-def test_all_that_the_pages_show_is_made(results, script):
-    make_results = script("make_results")
-    made = {(title, ": ".join(name)) for title, *_, names in make_results.data_sets(True, None)
-            for name in names}  # fmt: skip
-    assert {results.simulated(m, s) for m in results.MIXES for s in range(results.SEEDS)} <= {
-        title for title, _ in made
-    }
-    for data in results.REAL:
-        assert {(data, name) for name in (results.THREE, results.ALL, results.LINEAR)} <= made
-
-
 def test_what_the_pages_say_of_the_results_is_true(results):
     """Sentences without a number of their own that the next measurement could make false."""
     found = results.read()
