@@ -11,6 +11,7 @@ LONG = {"get_started.md", "index.md", "recipes.md", "scale.md", "metadata_routin
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
+    """Mark the pages as slow, and the longest as exhaustive."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.slow)

@@ -32,7 +32,7 @@ ESTIMATORS = [
     PoseFeatures(Arm.from_name("panda"), encoding="periodic", append_azimuth=True),
     PoseFeatures(Arm.from_name("ur10"), joints="all", angle_unit="deg"),
     CylindricalResidualTarget(),
-    ArmResidualRegressor(orders=3),
+    ArmResidualRegressor(orders=1),
     RBFNetRegressor(),
     CylindricalResidualTarget(RBFNetRegressor()),
 ]

@@ -153,8 +153,9 @@ CANDIDATES = [
 ]
 
 
-@pytest.mark.parametrize("routing", [False, True])
-@pytest.mark.parametrize("kind", [GridSearchCV, HalvingGridSearchCV])
+@pytest.mark.parametrize(
+    ("kind", "routing"), [(GridSearchCV, False), (GridSearchCV, True), (HalvingGridSearchCV, True)]
+)
 @pytest.mark.parametrize("form", [pytest.param("outermost", marks=pytest.mark.exhaustive), "last"])
 def test_a_search_hands_positions_to_every_candidate(form, kind, routing):
     data = make_single_point(6, 9, machine="gravity", random_state=0)

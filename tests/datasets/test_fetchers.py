@@ -121,9 +121,18 @@ def test_a_file_in_place_of_the_folder(tmp_path):
 
 
 @pytest.mark.parametrize("fetch", [fetch_panda_ball_socket, fetch_ur10_tracker])
-def test_without_a_file_and_a_download(fetch, tmp_path):
+def test_bad_arguments_are_named(fetch, tmp_path):
     with pytest.raises(OSError, match="is not there, and download_if_missing=False"):
         fetch(data_home=tmp_path, download_if_missing=False)
+    with pytest.raises(ValueError, match="base_url must be an address"):
+        fetch(data_home=tmp_path, base_url="/some/folder")
+    with pytest.raises(ValueError, match="'as_frame' parameter"):
+        fetch(as_frame=2)
+
+
+def test_an_unknown_arm_is_named():
+    with pytest.raises(ValueError, match="panda_2"):
+        fetch_panda_ball_socket("panda_1")
 
 
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")  # of panda_2
