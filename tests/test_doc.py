@@ -1,6 +1,5 @@
-"""The pages of doc/: examples run, links lead somewhere, what is written is what was measured."""
+"""The pages of doc/: what they name is there, what is written is what was measured."""
 
-import doctest
 import importlib
 import json
 import re
@@ -9,8 +8,6 @@ import sys
 import types
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 
 import sklearn_raacmm
@@ -21,84 +18,13 @@ from sklearn_raacmm.utils._estimators import VersionedEstimator, link_template
 ROOT = Path(__file__).resolve().parent.parent
 DOC = ROOT / "doc"
 PAGES = sorted([*DOC.glob("*.md"), *DOC.glob("user_guide/*.md")])
-# Pages whose examples take five seconds or more, and the first page, which is much of README.md.
-LONG = {"get_started.md", "index.md", "recipes.md", "scale.md", "metadata_routing.md"}
-NUMBER = re.compile(r"-?\d+\.\d*")
 
 
 def read(path):
     return path.read_text(encoding="utf-8")
 
 
-# -- examples and links ----------------------------------------------------------------------------
-
-
-class Rounded(doctest.OutputChecker):
-    """Numbers with a decimal point may differ by one in the last digit that a page shows.
-
-    pytest's option NUMBER, which checks README.md and the docstrings, does the same.
-    """
-
-    def check_output(self, want, got, optionflags):
-        said, found = NUMBER.findall(want), NUMBER.findall(got)
-        if len(said) == len(found) and all(
-            abs(float(a) - float(b)) <= 1.001 * 10.0 ** -len(a.split(".")[1])
-            for a, b in zip(said, found, strict=True)
-        ):
-            numbers = iter(said)
-            got = NUMBER.sub(lambda _: next(numbers), got)
-        return super().check_output(want, got, optionflags)
-
-
-def run_examples(text, name):
-    """Number of failed and of run examples of a page."""
-    runner = doctest.DocTestRunner(Rounded(), optionflags=doctest.NORMALIZE_WHITESPACE)
-    return runner.run(doctest.DocTestParser().get_doctest(text, {}, name, name, 0))
-
-
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(p, marks=pytest.mark.exhaustive if p.name in LONG else ()) for p in PAGES],
-    ids=lambda page: page.name,
-)
-def test_examples_run(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # where the pages write their files
-    assert run_examples(read(page), page.name)[0] == 0
-
-
-def test_numbers_are_compared_to_the_digits_that_are_shown(capsys):
-    for got, failed in (("2S 0.0204 mm", 0), ("2S 0.0196 mm", 0), ("2S 0.0224 mm", 1), ("2S", 1)):
-        assert run_examples(f">>> print({got!r})\n2S 0.020 mm\n", "page")[0] == failed
-
-
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.name)
-def test_results_are_shown_in_full_and_links_lead_to_files(page):
-    text = read(page)
-    examples = doctest.DocTestParser().get_examples(text)
-    assert [example.want for example in examples if "..." in example.want] == []
-    local = [link for link in re.findall(r"\]\(([^)#]+)", text) if "://" not in link]
-    # Pages of the gallery are made of scripts.
-    local = [re.sub(r"auto_examples/(\w+)\.rst", r"../examples/\1.py", link) for link in local]
-    assert [link for link in local if not (page.parent / link).exists()] == []
-    assert [
-        name for name in re.findall(r"examples/\w+\.py", text) if not (ROOT / name).exists()
-    ] == []
-
-
-@pytest.mark.exhaustive
-def test_get_started_runs_for_a_reader_with_a_file_of_his_own(tmp_path, monkeypatch):
-    """The part that may be skipped is skipped, and a file of this form is there."""
-    monkeypatch.chdir(tmp_path)
-    text = read(DOC / "get_started.md")
-    start = text.index("### A file to try with")
-    skipped = text[start : text.index("### Read it", start)]
-    assert "Skip this part" in skipped
-    names = {"np": np, "pd": pd, "joints": [f"q{i}" for i in range(1, 7)]}
-    doctest.run_docstring_examples(skipped, names)
-    assert Path("cone_test.csv").exists()
-    failed, tried = run_examples(text.replace(skipped, ""), "page")
-    assert failed == 0
-    assert tried > 20
+# -- what pages name -------------------------------------------------------------------------------
 
 
 def test_developers_find_what_their_pages_name():
@@ -212,35 +138,10 @@ def test_estimators_in_a_notebook_link_to_their_pages(monkeypatch):
 # -- the site --------------------------------------------------------------------------------------
 
 
-def test_the_check_of_the_site_sees_what_is_broken(tmp_path):
-    findings = runpy.run_path(str(DOC / "check_site.py"))["findings"]
-    good = '<h1 id="top">A</h1><a href="b.html#there">b</a><a href="https://example.org/x">x</a>'
-    (tmp_path / "index.html").write_text(good, encoding="utf-8")
-    (tmp_path / "b.html").write_text('<p id="there"><a href="#top2">up</a>', encoding="utf-8")
-    assert list(findings(tmp_path)) == ["b.html: no anchor for the link #top2"]
-    bad = f'<a href="gone.html">g</a><img src="no.png"><p>{{{{ less }}}} {ROOT}/x</p>'
-    (tmp_path / "b.html").write_text(f'<p id="there">{bad}', encoding="utf-8")
-    found = list(findings(tmp_path))
-    assert len(found) == 4
-    assert sum("no file" in line for line in found) == 2
-    assert any("building machine" in line for line in found)
-    assert any("not filled in" in line for line in found)
-    assert list(findings(tmp_path / "empty")) != []
-
-
 def test_every_example_is_in_a_section_of_the_gallery(script):
     sphinx = script("_sphinx")
     shown = [name for names in sphinx.SECTIONS.values() for name in names]
     assert sorted(shown) == sorted(path.stem for path in (ROOT / "examples").glob("plot_*.py"))
-    picture = '.. raw:: html\n\n    <div class="sphx-glr-thumbcontainer">\n:doc:`/x/{}`\n\n'
-    pictures = "".join(picture.format(name) for name in shown)
-    end = f".. thumbnail-parent-div-close\n\n{sphinx._CLOSE}\nend"
-    text = sphinx.with_sections(f"head\n{sphinx._OPEN}\n{pictures}{end}")
-    assert [line[9:-1] for line in text.split("\n") if line[:5] == ":doc:"] == shown
-    assert all(f"{title}\n---" in text for title in sphinx.SECTIONS)
-    assert text.count("<div") - text.count("</div") == len(shown)  # each picture's own is not shown
-    with pytest.raises(ValueError, match="1 examples are in no section"):
-        sphinx.with_sections(f"{sphinx._OPEN}\n{picture.format('plot_new')}{end}")
 
 
 # -- measured numbers ------------------------------------------------------------------------------
@@ -258,35 +159,6 @@ def test_numbers_of_the_readme_are_those_of_the_results(results):
     contents = json.loads(read(results.FILE))
     contents["comparisons"]["real, ur10"]["models"][results.LINEAR]["mean_mm"] *= 2
     assert results.filled(text, results.Results(contents)) != text
-
-
-def test_every_number_that_a_page_takes_is_there(results):
-    known = results.substitutions()
-    for page in PAGES:
-        used = re.findall(r"\{\{ ?(\w+) ?\}\}", read(page))
-        assert set(used) <= set(known), page.name
-    assert known["less_linear_ur10"] in known["table_headline"] or known["table_real"]
-
-
-def test_the_command_says_what_has_moved(results, script):
-    make_results = script("make_results")
-    old = {"arm": {"model": {"mean_mm": 1.0, "max_mm": 2.0, "fit_seconds": 1.0, "made": "a"}}}
-    new = {"arm": {"model": {"mean_mm": 1.02, "max_mm": 2.01, "fit_seconds": 9.0, "made": "b"}}}
-    assert list(make_results.moved(old, new)) == ["arm / model / mean_mm: 1 -> 1.02"]
-    new["arm"]["other"] = {"mean_mm": 3.0}
-    assert list(make_results.moved(old, new))[1:] == ["arm / other / mean_mm: 3 (new)"]
-    assert make_results.rounded({"mean_mm": 0.1234567, "fit_seconds": 1.26, "r2": None}) == {
-        "mean_mm": 0.12346,
-        "fit_seconds": 1.3,
-    }
-    # All that the pages show is made by --all.
-    made = {(title, ": ".join(name)) for title, *_, names in make_results.data_sets(True, None)
-            for name in names}  # fmt: skip
-    assert {results.simulated(m, s) for m in results.MIXES for s in range(results.SEEDS)} <= {
-        title for title, _ in made
-    }
-    for data in results.REAL:
-        assert {(data, name) for name in (results.THREE, results.ALL, results.LINEAR)} <= made
 
 
 def test_what_the_pages_say_of_the_results_is_true(results):
@@ -318,17 +190,3 @@ def test_what_the_pages_say_of_the_results_is_true(results):
 
 def test_pages_and_docstrings_are_within_their_limits(script, capsys):
     assert script("count_words").main() == 0, capsys.readouterr().out
-
-
-def test_the_script_sees_what_is_long(script):
-    counts = script("count_words")
-    long = "One " + "word " * counts.LONG_SENTENCE + "more."
-    text = f"# A head of many words\n\n{long} Short one. Another?\n\n```\ncode. Is not read.\n```\n"
-    sizes = [len(sentence.split()) for sentence in counts.sentences(text)]
-    assert sizes == [counts.LONG_SENTENCE + 2, 2]  # a single word is no sentence
-    listed = (
-        "- First item of a list\n- Second one, with $x. Y$ and [a link](page.md)\n\n| a. B | c |\n"
-    )
-    assert [len(sentence.split()) for sentence in counts.sentences(listed)] == [5, 7]
-    assert {page for kind in counts.pages().values() for page in kind} >= {"index.md", "log.md"}
-    assert counts.docstrings()["RBFNetRegressor.fit"] > 100

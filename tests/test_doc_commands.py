@@ -59,18 +59,10 @@ def parser_of(script, monkeypatch):
     return made
 
 
-def test_every_script_that_is_named_is_there_and_named_as_a_command():
-    gone, loose = [], []
-    for path, text in texts():
-        marked = [range(*found.span()) for found in COMMAND.finditer(text)]
-        for found in NAMED.finditer(text):
-            where = f"{path.relative_to(ROOT)}: {found[0]}"
-            if not (BENCHMARKS / found[0].removeprefix("benchmarks/")).exists():
-                gone.append(where)
-            elif not any(found.start() in span for span in marked):
-                loose.append(where)
-    assert gone == []
-    assert loose == []  # without backticks nobody can tell where the command ends
+def test_every_script_that_is_named_is_there():
+    named = {name for _, text in texts() for name in NAMED.findall(text)}
+    assert len(named) > 10
+    assert [n for n in named if not (BENCHMARKS / n.removeprefix("benchmarks/")).exists()] == []
 
 
 def test_every_script_takes_the_arguments_of_its_commands(parser_of, capsys):

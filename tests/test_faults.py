@@ -9,11 +9,7 @@ import inspect
 import json
 import os
 import pickle
-import subprocess
 import sys
-import threading
-import time
-import tracemalloc
 import weakref
 
 import numpy as np
@@ -138,15 +134,6 @@ def test_an_interrupted_refit_leaves_the_old_model(case):
     assert state(estimator).keys() != before.keys() or np.abs(predict() - expected).max() > 1e-3
 
 
-def test_a_refused_refit_leaves_the_old_model():
-    X = np.zeros((3, 6))
-    pose = PoseFeatures(ARM).fit(X)
-    with pytest.raises(ValueError, match="X has 7 columns"):
-        pose.fit(np.zeros((3, 7)))
-    assert pose.n_features_in_ == 6
-    assert pose.transform(X).shape == (3, 3)
-
-
 # -- memory ----------------------------------------------------------------------------------------
 
 MODELS = {
@@ -156,33 +143,6 @@ MODELS = {
     # Orders that these data never show: the number of columns stays the same.
     "harmonics": ArmResidualRegressor(ARM, orders=[50, 51], causes=["kinematics", "wobble"]),
 }
-
-
-def held():
-    """Bytes that Python and numpy hold, once garbage is gone; the process' own size also moves with
-    what other tests left in its heap."""
-    gc.collect()
-    return tracemalloc.get_traced_memory()[0]
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["network", "chain", "harmonics"])
-def test_memory_does_not_grow(name):
-    model, (X, y) = MODELS[name], data(200)
-
-    def use(times):
-        for _ in range(times):
-            model.fit(X, y).predict(X)
-        return held()
-
-    tracemalloc.start()
-    try:
-        before = use(3)
-        growth = use(15) - before
-    finally:
-        tracemalloc.stop()
-    # Two thirds of X kept by every fit would be that much; what is kept for reuse takes 50 kB.
-    assert growth < 10 * X.nbytes
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -203,8 +163,7 @@ def test_a_fitted_model_does_not_keep_its_data(name):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
-@pytest.mark.parametrize("room", [0, 300])  # bytes, less than any of the files has
-def test_full_disk_leaves_what_was_there(tmp_path, room):
+def test_full_disk_leaves_what_was_there(tmp_path):
     pytest.importorskip("onnx", reason="needs the extra onnx")
     resource = pytest.importorskip("resource")
     model = clone(CHAIN).fit(*data(40))
@@ -221,52 +180,13 @@ def test_full_disk_leaves_what_was_there(tmp_path, room):
         lambda: to_onnx(model, tmp_path / "model.onnx", card="other"),
     ):
         # The system itself refuses to write more, as it does where the disk is full.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300, hard))  # bytes, less than any file
         try:
             with pytest.raises(OSError, match="File too large"):
                 act()
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-WRITER = """
-import sys
-from sklearn_raacmm.utils import write_whole
-path, who, n = sys.argv[1], sys.argv[2], int(sys.argv[3])
-for i in range(n):
-    write_whole({path: (who + "\\n") * 20_000})
-"""
-
-
-@pytest.mark.exhaustive
-def test_threads_and_processes_write_one_file(tmp_path):
-    """Readers see the whole of one writer's file, never a mixture, and nobody fails."""
-    n_lines = 20_000
-    path = tmp_path / "shared.txt"
-    write_whole({path: "0\n" * n_lines})
-    process = subprocess.Popen([sys.executable, "-c", WRITER, path, "1", "40"])
-    done = []
-
-    def write(who):
-        while process.poll() is None:
-            write_whole({path: f"{who}\n" * n_lines})
-            time.sleep(0.002)
-        done.append(who)
-
-    threads = [threading.Thread(target=write, args=(who,)) for who in (2, 3)]
-    for thread in threads:
-        thread.start()
-    seen = set()
-    while any(thread.is_alive() for thread in threads):
-        text = path.read_text()
-        assert text == text[:2] * n_lines
-        seen.add(text[0])
-        time.sleep(0.001)
-    assert process.returncode == 0
-    assert sorted(done) == [2, 3]
-    assert len(seen) > 1
-    assert [p.name for p in tmp_path.iterdir()] == ["shared.txt"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")

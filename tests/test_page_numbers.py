@@ -75,42 +75,6 @@ def test_links_that_are_short_by_one_share_carry_it_to_lengths():
     assert error / over_sd == pytest.approx(drawing / over_drawing, rel=0.15)
 
 
-def test_times_of_many_rows_are_those_of_their_figure():
-    stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))["rows"]
-    seconds = [time for _, time in stored["found_by_itself"]]
-    rows = (f"| {name} | @ s | @ MiB |" for name in ("100&nbsp;000", "a million", "ten million"))
-    said = numbers("scale.md", " ".join(rows))
-    assert said[::2] == seconds
-    assert said[1::2] == stored["memory_mib"]
-    assert_said("benchmarks.md", "time grows from @ to @ s", [seconds[0], seconds[-1]])
-
-
-def test_means_of_the_benchmarks_are_those_of_their_tables():
-    stored = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))
-    problems = stored["problems"]["over_gaussian_process"]["of"]
-    means = np.exp(np.log(list(problems.values())).mean(axis=0))
-    assert_said("log.md", "| geometric mean | @ | @ | @ | | | |", means, 1e-3)
-    rest = [row for name, row in problems.items() if name != "periodic3"]
-    means = np.exp(np.log(rest).mean(axis=0))
-    assert_said("log.md", "the means are @, @ and @.", means, 0.006)
-    for name, row in problems.items():
-        assert_said("log.md", f"| `{name}` | @ | @ | @ | 9", row, 1e-9)
-    tables = stored["tables"]
-    assert len(tables["error"]) == 25
-    error = np.maximum(list(tables["error"].values()), 1e-3)
-    means = np.exp(np.log(error[:, 1:] / error[:, :1]).mean(axis=0))
-    order = [1, 2, 3, 4]  # of kernel ridge, boosting, extra trees, linear ridge
-    words = "kernel ridge @, boosting @, extra trees @, linear ridge @"
-    assert_said("log.md", words, means[order], 0.01)
-    best = np.exp(np.log(error[:, 1:].min(axis=1) / error[:, 0]).mean())
-    assert_said("benchmarks.md", "has @ times the network's error", [best], 0.005)
-    seconds = np.array(list(stored["problems"]["cpu_seconds_network_and_process"]["of"].values()))
-    ratio = np.exp(np.log(seconds[..., 1] / seconds[..., 0]).mean(axis=0))
-    assert_said("benchmarks.md", "and 1/@ of it at 3000", ratio[2:], 0.1)
-    # "a quarter of the process's time at 300 rows"
-    assert ratio[0] == pytest.approx(4, rel=0.15)
-
-
 # -- measured again -------------------------------------------------------------------------------
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.experimental import enable_halving_search_cv  # noqa: F401
@@ -153,8 +153,9 @@ CANDIDATES = [
 ]
 
 
-@pytest.mark.parametrize("routing", [False, True])
-@pytest.mark.parametrize("kind", [GridSearchCV, HalvingGridSearchCV])
+@pytest.mark.parametrize(
+    ("kind", "routing"), [(GridSearchCV, False), (GridSearchCV, True), (HalvingGridSearchCV, True)]
+)
 @pytest.mark.parametrize("form", [pytest.param("outermost", marks=pytest.mark.exhaustive), "last"])
 def test_a_search_hands_positions_to_every_candidate(form, kind, routing):
     data = make_single_point(6, 9, machine="gravity", random_state=0)
@@ -226,22 +227,3 @@ def test_sample_weight_reaches_the_network(cone_test, form, routing):
         model.fit(angles, y, **{name: weight})
         assert_allclose(model.predict(angles), expected, atol=1e-9)
         assert not np.allclose(clone(model).fit(angles, y).predict(angles), expected, atol=1e-6)
-
-
-def test_groups_and_weights_in_one_grid_search_with_routing(cone_test):
-    arm, angles, y = cone_test
-    groups = np.repeat(np.arange(12), 15)
-    weight = np.linspace(0.5, 1.5, len(y))
-    with config_context(enable_metadata_routing=True):
-        model, _ = weighted(form_b, arm, routing=True)
-        model[-1].set_score_request(sample_weight=True)
-        model[-1].set_fit_request(groups=False)
-        if hasattr(model, "set_score_request"):  # before 1.8 a pipeline asks for its score itself
-            model.set_score_request(sample_weight=True)
-        search = GridSearchCV(
-            model, {"posefeatures__encoding": ["angle", "periodic"]}, cv=GroupKFold(3)
-        ).fit(angles, y, groups=groups, sample_weight=weight)
-        best = clone(search.best_estimator_).fit(angles, y, sample_weight=weight)
-        assert_array_equal(search.predict(angles), best.predict(angles))
-        unweighted = clone(search.best_estimator_).fit(angles, y)
-        assert not np.allclose(search.predict(angles), unweighted.predict(angles))

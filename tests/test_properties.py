@@ -59,7 +59,6 @@ def arms(draw, n_joints=6, convention=None):
         joint_signs=draw(listed(st.sampled_from([-1, 1]), n_joints)),
         pose_joints=(1, 2),
         pose_frames=(0, n_joints),
-        name=draw(st.text()),
     )
 
 

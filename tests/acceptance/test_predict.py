@@ -1,8 +1,5 @@
 """Predictions of runs: drawn anew by hand, and simulated runs against what is stated of them."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -60,16 +57,6 @@ def test_without_errors_artefacts_are_measured_as_they_are(data):
         np.testing.assert_allclose(ends, 0, atol=1e-9, err_msg=name)
 
 
-def test_what_cannot_be_predicted_is_refused(data):
-    points = np.zeros((len(data.run.test), 3))
-    with pytest.raises(ValueError, match="a plan needs joint angles"):
-        predict_acceptance(White(data.arm, 0.1), replace(data.run, angles=None, points=points))
-    with pytest.raises(TypeError, match="SimpleNamespace has no sample_y"):
-        predict_acceptance(SimpleNamespace(arm_=data.arm), data.run)
-    with pytest.raises(ValueError, match="n_draws"):
-        predict_acceptance(White(data.arm, 0.1), data.run, n_draws=1)
-
-
 @pytest.mark.exhaustive
 def test_a_perfect_arm_has_the_values_of_the_artefacts_errors():
     perfect = make_acceptance(machine=ArmErrors.only(), exact=True, random_state=2)
@@ -91,11 +78,11 @@ def test_a_perfect_arm_has_the_values_of_the_artefacts_errors():
 
 
 def test_runs_of_one_seed_are_of_one_arm_and_artefacts_do_not_move_the_noise():
-    one, two = (make_acceptance(["length"], exact=exact, random_state=4) for exact in (0, 1))
+    one, two = (make_acceptance(["volumetric"], exact=exact, random_state=4) for exact in (0, 1))
     assert one.arm == two.arm
     off = one.simulation.true_points - two.simulation.true_points
     assert 1e-4 < np.abs(off).max() < 0.03
-    other = make_acceptance(["length"], random_state=5)
+    other = make_acceptance(["volumetric"], random_state=5)
     assert np.abs(other.run.angles - one.run.angles).max() > 0.1
     with pytest.raises(ValueError, match="tests names 'pose'; known are probing"):
         make_acceptance(["pose"])

@@ -200,29 +200,3 @@ def test_every_value_has_its_source_and_its_test():
     assert str(result).endswith("E_Uni: no value")
     with pytest.raises(KeyError, match="P_Size"):
         result["P_Size"]
-
-
-def test_what_is_no_run_and_no_question_is_refused(data):
-    for changed, sentence in (
-        ({"angles": None}, "needs angles or points"),
-        ({"end": ["a"]}, r"end has 1 rows, test has \d+"),
-        ({"tip_mm": -1}, "tip_mm must be a diameter"),
-    ):
-        with pytest.raises(ValueError, match=sentence):
-            replace(data.run, **changed)
-    with pytest.raises(ValueError, match="size_mm must be positive"):
-        Artefact(name="bar", size_mm=0.0)
-    with pytest.raises(ValueError, match=r"fixture_mm must be a number of 0 or more, got -0.1"):
-        Artefact(name="bar", fixture_mm=-0.1)
-    run = replace(data.run, test=["weight"] * len(data.run.test))
-    with pytest.raises(ValueError, match="has the test 'weight'; known are probing"):
-        evaluate_acceptance(run, data.arm)
-    for limits, sentence in (
-        ({"P_Sise": 0.1}, "limits names 'P_Sise'"),
-        ({"P_Size": -0.1}, "must be a positive number or A, s, B"),
-        ({"P_Size": (0.1, 0.2)}, "must be a positive number or A, s, B"),
-    ):
-        with pytest.raises(ValueError, match=sentence):
-            evaluate_acceptance(data.run, data.arm, limits=limits)
-    with pytest.raises(ValueError, match="'half' is not"):
-        evaluate_acceptance(data.run, data.arm, rule="half")

@@ -128,26 +128,6 @@ def test_a_tracker_and_a_model_without_harmonics(read_page, tmp_path):
     assert "Scale:" not in text
 
 
-def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
-    from matplotlib.figure import Figure
-
-    from sklearn_raacmm.app._figures import _intervals, _positions
-
-    _positions(figure := Figure(), result.scores)
-    (ax,) = figure.axes
-    shown = [int(label.get_text()) for label in ax.get_xticklabels()]
-    assert shown == sorted(shown)
-    assert len(shown) == 12  # two ends of six gauges: a sort as text has 10 before 2
-    table = result.scores.table
-    after = dict(zip(map(int, table["position"]), table["after"], strict=True))
-    assert len(ax.collections[0].get_segments()) == len(shown)
-    for name, side in (("before", "left_before"), ("after", "left_after")):
-        low, high = _intervals(result.scores, getattr(result.scores, side)).T
-        assert np.mean((low < table[name]) & (table[name] < high)) > 0.9
-    drawn = ax.get_lines()[1].get_ydata()
-    np.testing.assert_allclose(drawn, [1000 * after[label] for label in shown])
-
-
 def test_what_a_screen_reader_needs_is_there(page):
     figures = re.findall(r"<svg[^>]*>\s*<title>[^<]+</title>", page)
     assert len(figures) == page.count("<svg ") == 2

@@ -11,8 +11,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn_raacmm import Arm, PoseFeatures
 from sklearn_raacmm.export import _export, fingerprint, to_onnx
 
-from ._chains import angles_everywhere, form_b, network
-
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
@@ -39,8 +37,7 @@ def test_elevation_to_the_last_digits():
     np.testing.assert_allclose(run(to_onnx(model), X)[:, 0], expected, rtol=0, atol=1e-14)
 
 
-def test_without_onnx_the_error_says_what_to_install(monkeypatch, data):
-    model = network().fit(data.data, data.target)
+def test_without_onnx_the_error_says_what_to_install(monkeypatch, chain):
     importing = builtins.__import__
 
     def nothing(name, *args, **kwargs):
@@ -50,14 +47,13 @@ def test_without_onnx_the_error_says_what_to_install(monkeypatch, data):
 
     monkeypatch.setattr(builtins, "__import__", nothing)
     with pytest.raises(ImportError, match=r"pip install -e \"\.\[onnx\]\""):
-        to_onnx(model)
+        to_onnx(chain)
 
 
-def test_the_file_and_its_metadata(data, tmp_path):
+def test_the_file_and_its_metadata(data, chain, tmp_path):
     """Test rows with answers: the check of the page, in a runtime that knows nothing of us."""
-    model = form_b(data.arm).fit(data.data, data.target)
     for name in ("first.onnx", "second.onnx"):
-        to_onnx(model, tmp_path / name, card="what it is: ü", std=True)
+        to_onnx(chain, tmp_path / name, card="what it is: ü", std=True)
     onnx.checker.check_model(tmp_path / "first.onnx", full_check=True)
     content = (tmp_path / "first.onnx").read_bytes()
     assert content == (tmp_path / "second.onnx").read_bytes()
@@ -66,7 +62,7 @@ def test_the_file_and_its_metadata(data, tmp_path):
     assert {node.domain for node in onnx.load_from_string(content).graph.node} == {""}  # ai.onnx
     facts = session.get_modelmeta().custom_metadata_map
     assert facts["model_card"] == "what it is: ü"
-    assert facts["fingerprint"] == fingerprint(model)
+    assert facts["fingerprint"] == fingerprint(chain)
     rows = json.loads(facts["test_rows"])
     X, y, std = (np.array(rows[key][:28], dtype=float) for key in ("X", "y", "std"))
     assert rows["y"][28:] == [[None] * 3] * 4
@@ -76,24 +72,12 @@ def test_the_file_and_its_metadata(data, tmp_path):
     got = session.run(None, {"X": X})
     np.testing.assert_allclose(got[0], y, rtol=0, atol=1e-12)
     np.testing.assert_allclose(got[1], std, rtol=1e-9)
-    np.testing.assert_allclose(y, model.predict(X), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(y, chain.predict(X), rtol=0, atol=1e-14)
     assert {tuple(row) for row in X[:20]} <= {tuple(row) for row in data.data}
 
 
-def test_openvino(data):
-    """With its two options; without them it computes in bfloat16 where the processor can."""
-    openvino = pytest.importorskip("openvino", reason="OpenVINO is not installed")
-    model = form_b(data.arm).fit(data.data, data.target)
-    core = openvino.Core()
-    options = {"INFERENCE_PRECISION_HINT": "f32", "EXECUTION_MODE_HINT": "ACCURACY"}
-    read = core.read_model(to_onnx(model).SerializeToString())
-    X = np.concatenate([data.data, angles_everywhere(6, 50)])
-    assert np.abs(core.compile_model(read, "CPU", options)([X])[0] - model.predict(X)).max() < 1e-5
-
-
-def test_a_file_that_does_not_keep_its_promise_is_refused(data, monkeypatch):
-    model = form_b(data.arm).fit(data.data, data.target)
+def test_a_file_that_does_not_keep_its_promise_is_refused(chain, monkeypatch):
     compute = _export.run_onnx
     monkeypatch.setattr(_export, "run_onnx", lambda *args: {"y": 1.001 * compute(*args)["y"]})
     with pytest.raises(ValueError, match=r"the ONNX file is up to .* away from predict, 0.001 of"):
-        to_onnx(model)
+        to_onnx(chain)

@@ -86,8 +86,7 @@ def with_references(names, values):
     return tuple(zip(names, ((mean,) for mean in values.mean(axis=0)), strict=True))
 
 
-@pytest.mark.parametrize("dtype", ["double", "float"])
-def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
+def test_extra_columns_in_header_and_card(with_extra, tmp_path):
     X, y = with_extra
     model = linear(extra=EXTRA, angle_unit="deg")
     X = np.column_stack([np.rad2deg(X[:, :6]), X[:, 6:]])
@@ -97,7 +96,7 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path, dtype):
     low, high = card["training"]["range_of_payload"]
     assert 0 <= low < 0.5 < 3.5 < high <= 4
     assert len(card["training"]["largest_joint_angles_deg"]) == 6
-    header = export_c(model, tmp_path / "arm.c", dtype=dtype, card=card, poses=X)[1].read_text()
+    header = export_c(model, tmp_path / "arm.c", card=card, poses=X)[1].read_text()
     assert "then temperature, force x, force z, payload, direction 2, temperature 3" in header
     assert "#define ARM_N_INPUTS 12\n" in header
     assert "6 joints, standard DH" in header

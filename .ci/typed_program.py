@@ -1,5 +1,5 @@
 # pyright: strict
-"""A program of somebody who checks types: it runs, and mypy and pyright know every result.
+"""A program of somebody who checks types: mypy and pyright know every result.
 
 `.ci/run types` reads this file with ``mypy --strict`` and ``pyright``.
 """
@@ -35,7 +35,8 @@ Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 
 
-def test_the_arm() -> None:
+def the_arm() -> None:
+    """Kinematics, files and plans."""
     arm = Arm.from_name("aacmm6")
     angles = np.full((3, 6), 0.3)
     points = assert_type(arm.forward(angles), Floats)
@@ -53,7 +54,8 @@ def test_the_arm() -> None:
     assert_type(plan.angles, Floats)
 
 
-def test_models_of_residuals() -> None:
+def models_of_residuals() -> None:
+    """Estimators, and what is done with fitted ones."""
     test = make_single_point(5, 20, random_state=0)
     X, y, groups = assert_type(test.data, Floats), assert_type(test.target, Floats), test.groups
     assert_type(position_residuals(test.points, groups), Floats)
@@ -87,7 +89,8 @@ def test_models_of_residuals() -> None:
     assert_type(chain.predict(X, return_std=True), Pair)
 
 
-def test_one_call(tmp_path: Path) -> None:
+def one_call(tmp_path: Path) -> None:
+    """From measurements to a correction in a folder."""
     test = make_single_point(6, 12, random_state=0)
     learned = learn_correction(
         test.nominal_arm, test.data, test.groups, model=ArmResidualRegressor(orders=2), cv=3
