@@ -27,7 +27,9 @@ if TYPE_CHECKING:
         PoseFeatures,
         cartesian_to_cylindrical,
         cylindrical_to_cartesian,
+        elbow_angle,
         position_residuals,
+        shoulder_wrist_distance,
     )
     from sklearn_raacmm.utils import FindingError, FindingWarning
 
@@ -46,11 +48,13 @@ __all__ = [
     "check_correction",
     "cylindrical_to_cartesian",
     "directions_of",
+    "elbow_angle",
     "learn_correction",
     "lengths_of_places",
     "plan_poses",
     "position_residuals",
     "search_table",
+    "shoulder_wrist_distance",
     "update_correction",
 ]
 

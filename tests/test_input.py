@@ -38,11 +38,13 @@ from sklearn_raacmm import (
     check_correction,
     cylindrical_to_cartesian,
     display,
+    elbow_angle,
     export,
     learn_correction,
     metrics,
     position_residuals,
     search_table,
+    shoulder_wrist_distance,
     update_correction,
 )
 from sklearn_raacmm.acceptance import (
@@ -167,6 +169,8 @@ FUNCTIONS = [
     ("position_residuals", position_residuals, "points groups weights"),
     ("cartesian_to_cylindrical", cartesian_to_cylindrical, "residuals azimuth"),
     ("cylindrical_to_cartesian", cylindrical_to_cartesian, "residuals azimuth"),
+    ("shoulder_wrist_distance", partial(shoulder_wrist_distance, ARM), "angles"),
+    ("elbow_angle", partial(elbow_angle, ARM), "angles"),
     ("2S", metrics.single_point_repeatability, "points groups"),
     ("interval", metrics.repeatability_interval, "points groups"),
     ("sphere", lambda points: metrics.fit_sphere(points)[2], "points"),
@@ -308,6 +312,8 @@ FINE = {
     "Arm.frames-angles": ["no rows"],
     "Arm.jacobian-angles": ["no rows"],
     "Arm.azimuth-angles": ["no rows"],
+    "shoulder_wrist_distance-angles": ["no rows"],
+    "elbow_angle-angles": ["no rows"],
     "SimulatedArm.forward-angles": ["no rows"],
     "SimulatedArm.read-angles": ["no rows"],
     "update-angles": ["no rows"],
@@ -439,6 +445,7 @@ def refused():
     for function in (
         lambda arm: learn_correction(arm, *DATA[1:]),
         lambda arm: search_table(arm, *DATA[1:]),
+        lambda arm: elbow_angle(arm, TEST.data),
     ):
         yield function, "arm", [None, "aacmm6", MANY], "arm must be an Arm, got (None|str|ndarr)"
     for function in (updated, checked):
@@ -595,6 +602,7 @@ def test_what_an_option_cannot_take_gets_a_sentence(
         partial(learn_correction, DATA[0], positions=TEST.groups),
         partial(update_correction, LINEAR, y=TEST.target, groups=TEST.groups),
         partial(check_correction, LINEAR, y=TEST.target, groups=TEST.groups),
+        partial(elbow_angle, TEST.arm),
     ],
     ids=lambda function: function.func.__name__,
 )

@@ -15,7 +15,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     position_residuals,
 )
 from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
-from sklearn_raacmm.residuals._pose_features import PoseFeatures
+from sklearn_raacmm.residuals._pose_features import (
+    PoseFeatures,
+    elbow_angle,
+    shoulder_wrist_distance,
+)
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 __all__ = [
@@ -25,6 +29,8 @@ __all__ = [
     "PoseFeatures",
     "cartesian_to_cylindrical",
     "cylindrical_to_cartesian",
+    "elbow_angle",
     "found_positions",
     "position_residuals",
+    "shoulder_wrist_distance",
 ]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_raacmm import Arm, PoseFeatures
+from sklearn_raacmm import Arm, PoseFeatures, elbow_angle, shoulder_wrist_distance
 
 NAMES = ["aacmm6", "panda", "ur10"]
 

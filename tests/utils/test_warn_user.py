@@ -11,7 +11,7 @@ from sklearn.model_selection import cross_val_predict
 from sklearn.pipeline import make_pipeline
 
 import sklearn_raacmm
-from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, calibrate
+from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, calibrate, elbow_angle
 from sklearn_raacmm.utils import Finding, FindingWarning, collected_findings, warn_user
 
 PACKAGE = str(Path(sklearn_raacmm.__file__).parent)
@@ -26,6 +26,7 @@ OLD = pickle.dumps(PoseFeatures(ARM)).replace(
 )
 CALLS = {
     "a method of an arm": lambda: ARM.forward(DEGREES),
+    "a function": lambda: elbow_angle(ARM, DEGREES),
     "an estimator": lambda: PoseFeatures().fit(X),
     "within a pipeline": lambda: make_pipeline(PoseFeatures(), LinearRegression()).fit(X, Y),
     "within folds": lambda: cross_val_predict(PIPELINE, DEGREES, Y, n_jobs=1),
