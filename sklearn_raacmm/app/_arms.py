@@ -1,18 +1,31 @@
-"""The word ``arm``: an arm of a file, lengths or answers, shown and written."""
+"""The word ``arm``: an arm of a file, a table, lengths or answers, shown and written."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 
+from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import load_arm, parse_numbers
 from sklearn_raacmm.app._sources import TableError, parse_number
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, write_whole
 
+# Names that drawings and papers give the columns; the first three are needed.
+_COLUMNS = {
+    "a": ("a", "r", "link length", "a_i", "a_i-1"),
+    "alpha": ("alpha", "twist", "alpha_i", "alpha_i-1"),
+    "d": ("d", "joint offset", "d_i"),
+    "theta_offset": ("theta_offset", "theta offset", "offset", "theta", "theta0"),
+    "joint_signs": ("sign", "joint_signs", "direction"),
+    "names": ("joint", "name", "joint name"),
+}
+_ANGLES = ("alpha", "theta_offset")
+_FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
 _DRAWING = r"""
            elbow: axes 2 and 3 cross, or pass at the elbow offset
               o
@@ -38,16 +51,18 @@ where the origin is. Calibration finds all others, offsets too, to hundredths of
 
 def arm(options):
     """Show an arm, and write its file."""
-    given = [options.source, options.lengths_222, options.lengths_223]
+    given = [options.source, options.dh, options.lengths_222, options.lengths_223]
     if sum(one is not None for one in given) > 1:
-        raise TableError("give one arm: a file or name, --lengths-222 or --lengths-223.")
-    if (options.elbow_offset or options.wrist_offset) and not any(given[1:]):
+        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
         raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
+    if (options.modified or options.probe) and not options.dh:
+        raise TableError("--modified and --probe belong to --dh.")
     if options.into and not options.out:
         raise TableError("--into needs --out, the file to write; it may be the same file.")
     to_file = options.out not in (None, "-")
     if to_file:
-        check_places([options.out], filter(None, [options.source]))
+        check_places([options.out], filter(None, [options.source, options.dh]))
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
@@ -94,12 +109,15 @@ def take(arm, code):
 
 
 def _meant_arm(options):
-    """The arm of a file, a name or lengths; without any, of the answers of the user."""
+    """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
     if options.lengths_222 or options.lengths_223:
         layout = "2-2-2" if options.lengths_222 else "2-2-3"
         lengths = options.lengths_222 or options.lengths_223
         offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
         return Arm.from_lengths(layout, *lengths, **offsets)
+    if options.dh:
+        convention = "modified" if options.modified else "standard"
+        return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))
     if options.source:
         # With --into, --base and --tip are those of the other file.
         ends = () if options.into else (options.base, options.tip)
@@ -111,3 +129,32 @@ def _meant_arm(options):
     layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
     lengths = {name: parse_number(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
     return Arm.from_lengths(layout, **lengths)
+
+
+def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
+    """Arm of a table, text or a spreadsheet, with one row for each joint.
+
+    Columns are a, alpha, d and, if there are any, theta_offset, sign and joint, in mm and degrees
+    or what the header says; the probe (3,) is in mm.
+    """
+    table = Columns(path, 3)
+    found = {}
+    for field, words in _COLUMNS.items():
+        if words := [word for word in words if word in table.names]:
+            found[field] = table.names.index(words[0])
+        elif field in ("a", "alpha", "d"):
+            raise TableError(f"{path} has no column {field!r}; it has {table}.")
+    rows = list(table.rows([found["a"]]))
+    values = {}
+    for field, column in found.items():
+        if field == "names":
+            values[field] = table.labels(rows, column).tolist()
+        else:
+            units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
+            unit = table.units[column] or units[0]
+            if unit not in units:
+                raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
+            values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
+    twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
+    pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
+    return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)

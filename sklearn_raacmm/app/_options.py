@@ -64,8 +64,8 @@ WORDS = {
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
-        "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --up "
-        "--sign --zero --into --out",
+        "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
+        "--modified --probe --up --sign --zero --into --out",
     ),
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -154,7 +154,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
     "--record": _value("CSV", "file to append the line of this check to"),
     "--accept": _value("CODE", "go on in spite of a finding: corrected-already", action="append"),
-    "--probe": _value("X,Y,Z", "in the last frame, mm; --probe=-5,0,250", required=True),
+    "move --probe": _value("X,Y,Z", "in the last frame, mm; --probe=-5,0,250", required=True),
     "--c": _value("FOLDER", "C source and header"),
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
@@ -178,6 +178,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--lengths-223": _number(_LENGTHS, "lengths in mm of a 2-2-3 arm", nargs=4),
     "--elbow-offset": _number("MM", "how far the elbow's axes pass each other (0)", default=0.0),
     "--wrist-offset": _number("MM", "how far the wrist's axes pass each other (0)", default=0.0),
+    "--dh": _value("TABLE", "table of a, alpha, d and theta offset"),
+    "--modified": _flag("the table of --dh is in the modified convention"),
+    "arm --probe": _value("X,Y,Z", "probe centre in the last frame, mm, for --dh"),
     "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
     "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
     "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),

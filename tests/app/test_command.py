@@ -360,7 +360,30 @@ def test_an_arm_changed_as_a_finding_proposes():
             take(arm, code)
 
 
-def test_an_arm_into_the_robots_own_file(tmp_path):
+def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
+    table = tmp_path / "dh.csv"
+    table.write_text(
+        "Joint;r [m];alpha [deg];d [m];theta;sign\n"
+        + "".join(
+            f"A{i};{a / 1000};{alpha};{d / 1000};{offset};-1\n".replace(".", ",")
+            for i, (a, alpha, d, offset) in enumerate(
+                [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0)], 1
+            )
+        )
+    )
+    out = ["--out", str(tmp_path / "arm.json")]
+    assert main(["arm", "--dh", str(table), "--probe", "1,2,3", *out]) == 0
+    arm = Arm.from_json(tmp_path / "arm.json")
+    np.testing.assert_allclose(arm.a, [0, 270, 70])
+    assert (arm.names, arm.joint_signs.tolist()) == (("A1", "A2", "A3"), [-1, -1, -1])
+    for text, message in (
+        ("a;alpha;x\n1;2;3\n", "has no column 'd'; it has a, alpha, x"),
+        ("a;alpha;d\n1;2;3\n1;x;3\n", "row 3, column 'alpha': 'x' is not a number"),
+        ("a [deg];alpha;d\n1;2;3\n", "the column 'a [deg]' is in deg"),
+    ):
+        table.write_text(text)
+        refused(message, "arm", "--dh", table)
+    # Written into the robot's own file.
     (tmp_path / "arm.urdf").write_text(URDF)
     own = Arm.from_urdf(URDF)
     own.replace(d=own.d + 0.25).to_json(tmp_path / "arm.json")
