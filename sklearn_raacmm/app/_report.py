@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._figures import draw_figures
+from sklearn_raacmm.app._figures import draw_positions, draw_svg, draw_volume
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.display import HarmonicDisplay
 from sklearn_raacmm.export import describe
@@ -89,7 +89,10 @@ def write_report(
         harmonics=_harmonics(result.model),
         outliers=list_outliers(result, row_numbers),
         row_numbers=row_numbers,
-        figures=draw_figures(result),
+        figures={
+            "positions": draw_svg("positions", draw_positions, scores),
+            "volume": draw_svg("volume", draw_volume, result.arm, result.angles),
+        },
         most_rows=_MOST_ROWS,
     )
     if path is not None:

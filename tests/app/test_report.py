@@ -131,9 +131,9 @@ def test_a_tracker_and_a_model_without_harmonics(read_page, tmp_path):
 def test_positions_have_intervals_and_are_in_the_order_of_their_numbers(result):
     from matplotlib.figure import Figure
 
-    from sklearn_raacmm.app._figures import _intervals, _positions
+    from sklearn_raacmm.app._figures import _intervals, draw_positions
 
-    _positions(figure := Figure(), result.scores)
+    draw_positions(figure := Figure(), result.scores)
     (ax,) = figure.axes
     shown = [int(label.get_text()) for label in ax.get_xticklabels()]
     assert shown == sorted(shown)
