@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._arms import take
-from sklearn_raacmm.app._figures import draw_plan
+from sklearn_raacmm.app._figures import draw_svg, draw_volume
 from sklearn_raacmm.app._files import (
     WRITTEN,
     corrected_file,
@@ -180,7 +180,8 @@ def plan(options):
     lines = [",".join(["cone", *names])]
     lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
     shown = {"plan": found, "names": names, "poses": poses}
-    page = render("_plan.html", arm=repr(arm), figure=draw_plan(arm, found), **shown)
+    figure = draw_svg("plan", draw_volume, arm, found.angles, found.positions)
+    page = render("_plan.html", arm=repr(arm), figure=figure, **shown)
     write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
     print(f"{size}: about {found.minutes:.0f} minutes.")

@@ -35,8 +35,8 @@ _TITLES = {
 }
 
 
-def _svg(draw, name):
-    """SVG element of what `draw` draws into a figure; its names and its title come from `name`."""
+def draw_svg(name, draw, *what):
+    """SVG element of what `draw` makes of a figure; its names and its title come from `name`."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -45,7 +45,7 @@ def _svg(draw, name):
     about = {"Date": None, "Creator": None, "Title": _TITLES[name]}
     with matplotlib.rc_context(plain | _STYLE):
         figure = Figure(layout="constrained")
-        draw(figure)
+        draw(figure, *what)
         figure.savefig(file, format="svg", metadata=about)
     text = file.getvalue()
     # The element alone, which screen readers name by its title.
@@ -59,15 +59,8 @@ def _svg(draw, name):
     return text
 
 
-def draw_figures(result):
-    """Figures of a Correction as SVG elements, by name."""
-    return {
-        "positions": _svg(lambda figure: _positions(figure, result.scores), "positions"),
-        "volume": _svg(lambda figure: _volume(figure, result.arm, result.angles), "volume"),
-    }
-
-
-def _positions(figure, scores):
+def draw_positions(figure, scores):
+    """2S or mean deviation of each position, before and after."""
     figure.set_size_inches(7.2, 3.2)
     order = natural_order(scores.table["position"])
     RepeatabilityDisplay(
@@ -88,7 +81,7 @@ def _intervals(scores, left):
     return np.array([stats.t.interval(0.95, len(s) - 1, s.mean(), stats.sem(s)) for s in sizes])
 
 
-def _volume(figure, arm, angles, places=()):
+def draw_volume(figure, arm, angles, places=()):
     """Where the probe has been, from above and from the side, with some poses, and places."""
     figure.set_size_inches(7.2, 3.4)
     angles = angles[:: -(-len(angles) // _MOST_POINTS)]
@@ -108,8 +101,3 @@ def _volume(figure, arm, angles, places=()):
     above.set(xlabel="x, mm", ylabel="y, mm", title="from above", aspect="equal")
     across = "distance from the base axis, mm"
     side.set(xlabel=across, ylabel="z, mm", title="from the side", aspect="equal")
-
-
-def draw_plan(arm, plan):
-    """Where the cones of a plan stand, with their numbers and some of its poses, as an element."""
-    return _svg(lambda figure: _volume(figure, arm, plan.angles, plan.positions), "plan")

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._figures import draw_figures
+from sklearn_raacmm.app._figures import draw_positions, draw_svg, draw_volume
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.display import HarmonicDisplay
 from sklearn_raacmm.export import describe
@@ -70,14 +70,15 @@ def write_report(
         learned = learn_correction(arm, angles, positions)
         write_report(learned, "report.html", facts={"serial number": "17"})
     """
-    scores, calibration = result.scores, result.calibration
+    learnt: Any = result  # it has scores and data, which one that was loaded lacks
+    scores, calibration = learnt.scores, learnt.calibration
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
-    squares = np.mean(result.columns(result.inputs(result.angles)) ** 2, axis=0)
+    squares = np.mean(learnt.columns(learnt.inputs(learnt.angles)) ** 2, axis=0)
     text = render(
         "_report.html",
-        result=result,
+        result=learnt,
         scores=scores,
-        facts=_facts(result) | (facts or {}),
+        facts=_facts(learnt) | (facts or {}),
         worst_first=np.argsort(-scores.table["after"], kind="stable"),
         # Mean squares over the poses learnt from, as `Correction.columns` has them.
         squares={
@@ -86,10 +87,13 @@ def write_report(
             "of a distance of 1 m": squares[9:],
         },
         parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
-        harmonics=_harmonics(result.model),
-        outliers=list_outliers(result, row_numbers),
+        harmonics=_harmonics(learnt.model),
+        outliers=list_outliers(learnt, row_numbers),
         row_numbers=row_numbers,
-        figures=draw_figures(result),
+        figures={
+            "positions": draw_svg("positions", draw_positions, scores),
+            "volume": draw_svg("volume", draw_volume, learnt.arm, learnt.angles),
+        },
         most_rows=_MOST_ROWS,
     )
     if path is not None:
