@@ -13,6 +13,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
@@ -26,6 +27,8 @@ _OTHERS = {
     "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
     "COLLADA": ", that of shapes: take the URDF that names them",
 }
+# Digits of a rotation: the cosine of pi/2 is 0, so that parallel axes stay parallel.
+_DIGITS = 15
 # Cosines smaller than this are rounding.
 _ROUNDING = 1e-12
 # Cosine below which the shortest rotation between directions is one in two steps.
@@ -182,7 +185,8 @@ def rigid(turn, shift):
 
 def _pose(xyz, rpy):
     """Origin of a joint, from mm and rad."""
-    return rigid(_from_rpy(*rpy), xyz)
+    turn = Rotation.from_euler("xyz", rpy).as_matrix()  # about the fixed axes, in this order
+    return rigid(np.round(turn, _DIGITS), xyz)
 
 
 def _numbers(element, key, default, name, where):
@@ -213,28 +217,6 @@ def _meant(text):
             if near or last in (rounded, cut):
                 return exact
     return value
-
-
-def _from_rpy(roll, pitch, yaw):
-    """Rotation of a URDF: about the fixed axes x, y and z in this order."""
-    cr, sr, cp, sp = _cos(roll), _sin(roll), _cos(pitch), _sin(pitch)
-    cy, sy = _cos(yaw), _sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def _cos(angle):
-    """Cosine that is exactly 0 at pi/2, so that parallel axes stay parallel."""
-    return 0.0 if abs(math.remainder(angle, math.pi)) == math.pi / 2 else math.cos(angle)
-
-
-def _sin(angle):
-    return 0.0 if math.remainder(angle, math.pi) == 0 else math.sin(angle)
 
 
 # -- writing --------------------------------------------------------------------------------------
