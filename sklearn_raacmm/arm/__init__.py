@@ -3,10 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.arm._arm import Arm
+from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
-from sklearn_raacmm.arm._given import arm_for, check_arm
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     axis_vectors,

@@ -20,7 +20,9 @@ from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import frame_poses, parameter_jacobian, points_of
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
-from sklearn_raacmm.utils import Floats, check_option, check_places, write_whole
+from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
+
+_DEFAULT = "aacmm6"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -408,8 +410,7 @@ class Arm:
         Parameters
         ----------
         source : str or path-like
-            Path of the file, or the text itself; or Universal Robots' kinematics in YAML, as
-            ur_calibration writes them, with the controller's base.
+            Path of the file, or the text itself.
         base, tip : str, default=None
             Names of the links where the chain begins and ends; `tip` is the probe. None: the only
             ones there are.
@@ -481,7 +482,7 @@ class Arm:
         Parameters
         ----------
         original : str or path-like
-            What `from_urdf` has read: a URDF or UR's kinematics, path or text.
+            What `from_urdf` has read, path or text.
         out : str or path-like, default=None
             File to write, which may be the original. None only returns the text.
         base, tip : str, default=None
@@ -490,11 +491,9 @@ class Arm:
         Returns
         -------
         str
-            The text. It has the kinematics of `forward`. A tool is no part of UR's kinematics, so
-            UR's file leaves out the probe's distance from the last axis. An `up` unlike the file's
-            turns the fixed joint between its first link and `base`, if there is one. Where the last
-            joint moves and the probe is beside its axis, a link of the probe is added, and a
-            warning names it.
+            The text. It has the kinematics of `forward`. An `up` unlike the file's turns the fixed
+            joint between its first link and `base`, if there is one. Where the last joint moves and
+            the probe is beside its axis, a link of the probe is added, and a warning names it.
 
         Raises
         ------
@@ -657,3 +656,33 @@ def _write_text(text, path):
     if path is not None:
         write_whole({path: text})
     return text
+
+
+def check_arm(arm: object) -> None:
+    """Refuse what is no arm."""
+    if not isinstance(arm, Arm):
+        raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
+
+
+def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
+    """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
+    if arm is not None:
+        check_arm(arm)
+        return arm
+    text = f"{owner} was given no arm and takes the built-in arm {_DEFAULT!r}, whose lengths are "
+    text += "not those of your arm."
+    advice = f'Pass arm=, or arm=Arm.from_name("{_DEFAULT}") if you mean that one.'
+    Finding("built-in-arm", text, advice).report()
+    return Arm.from_name(_DEFAULT)
+
+
+def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm:
+    """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
+    arm = arm_or_built_in(arm, owner)
+    needed = f"the arm {arm!r} has {arm.n_joints} joints: one column of joint angles each is needed"
+    if extra:
+        needed = f"{arm.n_joints + len(extra)} are needed: the angles of {arm.n_joints} joints, "
+        needed += f"then {', '.join(map(repr, extra))}"
+    if n_columns != arm.n_joints + len(extra):
+        raise ValueError(f"X has {n_columns} columns, but {needed}.")
+    return arm

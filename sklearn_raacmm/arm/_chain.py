@@ -1,4 +1,4 @@
-"""Chains of revolute joints in a robot's own files: URDF, and UR's calibration in YAML."""
+"""Chains of revolute joints in a robot's own description: URDF."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -13,6 +13,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
@@ -26,23 +27,12 @@ _OTHERS = {
     "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
     "COLLADA": ", that of shapes: take the URDF that names them",
 }
+# Digits of a rotation: the cosine of pi/2 is 0, so that parallel axes stay parallel.
+_DIGITS = 15
 # Cosines smaller than this are rounding.
 _ROUNDING = 1e-12
 # Cosine below which the shortest rotation between directions is one in two steps.
 _OPPOSITE = -0.9
-# Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
-# ur_description: origins of joints about z, in m and rad.
-_UR_JOINTS = {
-    "shoulder": "shoulder_pan_joint",
-    "upper_arm": "shoulder_lift_joint",
-    "forearm": "elbow_joint",
-    "wrist_1": "wrist_1_joint",
-    "wrist_2": "wrist_2_joint",
-    "wrist_3": "wrist_3_joint",
-}
-_UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
-_UR_FILE = re.compile(r"^kinematics:", re.MULTILINE)
-_UR_LINE = re.compile(r"^(\s*)(\w+):[ \t]*([^#\s]*)(.*)$", re.MULTILINE)
 
 
 class Joint(NamedTuple):
@@ -57,14 +47,14 @@ class Joint(NamedTuple):
 
 
 def read_chain(source, base=None, tip=None):
-    """Joints from base to tip of a URDF or of UR's kinematics, path or text.
+    """Joints from base to tip of a URDF, path or text.
 
     With those from the file's first link to the base if they are all fixed, else none; the robot's
     name, the file's text, and a name of the source for messages.
     """
     if not isinstance(source, str | PathLike):
         raise TypeError(f"source must be a path or the text of a URDF file, got {source!r:.60}.")
-    is_text = isinstance(source, str) and bool(re.match(r"\s*<", source) or _UR_FILE.search(source))
+    is_text = isinstance(source, str) and bool(re.match(r"\s*<", source))
     where = "the URDF text" if is_text else str(source)
     text: Any = source
     if not is_text:
@@ -72,10 +62,11 @@ def read_chain(source, base=None, tip=None):
             text = Path(source).read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
             raise ValueError(f"{source} is not UTF-8 text.") from None
-    if _UR_FILE.search(text):
-        if base or tip:
-            raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
-        return _ur_joints(text, where), [], "", text, where
+    if re.search(r"^kinematics:", text, re.MULTILINE):
+        raise ValueError(
+            f"{where} holds the kinematics of a UR robot: make a URDF of them, by "
+            "xacro ur.urdf.xacro kinematics_params:=FILE."
+        )
     elements, name = _joints(text, where)
     chain, mount = _chain(elements, base, tip, where)
     if any(element.get("type") != "fixed" for element in mount):
@@ -194,25 +185,8 @@ def rigid(turn, shift):
 
 def _pose(xyz, rpy):
     """Origin of a joint, from mm and rad."""
-    return rigid(_from_rpy(*rpy), xyz)
-
-
-def _ur_joints(text, where):
-    values, part = {}, ""
-    for _, key, value, _ in _UR_LINE.findall(text):
-        part = key if not value else part
-        values[part, key] = value
-    joints = []
-    for key, name in _UR_JOINTS.items():
-        try:
-            six = [_meant(values[key, one]) for one in _UR_KEYS]
-        except (KeyError, ValueError):
-            raise ValueError(
-                f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
-            ) from None
-        place = _pose(MM_PER_M * np.array(six[:3]), six[3:])
-        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf)))
-    return joints
+    turn = Rotation.from_euler("xyz", rpy).as_matrix()  # about the fixed axes, in this order
+    return rigid(np.round(turn, _DIGITS), xyz)
 
 
 def _numbers(element, key, default, name, where):
@@ -245,28 +219,6 @@ def _meant(text):
     return value
 
 
-def _from_rpy(roll, pitch, yaw):
-    """Rotation of a URDF: about the fixed axes x, y and z in this order."""
-    cr, sr, cp, sp = _cos(roll), _sin(roll), _cos(pitch), _sin(pitch)
-    cy, sy = _cos(yaw), _sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def _cos(angle):
-    """Cosine that is exactly 0 at pi/2, so that parallel axes stay parallel."""
-    return 0.0 if abs(math.remainder(angle, math.pi)) == math.pi / 2 else math.cos(angle)
-
-
-def _sin(angle):
-    return 0.0 if math.remainder(angle, math.pi) == 0 else math.sin(angle)
-
-
 # -- writing --------------------------------------------------------------------------------------
 
 
@@ -287,8 +239,6 @@ def with_probe(text, parent, origin):
 
 def edited(text, origins):
     """Text of a file with other origins (4, 4), mm, of the joints named, and all else as it is."""
-    if not text.lstrip().startswith("<"):
-        return _edited_ur(text, origins)
     data, path, places = text.encode(), [], {}
 
     def start(tag, attributes):
@@ -317,22 +267,6 @@ def edited(text, origins):
     for at, length, new in sorted(changes, reverse=True):
         data = data[:at] + new + data[at + length :]
     return data.decode()
-
-
-def _edited_ur(text, origins):
-    part = ""
-
-    def line(match):
-        nonlocal part
-        indent, key, value, rest = match.groups()
-        part = key if not value else part
-        origin = origins.get(_UR_JOINTS.get(part))
-        if not value or origin is None or key not in _UR_KEYS:
-            return match[0]
-        numbers = " ".join(_xyz_rpy(origin)).split()
-        return f"{indent}{key}: {numbers[_UR_KEYS.index(key)]}{rest}"
-
-    return _UR_LINE.sub(line, text)
 
 
 def _xyz_rpy(origin):

@@ -273,7 +273,7 @@ def with_harmonics(linear, pairs):
     wider = {name: spread(getattr(linear, name), columns, n_new) for name in names}
     return replace(
         linear,
-        terms=linear.terms._replace(harmonics=np.array(pairs, dtype=int).reshape(-1, 2)),
+        layout=linear.layout.with_harmonics(np.array(pairs, dtype=int)),
         log_bayes_factor=spread(linear.log_bayes_factor, place, len(pairs)),
         **wider,
     )
@@ -346,13 +346,11 @@ def transferred_model(models, arm, X, y, groups=None):
     models = _suitable_models(models, arm, X.shape[1])
     if not models:
         return None
-    prior = _pooled([model.linear_model_ for model in models], arm)
     new = clone(models[0]).set_params(arm=arm, angle_unit="rad")
     new.fit(X, y, groups=False if groups is None else groups)
     own = new.linear_model_
     # Its calibration holds what the extra columns do in the mean of its own rows.
-    terms = prior.terms._replace(extra=own.terms.extra, up=own.terms.up)
-    prior = as_prior(replace(prior, terms=terms))
+    prior = as_prior(_pooled([model.linear_model_ for model in models], own.layout))
     poses = NewPoses(new, X, y, groups)
     if not own.offsets:
         poses.codes = None
@@ -407,8 +405,8 @@ def _families(linear):
     return linear.terms._replace(harmonics=None, extra=names, up=())
 
 
-def _pooled(linears, arm):
-    """Mean and spread of several linear models, as the prior of one more arm."""
+def _pooled(linears, layout):
+    """Mean and spread of several linear models, as the prior of one more arm of a layout."""
     pairs = sorted({pair for one in linears for pair in harmonics_of(one)})
     aligned = [with_harmonics(one, pairs) for one in linears]
     waves, n = 2 * len(pairs), len(aligned)
@@ -441,7 +439,7 @@ def _pooled(linears, arm):
     half, gauge_free = np.vsplit(np.asarray(pooled).T, 2)
     return replace(
         aligned[0],
-        arm=arm,
+        layout=layout.with_harmonics(np.array(pairs, dtype=int)),
         coef=trust * mean,
         half=half,
         gauge_free_half=gauge_free,

@@ -4,9 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
-from sklearn_raacmm.error_model._checks import check_poses
+from sklearn_raacmm.error_model._checks import check_extra, check_poses
 from sklearn_raacmm.error_model._columns import Effect, Terms
-from sklearn_raacmm.error_model._extra import check_extra
 from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, order_price, smooth_shares
 from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
 from sklearn_raacmm.error_model._linear_model import LinearModel

@@ -11,8 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import arm_for, check_angles, points_of
 from sklearn_raacmm.calibration import check_length
-from sklearn_raacmm.error_model._columns import CAUSES
-from sklearn_raacmm.error_model._extra import check_extra, check_values, warn_of_constants
+from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.measurements import check_targets, find_dwells
 from sklearn_raacmm.residuals import found_positions
@@ -25,6 +24,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
+    row_numbers,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -34,6 +34,10 @@ _MOST_REPEATS, _LEAST_WORTH, _LARGEST_WORTH = 1e9, 0.1, 100.0
 _LARGEST_REACHES = 10.0
 # Share of the means, of that of independent rows, that is rounding: y are deviations from them.
 _NO_MEANS = 1e-9
+# Part of the range of a column in the fit by which values may lie beyond it without a word.
+_BEYOND = 0.5
+# For names that are read before the arm is known.
+_MOST_JOINTS = 10**6
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
@@ -160,6 +164,63 @@ def poses_of(rows, extra):
         codes=None if rows.codes is None else rows.codes[dwells.first],
     )
     return dwells, rows
+
+
+def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
+    """Names of the extra columns as a tuple: each is known, and none stands there twice."""
+    if isinstance(extra, str):
+        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")
+    names = tuple(extra)
+    found = [parsed(name, n_joints) for name in names]
+    for i, one in enumerate(found):
+        if one in found[:i]:
+            raise ValueError(f"extra names {names[i]!r} twice.")
+    return names
+
+
+def with_references(extra, values, weights):
+    """Names of the extra columns with what the training data (n, n_extra) say of them.
+
+    Pairs of a name and numbers: the weighted mean, from which the model counts, the least and the
+    largest value.
+    """
+    used, found = weights > 0, []
+    for name, column in zip(extra, values[used].T, strict=True):
+        numbers = np.average(column, weights=weights[used]), column.min(), column.max()
+        found.append((name, tuple(map(float, numbers))))
+    return tuple(found)
+
+
+def warn_of_constants(extra, values, weights):
+    """Warn of extra columns from which nothing can be learnt."""
+    for name, column in zip(extra, values[weights > 0].T, strict=True):
+        if np.ptp(column) == 0:
+            said = (
+                f"The extra column {name!r} is {column[0]:g} in all rows: nothing can be learnt "
+                "of it, and predictions will not depend on it."
+            )
+            Finding("constant-column", said, "Does the sensor work?").report()
+
+
+def check_values(extra, values):
+    """Name values far beyond those of the fit.
+
+    `extra` is as `with_references` has made it; `values` (n, n_extra).
+    """
+    for (name, known), column in zip(extra, values.T, strict=True):
+        if len(known) < 3:  # the mean of many arms
+            continue
+        _, low, high = known
+        margin = _BEYOND * (high - low)
+        far = np.flatnonzero((column < low - margin) | (column > high + margin))
+        if margin > 0 and len(far):
+            rows = row_numbers(far)
+            said = (
+                f"The column {name!r} is {column[far[0]]:g} in row {rows[0]}, and in the fit it "
+                f"was from {low:g} to {high:g}."
+            )
+            advice = "Does the sensor work, and is the unit the same as in the fit?"
+            Finding("column-out-of-range", said, advice, rows=rows).report()
 
 
 def check_poses(model: Any, X: ArrayLike) -> np.ndarray:

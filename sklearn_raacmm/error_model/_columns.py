@@ -11,6 +11,7 @@ export to C writes the same table into its source.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
 from enum import IntEnum
 from functools import cached_property, lru_cache
 from itertools import compress, product
@@ -19,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of
-from sklearn_raacmm.error_model._extra import parsed
 from sklearn_raacmm.utils import chunks, group_sums
 
 ARCSEC = np.pi / 180 / 3600
@@ -48,6 +48,14 @@ _LONG_RUN = 24
 _OF_END = 0.5
 # Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
 _CHUNK = 512
+# What a column may be: the word, and behind some the number of a joint or an axis.
+_NAME = re.compile(
+    r"(?:temperature|time|payload)|(?:temperature|direction)\s+(?P<joint>\d+)|force\s+(?P<axis>[xyz])"
+)
+_FORMS = (
+    '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
+    '"payload", "force x", "force y", "force z"'
+)
 
 
 class Effect(IntEnum):
@@ -208,6 +216,17 @@ def _lengths(arm):
     """Lengths of the table by the names of their columns, mm."""
     lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
     return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
+
+
+def parsed(name, n_joints):
+    """Kind of an extra column, and which joint (from 0) or axis (0 to 2) it is of; -1: of all."""
+    found = _NAME.fullmatch(name.strip()) if isinstance(name, str) else None
+    if found is None:
+        raise ValueError(f"extra must hold names of columns, {_FORMS}; got {name!r:.60}.")
+    kind, joint, axis = name.split()[0], found["joint"], found["axis"]
+    if joint and not 1 <= int(joint) <= n_joints:
+        raise ValueError(f"extra names {name!r}, but the arm has joints 1 to {n_joints}.")
+    return kind, "xyz".index(axis) if axis else int(joint or 0) - 1
 
 
 def columns_of(arm: Arm, terms: Terms) -> "Columns":

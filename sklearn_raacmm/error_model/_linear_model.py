@@ -62,10 +62,8 @@ class LinearModel:
 
     Attributes
     ----------
-    arm : Arm
-        The calibrated arm.
-    terms : Terms
-        Which columns there are.
+    layout : Columns
+        What each column is, and how it is computed: of the calibrated `arm`, and of the `terms`.
     coef : ndarray of shape (n_columns,)
         Posterior mean of the coefficients.
     half : ndarray of shape (n_columns, r)
@@ -102,8 +100,7 @@ class LinearModel:
         From how many positions these factors are; infinity where that is not known.
     """
 
-    arm: Arm
-    terms: Terms
+    layout: Columns
     coef: np.ndarray
     half: np.ndarray
     noise_variance: float
@@ -121,27 +118,35 @@ class LinearModel:
     lever_mm: float = 1.0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        of_layout = {"arm": self.arm, "terms": self.terms}
+        return of_layout | {f.name: getattr(self, f.name) for f in fields(self)[1:]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        pairs = np.asarray(self.terms.harmonics)
+        values = dict(state)
+        arm, terms = values.pop("arm"), values.pop("terms")
+        pairs = np.asarray(terms.harmonics)
+        check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
+        if len(pairs) and not (0 <= pairs[:, 0].min() <= pairs[:, 0].max() < arm.n_joints):
+            raise ValueError(
+                f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
+                f"{arm.n_joints}."
+            )
+        vars(self).update(values, layout=columns_of(arm, terms))
         shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
         shapes["gauge_free_half"] = ("columns", "rank")
         shapes["fading_half"] = ("columns", "fading")
-        check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
-        if len(pairs) and not (0 <= pairs[:, 0].min() <= pairs[:, 0].max() < self.arm.n_joints):
-            raise ValueError(
-                f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
-                f"{self.arm.n_joints}."
-            )
         n = 2 * len(pairs) + len(self.layout.others)
         check_shapes("LinearModel", vars(self), shapes, {"columns": n, "pairs": len(pairs)})
 
-    @cached_property
-    def layout(self) -> Columns:
-        """What each column is, and how it is computed."""
-        return columns_of(self.arm, self.terms)
+    @property
+    def arm(self) -> Arm:
+        """The calibrated arm."""
+        return self.layout.arm
+
+    @property
+    def terms(self) -> Terms:
+        """Which columns there are."""
+        return self.layout.terms
 
     @property
     def coef_sd(self) -> np.ndarray:
@@ -305,9 +310,7 @@ class LinearModel:
             flat = means.reshape(-1, means.shape[2])
             shown = np.linalg.lstsq(flat @ of_place, flat @ half, rcond=_LEAST_SHOWN)[0]
             half = half - of_place @ shown
-        found = replace(self, **changes, gauge_free_half=half, fading_half=half)
-        vars(found)["layout"] = columns  # need not be looked up again
-        return found
+        return replace(self, **changes, gauge_free_half=half, fading_half=half)
 
     def joint_covariance(
         self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = True

@@ -48,9 +48,11 @@ def moved_model(linear, arm):
     temperature is in proportion to each length.
     """
     check_same_table(linear.arm, arm)
+    terms = linear.terms
     if np.any(arm.up != linear.arm.up):  # what the data found was of the earlier mounting
-        linear = replace(linear, terms=linear.terms._replace(up=()))
-    n_waves, others = 2 * len(linear.terms.harmonics), columns_of(arm, linear.terms).others
+        terms = terms._replace(up=())
+    layout = columns_of(arm, terms)
+    n_waves, others = layout.n_waves, layout.others
     old = {c.name: (i, c) for i, c in enumerate(linear.layout.others)}
     matrix = np.zeros((n_waves + len(others), len(linear.coef)))
     matrix[:n_waves, :n_waves] = np.eye(n_waves)
@@ -72,7 +74,7 @@ def moved_model(linear, arm):
         name: np.hstack([matrix @ getattr(linear, name), unknown])
         for name in ("half", "gauge_free_half", "fading_half")
     }
-    return replace(linear, arm=arm, prior_sd=prior_sd, coef=matrix @ linear.coef, **roots)
+    return replace(linear, layout=layout, prior_sd=prior_sd, coef=matrix @ linear.coef, **roots)
 
 
 def turns_of(linear: Any, rows: np.ndarray) -> np.ndarray:

@@ -12,8 +12,9 @@ from sklearn_raacmm.inference._linear import (
     Sums,
     combined,
     evidence_variance,
+    refit,
 )
-from sklearn_raacmm.inference._search import beside_field, refit, search, search_at
+from sklearn_raacmm.inference._search import beside_field, search, search_at
 
 __all__ = [
     "Extra",

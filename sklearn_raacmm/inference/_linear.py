@@ -362,6 +362,12 @@ class Problem:
         return variance, evidence_variance(max(rss, 0.0), free, self.assumed, _ASSUMED_ROWS)
 
 
+def refit(sums: Sums, structures: Structures, state: State, lines: np.ndarray, steps: int) -> State:
+    """A state of other sums with these lines, whose variances follow the data for some steps."""
+    problem = Problem(sums, structures)
+    return problem.with_variances(problem.with_lines(state, lines), steps)
+
+
 def evidence_variance(
     squares: Any, determined: Any, guess: float = 0.0, counts: float = 0.0
 ) -> Any:

@@ -22,8 +22,6 @@ from sklearn_raacmm.inference._linear import (
     SMALL_RISE,
     Problem,
     State,
-    Structures,
-    Sums,
     columns_of,
     root_of,
 )
@@ -58,12 +56,6 @@ def search(problem: Problem, state: State | None = None) -> State:
         if not net_evidence(problem, best) > net_evidence(problem, last) + SMALL_RISE:
             return last
     return best
-
-
-def refit(sums: Sums, structures: Structures, state: State, lines: np.ndarray, steps: int) -> State:
-    """A state of other sums with these lines, whose variances follow the data for some steps."""
-    problem = Problem(sums, structures)
-    return problem.with_variances(problem.with_lines(state, lines), steps)
 
 
 def search_at(problem: Problem, state: State) -> State:

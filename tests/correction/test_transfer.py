@@ -87,7 +87,7 @@ def test_prior_against_the_textbook():
     """Two models of one coefficient pair each: mean and variance by hand."""
     of_both = (of_joint_3(200, seed, size, 1e-4) for seed, size in ((0, 10.0), (1, 14.0)))
     models = [ArmResidualRegressor(ARM, **ORDER).fit(*data) for data in of_both]
-    start = _pooled([model.linear_model_ for model in models], ARM)
+    start = _pooled([model.linear_model_ for model in models], models[0].linear_model_.layout)
     # Squares of cosine and sine together: scatter 2 * 2^2 / 2, guess half of (100 + 196) / 4.
     variance = (4.0 + 0.5 * 74.0) / 2
     common = 0.5 * 12.0**2 - variance / 2
@@ -112,7 +112,7 @@ def test_gain_is_that_of_two_normal_densities(credulous):
     earlier = [ArmResidualRegressor(ARM, **ORDER).fit(*data) for data in of_both]
     angles, y = of_joint_3(20, 7, 10.5, 0.01)
     (entry,) = transferred_model(earlier, ARM, angles, y).updates_
-    start = _pooled([model.linear_model_ for model in earlier], ARM)
+    start = _pooled([model.linear_model_ for model in earlier], earlier[0].linear_model_.layout)
     alone = ArmResidualRegressor(ARM, **ORDER).fit(angles, y)
     jacobian, first = ARM.jacobian(angles), np.exp(1j * angles)
     parts = [part(turns) for turns in (first, first**2) for part in (np.real, np.imag)]

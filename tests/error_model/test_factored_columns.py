@@ -26,7 +26,7 @@ def some_model(n_orders, rng, triangle=True, extra=()):
         half = half @ np.linalg.qr(rng.normal(size=(n, n)))[0]
     coef = rng.normal(size=n)
     gains = np.zeros(len(pairs))
-    return LinearModel(ARM, terms, coef, half, 1.0, {}, False, 0.0, gains, half, half)
+    return LinearModel(columns_of(ARM, terms), coef, half, 1.0, {}, False, 0.0, gains, half, half)
 
 
 @pytest.mark.parametrize("n_orders", [0, 3, 30])  # few and many: two ways of computing

@@ -132,7 +132,8 @@ def test_a_registered_arm(data, tmp_path):
     """Another base and tool: the same model on the arm that the registration found."""
     model = linear().fit(*data)
     arm = ARM.replace(d=ARM.d + np.array([0.3, 0, 0, 0, 0, 0.1]), probe=(0.2, -0.1, 5.0))
-    model.arm, model.linear_model_ = arm, replace(model.linear_model_, arm=arm)
+    layout = columns_of(arm, model.linear_model_.terms)
+    model.arm, model.linear_model_ = arm, replace(model.linear_model_, layout=layout)
     agree(model, data[0][:30], tmp_path)
 
 
@@ -212,6 +213,6 @@ def test_an_arm_that_leans(with_extra, tmp_path, found):
     if found:
         linear = model.linear_model_
         terms = linear.terms._replace(up=tuple(leaning.up.tolist()))
-        model.linear_model_ = replace(linear, terms=terms)
+        model.linear_model_ = replace(linear, layout=columns_of(arm, terms))
         assert not np.allclose(model.predict(X), linear.predict(X)[0])
     agree(model, X[:30], tmp_path)
