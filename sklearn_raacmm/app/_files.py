@@ -43,7 +43,7 @@ _N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
-    if path.suffix.lower() in (".urdf", ".yaml", ".yml"):  # the latter are refused with advice
+    if path.suffix.lower() in (".urdf", ".yaml", ".yml"):
         return Arm.from_urdf(path, base=base, tip=tip)
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")

@@ -184,7 +184,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
     "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
     "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),
-    "--into": _value("FILE", "write into a copy of the robot's own URDF"),
+    "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
     "--poses": _number("N", "poses in each cone (12)", int, default=12),
     "--json": _flag("print the result as JSON"),

@@ -410,7 +410,8 @@ class Arm:
         Parameters
         ----------
         source : str or path-like
-            Path of the file, or the text itself.
+            Path of the file, or the text itself; or Universal Robots' kinematics in YAML, as
+            ur_calibration writes them, with the controller's base.
         base, tip : str, default=None
             Names of the links where the chain begins and ends; `tip` is the probe. None: the only
             ones there are.
@@ -482,7 +483,7 @@ class Arm:
         Parameters
         ----------
         original : str or path-like
-            What `from_urdf` has read, path or text.
+            What `from_urdf` has read: a URDF or UR's kinematics, path or text.
         out : str or path-like, default=None
             File to write, which may be the original. None only returns the text.
         base, tip : str, default=None
@@ -491,9 +492,11 @@ class Arm:
         Returns
         -------
         str
-            The text. It has the kinematics of `forward`. An `up` unlike the file's turns the fixed
-            joint between its first link and `base`, if there is one. Where the last joint moves and
-            the probe is beside its axis, a link of the probe is added, and a warning names it.
+            The text. It has the kinematics of `forward`. A tool is no part of UR's kinematics, so
+            UR's file leaves out the probe's distance from the last axis. An `up` unlike the file's
+            turns the fixed joint between its first link and `base`, if there is one. Where the last
+            joint moves and the probe is beside its axis, a link of the probe is added, and a
+            warning names it.
 
         Raises
         ------

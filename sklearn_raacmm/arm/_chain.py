@@ -1,4 +1,4 @@
-"""Chains of revolute joints in a robot's own description: URDF."""
+"""Chains of revolute joints in a robot's own files: URDF, and UR's calibration in YAML."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -33,6 +33,19 @@ _DIGITS = 15
 _ROUNDING = 1e-12
 # Cosine below which the shortest rotation between directions is one in two steps.
 _OPPOSITE = -0.9
+# Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
+# ur_description: origins of joints about z, in m and rad.
+_UR_JOINTS = {
+    "shoulder": "shoulder_pan_joint",
+    "upper_arm": "shoulder_lift_joint",
+    "forearm": "elbow_joint",
+    "wrist_1": "wrist_1_joint",
+    "wrist_2": "wrist_2_joint",
+    "wrist_3": "wrist_3_joint",
+}
+_UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+_UR_FILE = re.compile(r"^kinematics:", re.MULTILINE)
+_UR_LINE = re.compile(r"^(\s*)(\w+):[ \t]*([^#\s]*)(.*)$", re.MULTILINE)
 
 
 class Joint(NamedTuple):
@@ -47,14 +60,14 @@ class Joint(NamedTuple):
 
 
 def read_chain(source, base=None, tip=None):
-    """Joints from base to tip of a URDF, path or text.
+    """Joints from base to tip of a URDF or of UR's kinematics, path or text.
 
     With those from the file's first link to the base if they are all fixed, else none; the robot's
     name, the file's text, and a name of the source for messages.
     """
     if not isinstance(source, str | PathLike):
         raise TypeError(f"source must be a path or the text of a URDF file, got {source!r:.60}.")
-    is_text = isinstance(source, str) and bool(re.match(r"\s*<", source))
+    is_text = isinstance(source, str) and bool(re.match(r"\s*<", source) or _UR_FILE.search(source))
     where = "the URDF text" if is_text else str(source)
     text: Any = source
     if not is_text:
@@ -62,11 +75,10 @@ def read_chain(source, base=None, tip=None):
             text = Path(source).read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
             raise ValueError(f"{source} is not UTF-8 text.") from None
-    if re.search(r"^kinematics:", text, re.MULTILINE):
-        raise ValueError(
-            f"{where} holds the kinematics of a UR robot: make a URDF of them, by "
-            "xacro ur.urdf.xacro kinematics_params:=FILE."
-        )
+    if _UR_FILE.search(text):
+        if base or tip:
+            raise ValueError(f"{where} holds the kinematics of a UR robot, which has no links.")
+        return _ur_joints(text, where), [], "", text, where
     elements, name = _joints(text, where)
     chain, mount = _chain(elements, base, tip, where)
     if any(element.get("type") != "fixed" for element in mount):
@@ -189,6 +201,24 @@ def _pose(xyz, rpy):
     return rigid(np.round(turn, _DIGITS), xyz)
 
 
+def _ur_joints(text, where):
+    values, part = {}, ""
+    for _, key, value, _ in _UR_LINE.findall(text):
+        part = key if not value else part
+        values[part, key] = value
+    joints = []
+    for key, name in _UR_JOINTS.items():
+        try:
+            six = [_meant(values[key, one]) for one in _UR_KEYS]
+        except (KeyError, ValueError):
+            raise ValueError(
+                f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
+            ) from None
+        place = _pose(MM_PER_M * np.array(six[:3]), six[3:])
+        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf)))
+    return joints
+
+
 def _numbers(element, key, default, name, where):
     text = None if element is None else element.get(key)
     if text is None:
@@ -239,6 +269,8 @@ def with_probe(text, parent, origin):
 
 def edited(text, origins):
     """Text of a file with other origins (4, 4), mm, of the joints named, and all else as it is."""
+    if not text.lstrip().startswith("<"):
+        return _edited_ur(text, origins)
     data, path, places = text.encode(), [], {}
 
     def start(tag, attributes):
@@ -267,6 +299,22 @@ def edited(text, origins):
     for at, length, new in sorted(changes, reverse=True):
         data = data[:at] + new + data[at + length :]
     return data.decode()
+
+
+def _edited_ur(text, origins):
+    part = ""
+
+    def line(match):
+        nonlocal part
+        indent, key, value, rest = match.groups()
+        part = key if not value else part
+        origin = origins.get(_UR_JOINTS.get(part))
+        if not value or origin is None or key not in _UR_KEYS:
+            return match[0]
+        numbers = " ".join(_xyz_rpy(origin)).split()
+        return f"{indent}{key}: {numbers[_UR_KEYS.index(key)]}{rest}"
+
+    return _UR_LINE.sub(line, text)
 
 
 def _xyz_rpy(origin):

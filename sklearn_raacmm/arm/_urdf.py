@@ -104,7 +104,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         parent = before @ np.linalg.inv(last.origin)
         origins[last.name] = last.origin.copy()
         origins[last.name][:3, 3] = (np.linalg.inv(parent) @ [*point, 1.0])[:3]
-    elif off_mm > _SAME_MM:
+    elif str(text).lstrip().startswith("<") and off_mm > _SAME_MM:
         place = rigid(np.eye(3), (np.linalg.inv(before) @ [*point, 1.0])[:3])
         text, name = with_probe(text, last.child, place)
         warn_user(

@@ -287,6 +287,28 @@ ROBOT = """<?xml version="1.0" encoding="utf-8"?>
 """
 ENDS = {"base": "world", "tip": "ball"}
 NAMES = ("waist", "shoulder", "elbow", "roll", "pitch", "yaw")
+# Kinematics of a UR5e in the form of the package ur_description; nominal lengths of the maker's
+# article "DH parameters for calculations of kinematics and dynamics".
+UR5E = """# of the robot in cell 3
+kinematics:
+  shoulder:
+    x: 0
+    y: 0
+    z: 0.1625  # m
+    roll: -0
+    pitch: 0
+    yaw: -0
+""" + "".join(
+    f"  {key}:\n" + "".join(f"    {k}: {v}\n" for k, v in zip(
+        ("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True))
+    for key, values in {
+        "upper_arm": (0, 0, 0, 1.570796327, 0, 0),
+        "forearm": (-0.425, 0, 0, 0, 0, 0),
+        "wrist_1": (-0.3922, 0, 0.1333, 0, 0, 0),
+        "wrist_2": (0, -0.0997, 0, 1.570796327, 0, 0),
+        "wrist_3": (0, 0.0996, 0, 1.570796326589793, 3.141592653589793, 3.141592653589793),
+    }.items()
+) + "  hash: calib_12788084448423163542\n"  # fmt: skip
 
 
 def moved_by(text):
@@ -365,10 +387,26 @@ def test_an_unchanged_arm_changes_nothing():
     assert turn < 1e-7  # "1.5707963" is pi/2
 
 
-def test_kinematics_of_a_ur_are_no_urdf(tmp_path):
-    (tmp_path / "ur.yaml").write_text("# of the robot in cell 3\nkinematics:\n  shoulder:\n")
-    with pytest.raises(ValueError, match="holds the kinematics of a UR robot: make a URDF"):
-        Arm.from_urdf(tmp_path / "ur.yaml")
+def test_kinematics_of_a_ur(angles, tmp_path):
+    angles = angles[:, :6]
+    (tmp_path / "ur.yaml").write_text(UR5E)
+    arm = Arm.from_urdf(tmp_path / "ur.yaml")
+    assert arm.names == Arm.from_name("ur10").names
+    table = Arm.from_name("ur5e")  # the maker's standard table, of the controller's base
+    assert_allclose(arm.forward(angles), table.forward(angles), rtol=0, atol=1e-9)
+    other = calibrated(arm)
+    other = other.replace(probe=(0, 0, other.probe[2]))  # a tool is no part of these files
+    text = other.update_urdf(tmp_path / "ur.yaml", tmp_path / "new.yaml")
+    again = Arm.from_urdf(text)
+    assert_allclose(again.forward(angles), other.forward(angles), rtol=0, atol=1e-9)
+    for line in ("# of the robot in cell 3", "  # m", "  hash: calib_12788084448423163542"):
+        assert line in text
+    yaml = pytest.importorskip("yaml")
+    assert list(yaml.safe_load(text)["kinematics"]) == list(yaml.safe_load(UR5E)["kinematics"])
+    with pytest.raises(ValueError, match="the joint 'wrist_3' needs the numbers x, y, z, roll"):
+        Arm.from_urdf(UR5E.replace("    y: 0.0996\n", ""))
+    with pytest.raises(ValueError, match="kinematics of a UR robot, which has no links"):
+        Arm.from_urdf(UR5E, tip="tool0")
 
 
 def test_only_an_arm_of_the_file_is_written_back():
