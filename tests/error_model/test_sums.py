@@ -6,7 +6,14 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._sums import Rows, candidate_sums, waves, without_motions
+from sklearn_raacmm.error_model._sums import (
+    Rows,
+    _sums_of_doubles,
+    _WaveSums,
+    candidate_sums,
+    waves,
+    without_motions,
+)
 from sklearn_raacmm.inference import Sums
 
 from ._arms import ARM, draw_angles
@@ -101,6 +108,26 @@ def close_sums(found, expected):
         assert_allclose(getattr(found, name), value, atol=atol, err_msg=name)
     for asked in ([2, 50, 51], [51, 7]):
         assert_allclose(found.rows(asked), expected.rows(asked), atol=1e-10 * expected.own.max())
+
+
+@pytest.mark.parametrize(
+    "orders", [np.arange(1, 401), np.arange(1, 1001), np.r_[1:130, 200, 640], np.arange(3, 400, 3)]
+)
+def test_grid_is_exact_to_the_last_digits(orders):
+    """Also where poses come in parts, and at angles of several turns of either sign."""
+    rng = np.random.default_rng(len(orders))
+    theta = np.r_[rng.uniform(-9, 9, 294), 0.0, -1e-17, np.pi, -np.pi, 2 * np.pi, 1e-300]
+    columns = rng.normal(size=(300, 3))
+    sums = _WaveSums(orders, 300)
+    assert sums._grid is not None
+    for rows in (slice(7), slice(7, 300)):
+        sums.add(theta[rows], columns[rows])
+    phase = theta[:, None] * orders
+    expected = np.stack([columns.T @ np.cos(phase), columns.T @ np.sin(phase)], axis=2)
+    atol = 4e-16 * orders[-1] * np.linalg.norm(columns, axis=0).max() * 9  # of the phases
+    assert_allclose(sums.result(), expected.reshape(3, -1), rtol=0, atol=atol)
+    double = _sums_of_doubles(theta, columns[:, 0], orders)
+    assert_allclose(double, columns[:, 0] @ np.exp(2j * phase), rtol=0, atol=2 * atol)
 
 
 def test_high_orders_are_exact():
