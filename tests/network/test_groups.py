@@ -76,5 +76,3 @@ def test_groups_that_cannot_be(monkeypatch):
     monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 100)
     with pytest.raises(ValueError, match="at most 100 rows"):
         RBFNetRegressor().fit(X, y, groups=groups)
-
-

@@ -84,5 +84,3 @@ def test_offsets_may_be_of_any_size():
     model.fit(ANGLES, RESIDUALS + offsets[groups], groups=groups)
     with pytest.raises(ValueError, match="y are no residuals"):
         model.fit(ANGLES, POINTS[::-1], groups=groups)
-
-
