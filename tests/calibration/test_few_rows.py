@@ -10,6 +10,7 @@ from sklearn_raacmm import Arm, calibrate
 from sklearn_raacmm.datasets import make_single_point
 
 ARM = Arm.from_name("aacmm6")
+EXHAUSTIVE = pytest.mark.exhaustive
 
 
 def tracker_rows(arm, n, noise_mm=0.1, seed=0):
@@ -95,24 +96,24 @@ def test_the_noise_is_found_whatever_the_loss(loss):
     assert np.mean(found) == pytest.approx(0.1, rel=0.04)
 
 
-def test_names_of_outliers_are_right_where_a_smooth_error_is_left():
+@pytest.mark.parametrize(
+    ("seed", "most"),
+    [(0, 0), pytest.param(1, 1, marks=EXHAUSTIVE), pytest.param(2, 0, marks=EXHAUSTIVE)],
+)
+def test_names_of_outliers_are_right_where_a_smooth_error_is_left(seed, most):
     """The simulated machine has harmonics and gravity that no calibration takes."""
-    names, found = 0, 0
-    for seed in range(3):
-        data = make_single_point(n_positions=12, n_poses=30, random_state=seed)
-        names += len(calibrate(data.arm, data.data, data.groups).outliers)
-        rng = np.random.default_rng(seed)
-        bad = rng.choice(360, 14, replace=False)  # 4 % slip by 1 mm
-        way = rng.normal(size=(14, 3))
-        way /= np.linalg.norm(way, axis=1)[:, None]
-        angles = data.data.copy()
-        step = np.linalg.pinv(data.arm.jacobian(angles[bad])) @ way[:, :, None]
-        angles[bad] += step[:, :, 0]
-        result = calibrate(data.arm, angles, data.groups)
-        found += len(set(bad) & set(result.outliers))
-        names += len(set(result.outliers) - set(bad))
-    assert names <= 1  # it was 5 to 9 of 360 clean rows each, and up to 63 beside slips
-    assert found == 42
+    data = make_single_point(n_positions=12, n_poses=30, random_state=seed)
+    # It was 5 to 9 of 360 clean rows, and up to 63 beside slips.
+    assert len(calibrate(data.arm, data.data, data.groups).outliers) <= most
+    rng = np.random.default_rng(seed)
+    bad = rng.choice(360, 14, replace=False)  # 4 % slip by 1 mm
+    way = rng.normal(size=(14, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    angles = data.data.copy()
+    step = np.linalg.pinv(data.arm.jacobian(angles[bad])) @ way[:, :, None]
+    angles[bad] += step[:, :, 0]
+    result = calibrate(data.arm, angles, data.groups)
+    assert set(result.outliers) == set(bad)
 
 
 # -- residuals of new rows ---------------------------------------------------------------------

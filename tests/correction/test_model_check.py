@@ -1,5 +1,6 @@
 """The check of a correction: false alarms, detection, the right cause, and the record."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -115,14 +116,13 @@ def test_what_is_real_and_small_is_said_to_be_small(model):
     assert check.usual_mm == pytest.approx(NOISE_MM * np.sqrt(3), rel=0.15)
 
 
-def test_few_positions_raise_fewer_alarms():
+def test_few_positions_raise_fewer_alarms(model):
     """With the same residuals the p-value is that of F: larger from 12 positions than from 500.
 
     Five errors of each say how large all is. For one cause other arms stand for 5 positions more,
     with half as much variance again.
     """
-    fitted = ArmResidualRegressor(ARM, orders=4).fit(*rows(300, 0))
-    today = rows(40, 5, knock(2, 10))
+    fitted, today = copy(model), rows(40, 5, knock(2, 10))
     many = check_correction(fitted, *today)
     fitted.linear_model_ = replace(fitted.linear_model_, n_positions=12.0)
     few = check_correction(fitted, *today)
@@ -215,13 +215,12 @@ def test_a_mean_beyond_its_limit_does_not_hold(model):
     assert 0 < beyond < 20
 
 
-def test_what_base_and_probe_share_has_no_size():
+def test_what_base_and_probe_share_has_no_size(model):
     """The last link always points up: its probe is the base, to a ten-thousandth."""
-    fitted = ArmResidualRegressor(ARM, orders=12).fit(*rows(500, 0))
     rng = np.random.default_rng(0)
     angles = np.tile(rng.uniform(-2, 2, 6), (40, 1)) + rng.normal(0, 1e-4, (40, 6))
     y = errors(angles) + rng.normal(0, 5 * NOISE_MM, (40, 3))
-    check = check_correction(fitted, angles, y, refitted=["base"])
+    check = check_correction(model, angles, y, refitted=["base"])
     assert check.size_mm < 1
     assert "probe" not in check.tests["cause"]
 

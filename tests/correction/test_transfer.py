@@ -171,8 +171,6 @@ def test_arms_that_do_not_fit_are_named_and_passed_over(earlier):
         assert transferred_model([network], ARM, X, y) is None
 
 
-# -- extra columns --------------------------------------------------------------------------------
-
 WARM = {"orders": 4, "causes": ["kinematics"], "extra": ["temperature"]}
 PER_KELVIN = 23e-6  # aluminium
 

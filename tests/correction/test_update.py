@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    calibrate,
-    position_residuals,
-    update_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals, update_correction
 from sklearn_raacmm.correction._condition import Prior
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import FindingError, FindingWarning
@@ -146,26 +140,6 @@ def test_single_points_update_too():
     assert np.median(std) < 3 * np.median(old_std)
     with pytest.raises(ValueError, match="give groups, the position of each new pose"):
         update_correction(model, X, y)
-
-
-@pytest.mark.exhaustive
-def test_on_the_ur10_another_day(ur10, ur10_b):
-    """Fitted to 1000 poses of one series, brought up to date with 60 of another."""
-    some = np.random.default_rng(0).choice(len(ur10.angles), 1000, replace=False)
-    first = calibrate(ARM, ur10.angles[some], points=ur10.points[some])
-    model = ArmResidualRegressor(first.arm).fit(ur10.angles[some], first.residuals_mm)
-    new = np.random.default_rng(0).permutation(len(ur10_b.angles))
-    known, rest = ((ur10_b.angles[part], ur10_b.points[part]) for part in (new[:60], new[60:]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        result = calibrate(first.arm, known[0], points=known[1], correction=model, free=["probe"])
-        updated = update_correction(model, known[0], result.residuals(*known))
-    registered, now = (
-        np.linalg.norm(result.residuals(*rest) - m.predict(rest[0]), axis=1).mean()
-        for m in (model, updated)
-    )
-    assert registered < 0.32
-    assert now < 0.2
 
 
 def test_an_arm_without_errors_stays_as_it_is():

@@ -249,28 +249,6 @@ def test_a_real_arm_at_unseen_placements(panda):
     assert after < 0.85 * before
 
 
-@pytest.mark.exhaustive
-def test_a_real_robot_at_unseen_goals(ur10):
-    """Every sixth pose; goal positions are either for training or for testing."""
-    rows = slice(None, None, 6)
-    theta, points, goals = ur10.angles[rows], ur10.points[rows], ur10.groups[rows]
-    train = np.random.default_rng(0).permutation(goals.max() + 1)[goals] % 4 > 0
-    nominal = Arm.from_name("ur10", probe=(0, 0, 109))
-    result = calibrate(nominal, theta[train], points=points[train])
-    arm = result.arm
-    y = arm.forward(theta) - (points - result.base_translation) @ result.base_rotation
-    model = ArmResidualRegressor(arm).fit(theta[train], y[train], groups=goals[train])
-    assert not model.offsets_
-    before, after = (
-        np.linalg.norm(e, axis=1).mean()
-        for e in (y[~train], y[~train] - model.predict(theta[~train]))
-    )
-    assert after < 0.3 * before
-    # The teeth of the gears: 17 to the turn in shoulder and elbow.
-    found = set(model.harmonics_[["joint", "order"]].tolist())
-    assert {(1, 17), (2, 17), (3, 17)} <= found
-
-
 def test_score_is_that_of_deviations_within_positions():
     """With the positions, and without them, for rows of one position are from one point."""
     test = make_single_point(n_positions=8, n_poses=15, random_state=3)

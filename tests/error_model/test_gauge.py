@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.error_model._linear_model import place_fields
+from sklearn_raacmm.error_model._sums import without_motions
+from sklearn_raacmm.inference import Sums
 from sklearn_raacmm.utils import centred
 
 NAMES = ("aacmm6", "panda", "ur10")
@@ -64,3 +67,27 @@ def test_fields_are_motions_scale_and_bends(name, gravity):
     left = expected - moved @ np.linalg.lstsq(moved, expected, rcond=None)[0]
     assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(expected)
     assert np.linalg.cond(moved) < 100
+
+
+@pytest.mark.parametrize("name", ["aacmm6", "panda"])
+def test_a_single_point_test_knows_nothing_of_base_and_scale(name):
+    """What is taken out moves all points as a rigid body of another size does, in seven ways."""
+    arm = Arm.from_name(name, probe=(10.0, -20.0, 150.0))
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(-2, 2, (60, arm.n_joints))
+    terms = Terms(np.array([(2, 1)]), False, True, False)
+    n = len(columns_of(arm, terms).names)
+    sums = Sums(np.eye(n), np.zeros(n), np.zeros((n, 2)), None, None, 0.0, 0.0, None)
+    taken = np.eye(n) - without_motions(sums, columns_of(arm, terms)).gram
+    size, vectors = np.linalg.eigh(taken)
+    assert_allclose(size, size > 0.5, atol=1e-12)  # a projection
+    out = vectors[:, size > 0.5]
+    moved = (columns_of(arm, terms).at(theta)[:, :, 2:] @ out).reshape(180, -1)
+    points, one = arm.forward(theta), np.ones((60, 1))
+    motions = [np.kron(one, e[:, None]) for e in np.eye(3)]
+    motions += [np.cross(e, points).reshape(-1, 1) for e in np.eye(3)]
+    motions = np.column_stack([*motions, points.ravel()])
+    motions /= np.linalg.norm(motions, axis=0)
+    left = moved - motions @ np.linalg.lstsq(motions, moved, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9 * np.abs(moved).max()
+    assert np.linalg.matrix_rank(moved, tol=1e-9 * np.linalg.norm(moved)) == 7

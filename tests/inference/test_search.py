@@ -26,17 +26,6 @@ def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
     assert_allclose(once.coef, found.coef)
 
 
-def test_a_search_from_nearly_the_same_data_comes_to_the_same(toys):
-    """It begins at the variances of the other one."""
-    toy, other = toys.drawn(0), toys.drawn(0)
-    other.y[:3] += 0.3
-    start = search(Problem(toys.sums_of(other.A, other.H, other.y), other.problem.structures))
-    again, found = search(toy.problem, start), search(toy.problem)
-    assert_array_equal(again.lines, found.lines)
-    assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.05)
-    assert_allclose(again.coef, found.coef, atol=0.02)
-
-
 @pytest.mark.parametrize("price", [0.0, 1e9])
 def test_a_price_decides(toys, price):
     toy = toys.drawn(0)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import moved_positions
+from sklearn_raacmm.measurements import _moved_positions, moved_positions
 from sklearn_raacmm.measurements._moved_positions import MOVED, find_steps
 from sklearn_raacmm.utils import numbered_rows
 
@@ -109,6 +109,21 @@ def test_few_rows(n):
     angles, left = poses_and_noise()
     left[n // 2 :] += 1.0
     assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
+
+
+def test_variance_of_a_difference_of_means_against_its_covariance():
+    """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
+    angles, left = poses_and_noise()
+    poses = _moved_positions._sorted_poses(left, angles, CODES)
+    spread = np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1])
+    place = poses.place[:8]
+    apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
+    gamma = np.where(apart < 1.5, 0.3, np.where(apart < 2.5, 0.5, 1.1))
+    np.fill_diagonal(gamma, 0.0)
+    w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
+    expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
+    found = _moved_positions._variance_of_difference(place, 3, spread)
+    assert_allclose(found, expected, rtol=1e-12)
 
 
 def moved_test(machine="none", n_positions=5):

@@ -137,13 +137,6 @@ def test_rows_with_constants_are_generalised_least_squares(rough):
     np.testing.assert_allclose(covariance, model.signal_variance_ * left, atol=1e-8)
 
 
-def test_a_limit_of_centres_out_of_reach_takes_all_rows(monkeypatch):
-    smooth = {"length_scale": 1.5, "alpha": 0.02}
-    assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "criterion"
-    monkeypatch.setattr(_fit, "MAX_CENTERS", 10)
-    assert RBFNetRegressor(**smooth).fit(X, Y).stop_reason_ == "all rows"
-
-
 def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
     A, y, _ = rough(600, 3, 5)
     weights = np.random.default_rng(0).uniform(0.5, 2, 600)

@@ -63,9 +63,7 @@ def test_same_network_as_in_memory_where_the_candidates_are_the_same(degree, mon
     settings = {"n_centers": 30, "length_scale": 0.7, "alpha": 1e-3, "degree": degree}
     settings |= {"random_state": 0, "shared": True}
     whole = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)
-    # All rows are candidates here too, but seen through sums over blocks, with fewer rows than
-    # columns.
-    monkeypatch.setattr("sklearn_raacmm.network._blocks.CHUNK_ROWS", 20)
+    # All rows are candidates here too, but seen through sums over blocks.
     monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 1000)
     monkeypatch.setattr(_read, "HELD_ROWS", 3949)
     blocks = RBFNetRegressor(**settings).fit(X, Y, sample_weight=weights)

@@ -8,10 +8,11 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import left_out, log_likelihood
 from sklearn_raacmm.network._linear import RIDGES, linear_evidence
-from sklearn_raacmm.network._rows import merge
+from sklearn_raacmm.network._rows import merge, prepare
 
 
 def linear(n, d, noise, seed=0, q=1):
@@ -71,6 +72,31 @@ def test_full_network_is_the_posterior_with_linear_functions():
         objective = left @ left + weights @ penalty @ weights
         # The ridge has been found, and an inverse gamma variable has its mean.
         assert model.noise_variance_[i] == pytest.approx(objective / (149 - 1 - 2), rel=1e-8)
+
+
+def test_rows_in_blocks_have_the_ridge_of_their_sample():
+    X, Y = linear(400, 5, 2.0, q=2)
+    Y[:, 1] *= 1e3
+    weights = np.random.default_rng(0).uniform(0.5, 2, 400)
+    chunks = ArrayChunks(X, Y, weights)
+    n, weight, rows, _ = draw_rows(chunks, 5, 150, 1)
+    sample = prepare(rows, 1, ridged=True)
+    problem = extend(sample, chunks, n, weight, np.arange(2))
+    assert problem.tail_ridge == sample.tail_ridge > 0
+    for one in (problem, sample):
+        sums = one.reduce(
+            lambda block: (
+                block.basis.T @ block.basis,
+                block.basis.T @ block.targets,
+                np.square(block.targets).sum(axis=0),
+            ),
+            lambda a, b: tuple(x + y for x, y in zip(a, b, strict=True)),
+            12,
+        )
+        np.testing.assert_allclose(sums[0], np.eye(6), atol=1e-10)
+        np.testing.assert_allclose(one.projection, sums[1], rtol=1e-8)
+        left = sums[2] - np.square(sums[1]).sum(axis=0)
+        np.testing.assert_allclose(one.n_total * one.spread**2, left, rtol=1e-8)
 
 
 def test_a_given_ridge_leaves_the_linear_part_free():

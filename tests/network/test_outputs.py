@@ -105,15 +105,6 @@ def test_widths_are_found_for_each_output(data, networks):
     assert np.max(np.std(shared.predict(T) - waves(T), axis=0) / np.fmax(error, 1e-3)) > 1.3
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_the_order_of_outputs_does_not_matter(data, networks, shared):
-    X, Y, T = data
-    order, one = np.array([4, 1, 3, 0, 2]), networks[shared]
-    other = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y[:, order])
-    atol = 2e-3 if shared else 1e-12
-    np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
-
-
 def test_what_has_been_found_can_be_given(data, networks):
     X, Y, T = data
     model = networks[True]
@@ -123,17 +114,6 @@ def test_what_has_been_found_can_be_given(data, networks):
     again = clone(again).fit(X, Y)
     np.testing.assert_allclose(again.predict(T), model.predict(T), rtol=0, atol=1e-8)
     assert not hasattr(again, "log_marginal_likelihood_value_")
-
-
-def test_outliers_in_one_of_the_outputs():
-    rng = np.random.default_rng(0)
-    X = np.sort(rng.uniform(-2, 2, (120, 1)), axis=0)
-    truth = np.column_stack([np.sin(X[:, 0]), np.sin(8 * X[:, 0])])
-    Y, rows = truth + 0.1 * rng.standard_normal(truth.shape), rng.permutation(120)[:5]
-    Y[rows, 0] += 10
-    robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, Y)
-    assert np.all(robust.row_weight_[rows] == 0)
-    assert np.std(robust.predict(X) - truth, axis=0).max() < 0.06
 
 
 def test_files(given):

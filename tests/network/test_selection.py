@@ -8,6 +8,7 @@ from scipy.spatial.distance import cdist
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, pivoted_cholesky
+from sklearn_raacmm.network._linear import stack_triangles, triangular_factor
 
 
 def brute_force(K, Y, weights, tail, alpha, n_select):
@@ -150,3 +151,17 @@ def test_pivoted_cholesky_where_distances_lose_digits():
     assert complete
     assert len(pivots) == 6
     assert np.abs(exact - rows @ rows.T).max() < 1e-8
+
+
+@pytest.mark.parametrize("sizes", [(50, 7), (7, 7), (3, 7), (200, 80), (0, 5)])
+@pytest.mark.parametrize("further", [3, 7, 90])
+def test_factors_of_two_blocks_are_those_of_all_rows(sizes, further):
+    rng = np.random.default_rng(0)
+    upper, lower = rng.normal(size=sizes), rng.normal(size=(further, sizes[1]))
+    expected = np.abs(np.linalg.qr(np.vstack([upper, lower]), mode="r"))
+    R = triangular_factor(upper.copy())
+    # Rows that are a triangle themselves, and rows that are none, as those of a ridge.
+    for below in (triangular_factor(lower.copy()), lower):
+        found = stack_triangles(R, below)
+        assert not np.any(np.tril(found, -1))
+        np.testing.assert_allclose(np.abs(found), expected, rtol=1e-9, atol=1e-12)

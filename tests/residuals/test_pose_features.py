@@ -84,11 +84,6 @@ def test_names_of_features(params, names):
 # -- bad input ------------------------------------------------------------------------------------
 
 
-def test_wrong_number_of_joints():
-    with pytest.raises(ValueError, match=r"X has 5 columns, .*'aacmm6'.* has 6 joints"):
-        PoseFeatures().fit(np.zeros((3, 5)))
-
-
 def test_probe_on_the_base_axis():
     """A hinge at the base that can bring the probe straight above it."""
     arm = Arm(a=[0, 300, 300], alpha=[np.pi / 2, 0, 0], d=[400, 0, 0], pose_joints=(2, 3),

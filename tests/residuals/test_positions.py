@@ -75,15 +75,6 @@ def test_residuals_known_in_full_have_no_constants(regressor):
     assert_array_equal(known.predict(X), unknown.predict(X))
 
 
-def test_one_dimension_and_one_column():
-    X, y, groups = deviations()
-    whole = plain(Ridge()).fit(X, y, groups=groups).predict(X)
-    flat = plain(Ridge()).fit(X, y[:, 1], groups=groups).predict(X)
-    assert_allclose(flat, whole[:, 1], atol=1e-12)
-    column = plain(Ridge()).fit(X, y[:, 1:2], groups=groups).predict(X)
-    assert_allclose(column, flat.reshape(column.shape), atol=1e-12)
-
-
 def test_a_search_within_splits_by_position():
     X, y, groups = deviations()
     search = GridSearchCV(Ridge(), {"alpha": [0.1, 10.0]}, cv=GroupKFold(3))
