@@ -408,6 +408,17 @@ def test_an_individual_keeps_its_draws_when_sources_are_switched_off(poses):
     assert not alone["sag"].any()
 
 
+def test_one_machine_can_be_measured_again_and_again():
+    machine = SimulatedArm("gravity", random_state=0)
+    first, second = (make_single_point(2, 10, machine=machine, random_state=s) for s in (1, 2))
+    assert first.arm == second.arm
+    assert not np.array_equal(first.simulation.positions, second.simulation.positions)
+    drawn = make_single_point(2, 5, random_state=np.random.RandomState(0))
+    assert_array_equal(
+        drawn.data, make_single_point(2, 5, random_state=np.random.RandomState(0)).data
+    )
+
+
 def test_forms_of_the_data():
     pandas = pytest.importorskip("pandas")
     plain = make_single_point(2, 5)
