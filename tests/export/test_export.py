@@ -120,6 +120,16 @@ def test_a_network_without_centres_is_its_constant(data):
     assert np.isnan(found["y"][-1]).all()
 
 
+@needs_compiler
+def test_single_precision_is_good_to_its_digits(data, chain):
+    X = np.concatenate([data.data, angles_everywhere(6)[:300]]).astype(np.float32)
+    exact = X.astype(float)
+    found, expected = compiled(chain, X, dtype="float"), chain.predict(exact)
+    np.testing.assert_allclose(found["y"], expected, rtol=0, atol=2e-5)
+    points = data.arm.forward(exact) - expected
+    np.testing.assert_allclose(found["point"], points, rtol=0, atol=3e-3)
+
+
 @pytest.mark.parametrize(("form", "kernel"), [(form_a, "gaussian"), (form_b, "matern52")])
 def test_refuses_with_nan_what_predict_refuses(tmp_path, data, form, kernel):
     """Infinity, too, where a radial function of it is 0."""
