@@ -5,9 +5,33 @@ import pytest
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils import Bunch
 
+from sklearn_raacmm import Arm
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
+
+
+def placements_of(data, some):
+    """Some rows of a Panda's series, as fetched."""
+    placements = data.placements[some]
+    return Bunch(
+        data=data.angles[some],
+        groups=data.groups[some],
+        placements=placements,
+        lengths=[(f"{p}/0", f"{p}/1", 50, 0.1) for p in np.unique(placements)],
+        nominal_arm=Arm.from_name("panda", probe=(0, 0, 241)),
+    )
+
+
+def goals_of(ur10, some):
+    """Some rows of the UR10's series, as fetched."""
+    return Bunch(
+        data=ur10.angles[some],
+        tracker_points=ur10.points[some],
+        groups=np.unique(ur10.groups[some], return_inverse=True)[1],
+        nominal_arm=Arm.from_name("ur10", probe=(0, 0, 93)),
+    )
 
 
 def nested_fourier(cone, module, n_folds):
@@ -87,3 +111,39 @@ def test_fourier_terms_span_products_of_waves(script):
     beyond = np.cos(4 * a)
     left = beyond - X @ np.linalg.lstsq(X, beyond, rcond=None)[0]
     assert np.std(left) > 0.5
+
+
+@pytest.mark.filterwarnings("ignore:At other poses")  # few goals are alike
+def test_compare_regressors_on_real_data(script, panda, ur10, monkeypatch):
+    """Small pieces of the real series: what is uncorrected is what calibration left."""
+    module = script("_data_sets")
+    data = panda("panda_3")
+    some = np.isin(data.placements, ["backleft", "frontcenter", "frontright"])
+    some &= np.arange(len(some)) % 2 == 0
+    few = placements_of(data, some)
+    monkeypatch.setattr(module, "fetch_panda_ball_socket", lambda arm, data_home: few)
+    problem = module.panda("panda_3", None)
+    results = module.assess(problem, [0 * points for points in problem.measured])
+    spread = [
+        single_point_repeatability(points[fold.positions[fold.test] == socket])
+        for fold, points in zip(problem.folds, problem.measured, strict=True)
+        for socket in np.unique(fold.positions[fold.test])
+    ]
+    assert results["two_s_mean_mm"] == pytest.approx(np.mean(spread))
+    for fold in problem.folds:
+        held_out = np.unique(fold.splits[fold.test])
+        assert len(held_out) == 1
+        assert held_out[0] not in fold.splits[fold.learn]
+
+    some = np.isin(ur10.groups, np.arange(0, 619, 60))
+    few = goals_of(ur10, some)
+    monkeypatch.setattr(module, "fetch_ur10_tracker", lambda data_home: few)
+    problem = module.ur10(len(few.groups), None)
+    results = module.assess(problem, [0 * points for points in problem.measured])
+    left = np.concatenate([fold.residuals[fold.test] for fold in problem.folds])
+    assert results["mean_mm"] == pytest.approx(np.mean(np.linalg.norm(left, axis=1)))
+    prediction, costs = script("_regressors").run(
+        ("pose angles", "Gaussian process"), problem.folds[0], max_gp_rows=40
+    )
+    assert prediction.shape == (len(problem.folds[0].test), 3)
+    assert len(costs) == 3

@@ -20,21 +20,14 @@ COMMAND = re.compile(
 
 
 def texts():
-    """Paths and contents of all that names commands: pages, sources, and what draws and tests."""
+    """Contents of all that names commands: pages, sources, and what draws and tests."""
     folders = ("doc/*.md", "doc/user_guide/*.md", "doc/*.py", "doc/benchmarks.json", "*.md")
     folders += ("sklearn_raacmm/**/*.py", "examples/*.py", "benchmarks/*.py", "tests/**/*.py")
     for pattern in folders:
         for path in ROOT.glob(pattern):
             if path != Path(__file__):
                 # A command that goes on in the next line of a comment.
-                yield path, re.sub(r"(?<=\S)\n# ", " ", path.read_text(encoding="utf-8"))
-
-
-def commands():
-    """Script, arguments and page of every command."""
-    for path, text in texts():
-        for found in COMMAND.finditer(text):
-            yield found["script"], found["arguments"], path.relative_to(ROOT).as_posix()
+                yield re.sub(r"(?<=\S)\n# ", " ", path.read_text(encoding="utf-8"))
 
 
 class _MadeError(Exception):
@@ -60,13 +53,14 @@ def parser_of(script, monkeypatch):
 
 
 def test_every_script_that_is_named_is_there():
-    named = {name for _, text in texts() for name in NAMED.findall(text)}
+    named = {name for text in texts() for name in NAMED.findall(text)}
     assert len(named) > 10
     assert [n for n in named if not (BENCHMARKS / n.removeprefix("benchmarks/")).exists()] == []
 
 
 def test_every_script_takes_the_arguments_of_its_commands(parser_of, capsys):
-    known = sorted({(script, arguments) for script, arguments, _ in commands()})
+    found = (found for text in texts() for found in COMMAND.finditer(text))
+    known = sorted({(one["script"], one["arguments"]) for one in found})
     assert len(known) > 60
     parsers, refused = {}, []
     for script, arguments in known:

@@ -1,32 +1,32 @@
 """The gallery: each example is one file that runs alone, and shows what its text says."""
 
+import re
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sklearn_raacmm.datasets as datasets
+from sklearn_raacmm import calibrate
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
 
 matplotlib = pytest.importorskip("matplotlib")
 plt = pytest.importorskip("matplotlib.pyplot")
 pytest.importorskip("pandas")
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-# Pictures of each script, and what it prints.
+SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("plot_*.py"))
+# Pictures of each script, and a word that it prints; the others are shown by tests of their own.
 SHOWN = {
     "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
-    "plot_grid_search": (1, "predictions in the other process: equal"),
     "plot_how_many_poses": (1, "poses"),
     "plot_learn_correction": (1, "It repeats better at new positions"),
-    "plot_live_arm": (1, "stays uncorrected: "),
     "plot_newrb": (1, "neurons, mean squared error"),
     "plot_ols_path": (1, "auto: "),
-    "plot_own_csv": (1, "It repeats better at new positions"),
     "plot_paper_figures": (3, ""),
     "plot_periodicity": (1, "periodic"),
     "plot_rbf_network": (1, "2-D"),
-    # What the page of these data says of the uncorrected arm.
-    "plot_real_arm": (1, "calibrated, uncorrected      mean 0.197 mm"),
     "plot_simulated_arm": (1, "noise floor"),
 }
 
@@ -45,37 +45,109 @@ QUICKER = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=() if n in QUICK else pytest.mark.exhaustive) for n in sorted(SHOWN)],
-)
-def test_a_script_runs_alone_and_ends_in_its_pictures(
-    name, monkeypatch, tmp_path, capsys, data_folder
-):
-    """A copy of the script runs in an empty folder, as downloaded, on fewer poses."""
-    pictures, (n_pictures, printed) = [], SHOWN[name]
+@pytest.fixture
+def run_alone(monkeypatch, tmp_path):
+    """Return ``run_alone(name)``: run a copy of a script in an empty folder, as downloaded."""
 
     def small(n_positions=10, n_poses=100, **options):
         return make_single_point(n_positions, min(n_poses, 20), **options)
+
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+    pictures = []
 
     def show():
         for number in plt.get_fignums():
             plt.figure(number).canvas.draw()
         pictures.append(len(plt.get_fignums()))
-        plt.close("all")
 
-    matplotlib.use("Agg")
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plt, "show", show)
     monkeypatch.setattr(datasets, "make_single_point", small)
-    if name == "plot_real_arm":
-        folder = data_folder("panda_ball_socket").parent
-        monkeypatch.setenv("SCIKIT_LEARN_DATA", str(folder))
-    script = tmp_path / f"{name}.py"
-    text = (EXAMPLES / script.name).read_text(encoding="utf-8")
-    slow, quick = QUICKER.get(name, ("", ""))
-    assert slow in text
-    script.write_text(text.replace(slow, quick), encoding="utf-8")
-    runpy.run_path(str(script), run_name="__main__")
-    assert sum(pictures) == n_pictures
-    assert printed in capsys.readouterr().out
+
+    def run(name):
+        pictures.clear()
+        script = tmp_path / f"{name}.py"
+        text = (EXAMPLES / script.name).read_text(encoding="utf-8")
+        slow, quick = QUICKER.get(name, ("", ""))
+        assert slow in text
+        script.write_text(text.replace(slow, quick), encoding="utf-8")
+        return runpy.run_path(str(script), run_name="__main__"), pictures
+
+    yield run
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in QUICK else pytest.mark.exhaustive) for n in sorted(SHOWN)],
+)
+def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
+    n_pictures, said = SHOWN[name]
+    _, pictures = run_alone(name)
+    assert len(pictures) == n_pictures
+    assert said in capsys.readouterr().out
+
+
+@pytest.mark.exhaustive
+def test_the_search_finds_the_best_of_its_own_table(run_alone, capsys):
+    page, pictures = run_alone("plot_grid_search")
+    assert len(pictures) == 1
+    assert "predictions in the other process: equal" in capsys.readouterr().out
+    search, best = page["search"], page["best"]
+    assert min(best.values()) == pytest.approx(-search.best_score_)
+    test = page["test"]
+    corrected = page["points"] - search.predict(page["data"].data[test])
+    after = single_point_repeatability(corrected, page["positions"])
+    assert page["after"] == pytest.approx(after)
+    assert not set(page["positions"]) & set(page["groups"])
+
+
+@pytest.mark.exhaustive
+def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
+    """The number of the uncorrected arm is what the data's own page says."""
+    monkeypatch.setenv("SCIKIT_LEARN_DATA", str(data_folder("panda_ball_socket").parent))
+    page, pictures = run_alone("plot_real_arm")
+    assert len(pictures) == 1
+    assert "calibrated, uncorrected      mean 0.197 mm" in capsys.readouterr().out
+    means = {name: values.mean() for name, (values, _) in page["rows"].items()}
+    assert means["ArmResidualRegressor"] < 0.9 * means["calibrated, uncorrected"]
+
+
+@pytest.mark.exhaustive
+def test_own_csv_is_corrected(monkeypatch, capsys):
+    """What the page prints of its file is what the arrays, never written, give."""
+    monkeypatch.setattr(plt, "show", lambda: None)
+    matplotlib.use("Agg")
+    page = runpy.run_path(str(EXAMPLES / "plot_own_csv.py"))
+    data = make_single_point(10, 30, random_state=0)
+    np.testing.assert_allclose(np.deg2rad(page["angles"]), data.data, atol=1e-8)
+    expected = calibrate(page["nominal"], data.data, data.groups).arm.forward(data.data)
+    learned = page["learned"]
+    np.testing.assert_allclose(learned.arm.forward(data.data), expected, atol=1e-4)
+    after = single_point_repeatability(learned.scores.left_after, data.groups)
+    assert after < 0.75 * single_point_repeatability(expected, data.groups)
+    output = capsys.readouterr().out
+    assert learned.verdict in output
+    assert f"mean 2S after: {after:.4f} mm" in output
+    assert page["display"].after.mean() == pytest.approx(after)
+    assert len(plt.get_fignums()) == 1
+
+
+@pytest.mark.exhaustive
+def test_live_arm(run_alone, capsys):
+    page, pictures = run_alone("plot_live_arm")
+    output = capsys.readouterr().out
+    rows = [line.split() for line in output.splitlines()]
+    table = {row[0]: row for row in rows if row and row[0] in ("predict", "ONNX", "C,")}
+    assert ("ONNX" in table) != ("ONNX is left out" in output)
+    assert ("C," in table) != ("C is left out" in output)
+    for row in table.values():
+        assert float(row[-1]) < 1e-12  # mm from what predict says
+        median, slow = map(float, row[-4:-2])
+        assert 0 < median <= slow
+    # Training poses are known, and on the way out of them the model gives up.
+    given_up = re.search(r"stays uncorrected: (\d+)% of the way", output)
+    assert 0 < int(given_up[1]) < 100
+    assert not page["refused"][0]
+    assert page["refused"][-1]
+    assert len(pictures) == 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_raacmm.acceptance import Artefact, evaluate_acceptance, predict_acceptance
+from sklearn_raacmm.acceptance import evaluate_acceptance, predict_acceptance
 from sklearn_raacmm.datasets import ArmErrors, make_acceptance
 
 
@@ -45,16 +45,6 @@ def test_white_noise_has_the_values_of_white_noise(data):
         np.testing.assert_allclose(found[name], ends, rtol=0.12, err_msg=name)
     again = predict_acceptance(White(data.arm, sd), data.run, n_draws=20, random_state=5)
     assert again == predict_acceptance(White(data.arm, sd), data.run, n_draws=20, random_state=5)
-
-
-def test_without_errors_artefacts_are_measured_as_they_are(data):
-    exact = data.run.with_artefacts(
-        Artefact(name=a.name, size_mm=a.size_mm, expansion_per_k=0.0, u_expansion_per_k=0.0)
-        for a in data.run.artefacts
-    )
-    found = predict_acceptance(White(data.arm, 0.0), exact, n_draws=2)
-    for name, ends in found.items():
-        np.testing.assert_allclose(ends, 0, atol=1e-9, err_msg=name)
 
 
 @pytest.mark.exhaustive

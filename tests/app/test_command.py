@@ -148,16 +148,6 @@ def read_csv(path, encoding="cp1252"):
     return header, rows, np.array(numbers)
 
 
-def test_the_drawing_is_that_of_the_simulator():
-    """The test's own premise: the URDF says of the nominal arm what the simulator says."""
-    ideal = OtherMake(0, error=0)
-    ideal.lengths = DRAWING
-    readings = np.random.default_rng(0).uniform(-2, 2, (20, 7))
-    np.testing.assert_allclose(
-        Arm.from_urdf(URDF).forward(readings), ideal.points(readings), atol=1e-9
-    )
-
-
 def test_learn_writes_everything_and_finds_the_slip(learned):
     folder, code, readings, _ = learned
     assert code == 0

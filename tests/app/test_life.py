@@ -7,7 +7,6 @@ import shutil
 import sys
 from copy import copy
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import main, read_table
-from sklearn_raacmm.app._files import read_labels
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
 
@@ -98,8 +96,7 @@ POINTS = ("--points", "x,y,z")
 
 
 @pytest.mark.parametrize(("learnt", "table", "more"), [
-    ("cones", "new.csv", ()), ("cones", "new_points.csv", POINTS),
-    ("tracker", "new_points.csv", POINTS), ("tracker", "new.csv", ()), ("warm", "new.csv", ()),
+    ("cones", "new_points.csv", POINTS), ("tracker", "new.csv", ()), ("warm", "new.csv", ()),
 ])  # fmt: skip
 def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, table, more):
     words = ["register", folder / table, "--model", folder / learnt, "--out", tmp_path, *more]
@@ -285,18 +282,6 @@ def test_a_probe_that_no_row_names_is_not_guessed(folder, two_tools, tmp_path, c
     assert code == 0
     assert "tools 1, long stay as they were learnt" in printed
     assert run(capsys, "correct", table, "--model", new, "--out", out)[0] == 0
-
-
-def test_labels_of_tools_are_the_same_in_every_block():
-    """Long numbers stay apart, and a column of numbers names what a mixed one does."""
-    options = SimpleNamespace(tool="t")
-    for cells, names in (
-        ([1234567.0, 1234568.0], ["1234567", "1234568"]),
-        ([1.0, 2.5], ["1", "2.5"]),
-        (["01", "long", ""], ["1", "long", ""]),
-    ):
-        table = SimpleNamespace(others={"t": np.array(cells)})
-        assert read_labels(table, options, "tool").tolist() == names
 
 
 @pytest.mark.parametrize(("learnt", "words", "sentence"), [

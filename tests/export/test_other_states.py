@@ -52,17 +52,6 @@ def agree(model, X, folder):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-12, err_msg=way)
 
 
-def test_degrees(data, tmp_path):
-    X, y = data
-    in_degrees = np.rad2deg(X)
-    model = linear(angle_unit="deg").fit(in_degrees, y)
-    agree(model, np.rad2deg(np.concatenate([X[:20], 3 * X[20:40]])), tmp_path)
-    header = export_c(model, tmp_path / "arm.c")[1].read_text()
-    assert '#define ARM_INPUT_UNIT "deg"' in header
-    assert "Joint angles in degrees" in header
-    assert describe(model)["input"] == "6 joint angles in deg"
-
-
 EXTRA = ("temperature", "force x", "force z", "payload", "direction 2", "temperature 3")
 
 
@@ -99,6 +88,7 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path):
     header = export_c(model, tmp_path / "arm.c", card=card, poses=X)[1].read_text()
     assert "then temperature, force x, force z, payload, direction 2, temperature 3" in header
     assert "#define ARM_N_INPUTS 12\n" in header
+    assert '#define ARM_INPUT_UNIT "deg"' in header
     assert "6 joints, standard DH" in header
     if not COMPILERS:
         pytest.skip("neither gcc nor clang is on PATH")

@@ -105,6 +105,15 @@ def test_widths_are_found_for_each_output(data, networks):
     assert np.max(np.std(shared.predict(T) - waves(T), axis=0) / np.fmax(error, 1e-3)) > 1.3
 
 
+@pytest.mark.parametrize("shared", [True, False])
+def test_the_order_of_outputs_does_not_matter(data, networks, shared):
+    X, Y, T = data
+    order, one = np.array([4, 1, 3, 0, 2]), networks[shared]
+    other = RBFNetRegressor(shared=shared, random_state=0).fit(X, Y[:, order])
+    atol = 2e-3 if shared else 1e-12
+    np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
+
+
 def test_what_has_been_found_can_be_given(data, networks):
     X, Y, T = data
     model = networks[True]
