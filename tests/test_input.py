@@ -316,7 +316,6 @@ FINE = {
     "elbow_angle-angles": ["no rows"],
     "SimulatedArm.forward-angles": ["no rows"],
     "SimulatedArm.read-angles": ["no rows"],
-    "update-angles": ["no rows"],
     "length_scale-widths": ["infinity", "too large"],
     "search_table-angles": ["too large"],
 }

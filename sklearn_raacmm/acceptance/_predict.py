@@ -101,8 +101,7 @@ def predict_acceptance(
         # Sizes are off by what they are stated to be known to.
         sizes = (a.size_mm and a.size_mm + a.u_size * rng.normal() for a in plan.artefacts)
         pairs = zip(plan.artefacts, sizes, strict=True)
-        artefacts = tuple(replace(artefact, size_mm=size) for artefact, size in pairs)
-        run = replace(plan, artefacts=artefacts)
+        run = plan.with_artefacts(replace(artefact, size_mm=size) for artefact, size in pairs)
         for test, own in rows.items():
             readings = Readings(run, own, ideal + draws[:, :, k])
             for name, (errors, *_) in FUNCTIONS[test](readings).items():

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -182,3 +182,7 @@ class AcceptanceRun:
 
     def _set(self, name, value):
         object.__setattr__(self, name, value)
+
+    def with_artefacts(self, artefacts: Any) -> "AcceptanceRun":
+        """The same readings with other artefacts, as where certificates come later."""
+        return replace(self, artefacts=tuple(artefacts))

@@ -320,21 +320,21 @@ class Correction:
         linear = getattr(model, "linear_model_", None)
         codes = None if positions is None else encode_groups(positions, len(angles))[1]
         places = np.arange(len(angles)) if codes is None else codes
-        known: Any = ()
+        correction: Any = None
+        doubt: Any = None
         if linear is not None and len(np.unique(places)) >= LEAST_POSITIONS:
             # These poses had no part in the fit: it fades beyond the largest doubt at them, and
             # they say how much of it is used.
             correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
             model.fading_ = replace(model.fading_, known_mm=float(doubt.max()))
-            known = correction, doubt, model.fading_
         found = calibrate(
             self.arm, angles, positions, points=points, lengths=lengths,
             correction=self._of_angles(model), free=list(free),
         )  # fmt: skip
-        if known:
-            y = found.residuals(angles, points, positions)
-            weights, most = found.sample_weight, model.fading_.most
-            model.fading_ = judge(y, *known, weights, codes, places, most)[0]
+        if doubt is not None:
+            y, weights = found.residuals(angles, points, positions), found.sample_weight
+            of_poses = weights, codes, places, model.fading_.most
+            model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
         turns = np.char.startswith(found.names, "base_r")
         open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:

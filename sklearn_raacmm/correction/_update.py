@@ -111,14 +111,15 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    poses, accepted = NewPoses(model, X, y, groups), listed("accept", accept)
-    updated, found = call_collecting(_updated, model, poses, date, accepted)
+    new, accepted = (X, y, groups), listed("accept", accept)
+    updated, found = call_collecting(_updated, model, new, date, accepted)
     updated.findings_ = tuple(found)
     return updated
 
 
-def _updated(model, poses, date, accepted):
+def _updated(model, new, date, accepted):
     """A copy of the model, brought up to date if the new poses show enough."""
+    poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
