@@ -9,11 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals, update_correction
-from sklearn_raacmm.correction._condition import Prior
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import FindingError, FindingWarning
-
-from .test_condition import of_definition
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 ARCSEC = np.pi / 180 / 3600
@@ -115,14 +112,21 @@ def test_posterior_against_the_textbook(model):
         change += 2 * [entry["tau"][f"harmonics of joint {joint + 1}"] * size]
     change += [entry["tau"][name] * old.prior_sd[name] for name in families]
     # The coefficients of the model, and those of a place that may be 5 mm off.
-    prior = Prior(mean, half, np.full(len(mean), "all"), np.array(change), 5.0, 0.0, (0.0, 0.0))
-    given = new.columns(angles), place_columns(angles), y, np.ones(40)
-    mean, P, _ = of_definition(prior, *given, {"all": 1.0}, entry["noise_sd_mm"])
+    P = np.zeros((len(mean) + 9,) * 2)
+    P[: len(mean), : len(mean)] = half @ half.T + np.diag(np.square(change))
+    P[len(mean) :, len(mean) :] = 25 * np.eye(9)
+    mean = np.r_[mean, np.zeros(9)]
+
+    def columns(angles):
+        return np.concatenate([new.columns(angles), place_columns(angles)], axis=2)
+
+    A = columns(angles).reshape(120, -1)
+    gain = np.linalg.solve(A @ P @ A.T + entry["noise_sd_mm"] ** 2 * np.eye(120), A @ P).T
+    mean, P = mean + gain @ (y.ravel() - A @ mean), P - gain @ A @ P
     far = rows(20, 5)[0]
-    columns = np.concatenate([new.columns(far), place_columns(far)], axis=2)
     found, std = new.predict(far, return_std=True)
-    assert_allclose(found, columns @ mean, atol=2e-5)
-    variance = np.einsum("nij,jk,nik->ni", columns, P, columns)
+    assert_allclose(found, columns(far) @ mean, atol=2e-5)
+    variance = np.einsum("nij,jk,nik->ni", columns(far), P, columns(far))
     assert_allclose(std, np.sqrt(variance), rtol=1e-3)
 
 
