@@ -178,14 +178,14 @@ def test_a_kernel_that_trails_on_few_rows_may_lead_on_more():
     X = rng.uniform(-1, 1, (1000, 2))
     f = np.abs(np.sin(4 * X[:, 0])) + np.abs(X[:, 1] - 0.2)
     data = data_of(X, f + 0.02 * rng.standard_normal(1000))
-    found = search(data, _search.AUTO_KERNELS, random_state=np.random.RandomState(0))
+    found = search(data, tuple(KERNELS), random_state=np.random.RandomState(0))
     alone = {
         name: search(data, (name,), random_state=np.random.RandomState(0)).log_likelihood
-        for name in _search.AUTO_KERNELS
+        for name in KERNELS
     }
     assert found.kernel != "gaussian"
     assert alone[found.kernel] > max(alone.values()) - 5
-    reordered = search(data, _search.AUTO_KERNELS[::-1], random_state=np.random.RandomState(0))
+    reordered = search(data, tuple(KERNELS)[::-1], random_state=np.random.RandomState(0))
     assert reordered.log_likelihood == pytest.approx(found.log_likelihood, abs=3)
 
 
