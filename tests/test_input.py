@@ -178,8 +178,6 @@ FUNCTIONS = [
     ("R2", lambda p: metrics.within_position_r2_score(p, RESIDUALS, groups=GROUPS), "points"),
     ("gauge", partial(pairs, metrics.gauge_lengths), "points groups"),
     ("length_error", metrics.length_error, "mm mm_too"),
-    ("size", partial(metrics.probing_size_error, diameter=10), "points"),
-    ("form", metrics.probing_form_error, "points"),
     ("location", metrics.articulated_location_error, "points"),
     ("location, of labels", partial(metrics.articulated_location_error, POINTS), "groups"),
     ("scorer", scored, "angles groups"),
@@ -486,8 +484,7 @@ def refused():
     several = [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan]
     yield interval, "probability", several, "probability must be between 0 and 1, got"
     yield interval, "statistic", ["max"], "'max' is not"
-    yield partial(metrics.probing_size_error, OCTAHEDRON), "diameter", [[10, 10]], "one number"
-    yield metrics.probing_form_error, "points", [POINTS * 0], "one plane"
+    yield metrics.fit_sphere, "points", [POINTS * 0], "one plane"
     gauges = partial(metrics.gauge_lengths, POINTS, GROUPS.astype(str))
     yield gauges, "pairs", [[[0, 1]]], "group 0"
     yield partial(metrics.length_error, calibrated=[]), "measured", [[]], r"\(0,\)"
@@ -732,14 +729,14 @@ EDGES = {
     "2S: one coordinate": (lambda: TWO_S(LINE[:, 2]), 2 * np.sqrt(2.5)),
     "axes: denormal": (lambda: metrics.axis_repeatability(LINE * TINY) / TINY, [0, 0, 2.0]),
     "sphere: a point at its centre": (
-        lambda: metrics.probing_size_error(WITH_CENTRE, 10), 2 * best_radius(WITH_CENTRE) - 10
+        lambda: 2 * metrics.fit_sphere(WITH_CENTRE)[1], 2 * best_radius(WITH_CENTRE)
     ),
     "sphere: a point at the start of the search": (
-        lambda: np.isfinite(metrics.probing_form_error(np.vstack([OCTAHEDRON, [0, 0, 0]]))), True
+        lambda: np.isfinite(metrics.fit_sphere(np.vstack([OCTAHEDRON, [0, 0, 0]]))[1]), True
     ),
-    "sphere: large": (lambda: metrics.probing_size_error(OCTAHEDRON * 1e40, 1e41) / 1e40, 0.0),
-    "sphere: tiny": (lambda: metrics.probing_form_error(OCTAHEDRON * 1e-150) * 1e150, 0.0),
-    "sphere: repeated": (lambda: metrics.probing_form_error(np.repeat(OCTAHEDRON, 3, 0)), 0.0),
+    "sphere: large": (lambda: metrics.fit_sphere(OCTAHEDRON * 1e40)[1] / 1e40, 5.0),
+    "sphere: tiny": (lambda: np.ptp(metrics.fit_sphere(OCTAHEDRON * 1e-150)[2]) * 1e150, 0.0),
+    "sphere: repeated": (lambda: np.ptp(metrics.fit_sphere(np.repeat(OCTAHEDRON, 3, 0))[2]), 0.0),
     "location: on a line": (lambda: metrics.articulated_location_error(LINE), 4.0),
     "location: no scatter": (lambda: metrics.articulated_location_error(np.ones((5, 3))), 0.0),
     "gauge: none": (lambda: metrics.gauge_lengths(POINTS, GROUPS, np.empty((0, 2))), np.empty(0)),

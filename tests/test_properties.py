@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 from sklearn_raacmm import Arm, CylindricalResidualTarget, RBFNetRegressor, cylindrical_to_cartesian
 from sklearn_raacmm.metrics import (
     articulated_location_error,
+    fit_sphere,
     gauge_lengths,
-    probing_form_error,
-    probing_size_error,
     single_point_repeatability,
     within_position_r2_score,
 )
@@ -245,7 +244,7 @@ def test_spheres_are_the_same_from_every_side(seed, motion, radius):
     turn, shift = motion
     points = rough * directions
     moved = points @ turn.T + shift
-    assert_allclose(probing_size_error(radius * directions + shift, 2 * radius), 0, atol=1e-7)
-    assert_allclose(probing_size_error(moved, 20), probing_size_error(points, 20), atol=1e-7)
-    form = probing_form_error(points)
-    assert_allclose(probing_form_error(moved), form, atol=1e-7)
+    assert_allclose(2 * fit_sphere(radius * directions + shift)[1], 2 * radius, atol=1e-7)
+    (_, size, distances), (_, moved_size, moved_distances) = map(fit_sphere, (points, moved))
+    assert_allclose(2 * moved_size, 2 * size, atol=1e-7)
+    assert_allclose(np.ptp(moved_distances), np.ptp(distances), atol=1e-7)

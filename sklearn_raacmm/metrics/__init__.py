@@ -11,8 +11,6 @@ from sklearn_raacmm.metrics._acceptance import (
     articulated_location_error,
     gauge_lengths,
     length_error,
-    probing_form_error,
-    probing_size_error,
 )
 from sklearn_raacmm.metrics._repeatability import (
     axis_repeatability,
@@ -29,8 +27,6 @@ __all__ = [
     "fit_sphere",
     "gauge_lengths",
     "length_error",
-    "probing_form_error",
-    "probing_size_error",
     "repeatability_interval",
     "repeatability_scorer",
     "single_point_repeatability",

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from functools import partial
 from numbers import Real
 from typing import Any, overload
 
@@ -305,15 +306,15 @@ def repeatability_scorer(
     check_option("aggregate", aggregate, ("mean", "max"))
     if (X is None) != (groups is None):
         raise ValueError("Give X and groups together (metadata routing off), or neither (on).")
+    options: dict = {"statistic": statistic, "aggregate": aggregate}
     if X is not None:
-        return _RowScorer(X, groups, statistic, aggregate)
+        return partial(_minus_scatter, positions=_positions_of_rows(X, groups), **options)
     if not get_config()["enable_metadata_routing"]:
         raise RuntimeError(
             "repeatability_scorer() without arguments needs metadata routing, which is off. "
             "Enable it first by sklearn.set_config(enable_metadata_routing=True), or tell the "
             "scorer the groups: repeatability_scorer(X, groups)."
         )
-    options: dict = {"statistic": statistic, "aggregate": aggregate}
     scorer = make_scorer(_routed_scatter, greater_is_better=False, **options)
     return scorer.set_score_request(groups=True)
 
@@ -327,33 +328,31 @@ def _routed_scatter(y_true, y_pred, *, groups=None, **options):
     return single_point_repeatability(_difference(y_true, y_pred), groups, **options)
 
 
-class _RowScorer:
-    """A scorer that looks the group of each row up by the row's content."""
-
-    def __init__(self, X, groups, statistic, aggregate):
-        X = floats("X", X, -1)
-        self.labels, position = check_groups(groups, len(X))
-        self.options = {"statistic": statistic, "aggregate": aggregate}
-        self.position_of_row = {}
-        for row, p in zip(X, position, strict=True):
-            if self.position_of_row.setdefault(row.tobytes(), p) != p:
-                raise ValueError(
-                    f"The same row of X, {row}, belongs to the groups "
-                    f"{self.labels[self.position_of_row[row.tobytes()]]} and {self.labels[p]}: "
-                    "the group does not follow from the content of a row. Use metadata routing."
-                )
-
-    def __call__(self, estimator, X, y):
-        rows = floats("X", X, -1)
-        position = [self.position_of_row.get(row.tobytes(), -1) for row in rows]
-        n_unknown = position.count(-1)
-        if n_unknown:
+def _positions_of_rows(X, groups):
+    """Number of the group of each row of X, by the row's content."""
+    X = floats("X", X, -1)
+    labels, position = check_groups(groups, len(X))
+    found: dict = {}
+    for row, p in zip(X, position, strict=True):
+        if found.setdefault(row.tobytes(), p) != p:
             raise ValueError(
-                f"{n_unknown} of {len(rows)} rows were not in the X given to "
-                "repeatability_scorer(X, groups), so their groups are unknown."
+                f"The same row of X, {row}, belongs to the groups {labels[found[row.tobytes()]]} "
+                f"and {labels[p]}: the group does not follow from the content of a row. Use "
+                "metadata routing."
             )
-        left = _difference(y, estimator.predict(X))
-        return -single_point_repeatability(left, position, **self.options)
+    return found
+
+
+def _minus_scatter(estimator, X, y, *, positions, **options):
+    rows = floats("X", X, -1)
+    position = [positions.get(row.tobytes(), -1) for row in rows]
+    n_unknown = position.count(-1)
+    if n_unknown:
+        raise ValueError(
+            f"{n_unknown} of {len(rows)} rows were not in the X given to "
+            "repeatability_scorer(X, groups), so their groups are unknown."
+        )
+    return -single_point_repeatability(_difference(y, estimator.predict(X)), position, **options)
 
 
 def _difference(y_true, y_pred):

@@ -17,7 +17,7 @@ from scipy.linalg import lapack, solve_triangular
 
 from sklearn_raacmm.network._blocks import extend
 from sklearn_raacmm.network._centers import MAX_CENTERS, MODERATE, choose_centers, features_at
-from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_root
 from sklearn_raacmm.network._likelihood import LEAST_RIDGE
 from sklearn_raacmm.network._linear import (
     first_weights,
@@ -27,7 +27,7 @@ from sklearn_raacmm.network._linear import (
 )
 from sklearn_raacmm.network._posterior import Network, covariance_factor
 from sklearn_raacmm.network._rows import prepare
-from sklearn_raacmm.network._search import AUTO_KERNELS, Structure, search
+from sklearn_raacmm.network._search import Structure, search
 from sklearn_raacmm.utils import stage
 
 # Rows drawn as candidate centres where there are more, which is also how many may all be centres:
@@ -63,7 +63,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
     sample, problem = set_up(degree)
-    kernels = AUTO_KERNELS if estimator.kernel == "auto" else (estimator.kernel,)
+    kernels = tuple(KERNELS) if estimator.kernel == "auto" else (estimator.kernel,)
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit)
     else:

@@ -61,11 +61,11 @@ def _matern52(s, slope=False):
 
 
 # Functions of the scaled squared distances, 1 at distance 0, which they may overwrite; if asked
-# for, with the derivative by the squared distance.
+# for, with the derivative by the squared distance. `kernel="auto"` tries them in this order.
 KERNELS: dict[str, Callable[..., Any]] = {
     "gaussian": _gaussian,
-    "matern32": _matern32,
     "matern52": _matern52,
+    "matern32": _matern32,
 }
 
 

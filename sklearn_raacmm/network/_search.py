@@ -34,8 +34,6 @@ from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, witho
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import stage, warn_user
 
-# Kernels that `kernel="auto"` chooses from.
-AUTO_KERNELS = ("gaussian", "matern52", "matern32")
 # Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
 # all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000

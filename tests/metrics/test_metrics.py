@@ -170,8 +170,7 @@ def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
     center, radius, distances = _spheres.fit_sphere(points)
     assert cost([*center, radius]) <= best.fun + 1e-12
     assert_allclose([*center, radius], best.x, atol=2e-6)
-    assert metrics.probing_size_error(points, 25.4) == pytest.approx(2 * best.x[3] - 25.4, abs=5e-6)
-    assert metrics.probing_form_error(points) == pytest.approx(np.ptp(distances))
+    assert_allclose(distances, np.linalg.norm(points - center, axis=1))
 
 
 @pytest.mark.parametrize(
@@ -241,9 +240,8 @@ OK_GROUPS = [1, 1, 2, 2]
         ("gauge_lengths", [OK_POINTS, OK_GROUPS, [1, 2]], {}, r"shape \(2,\)"),
         ("length_error", [[300, 300], [300, 300, 300]], {}, "2 measured .* 3 calibrated"),
         ("length_error", [[300, -300], 300], {}, "1 of 2 values"),
-        ("probing_size_error", [np.eye(3), 1], {}, "at least 4 points, got 3"),
-        ("probing_form_error", [np.eye(4)[:, :3] * [1, 1, 0]], {}, "one plane"),
-        ("probing_size_error", [np.eye(4)[:, :3], 0], {}, "positive"),
+        ("fit_sphere", [np.eye(3)], {}, "at least 4 points, got 3"),
+        ("fit_sphere", [np.eye(4)[:, :3] * [1, 1, 0]], {}, "one plane"),
         ("articulated_location_error", [[[0, 0, 0]]], {}, "2 centres are compared, got 1"),
         ("articulated_location_error", [np.zeros((8, 3)), np.repeat([1, 2], 4)], {}, "Articulation 1: .* one plane"),
     ],
