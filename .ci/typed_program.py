@@ -81,6 +81,7 @@ def models_of_residuals() -> None:
     assert_type(net.predict(poses), Floats)
     assert_type(net.predict(poses, return_std=True), Pair)
     assert_type(net.predict(poses, return_cov=True), Pair)
+    assert_type(net.predict_gradient(poses), Floats)
     assert_type(net.sample_y(poses[:5]), Floats)
     chain = CylindricalResidualTarget(net, azimuth=test.arm.azimuth)
     assert_type(chain.fit(X, y, groups=groups), CylindricalResidualTarget)

@@ -10,7 +10,13 @@ from typing import Any, Self
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_inverse_root, psd_root
+from sklearn_raacmm.network._kernels import (
+    KERNELS,
+    kernel_matrix,
+    psd_inverse_root,
+    psd_root,
+    squared_distances,
+)
 from sklearn_raacmm.network._linear import (
     penalise,
     ridge_rows,
@@ -216,6 +222,21 @@ class Network:
                 noise = np.sqrt(self.noise_variance[i])
                 draws[:, i] += noise * rng.standard_normal((len(X), n_samples))
         return draws
+
+    def gradient(self, X: np.ndarray) -> np.ndarray:
+        """Derivatives (n, q, d) of the mean by the features."""
+        n, (q, k) = len(X), self.coef.T.shape
+        found = np.empty((n, q, len(self.length_scale)))
+        for part in chunks(n, _CHUNK // max(k, 1)):
+            Z = self.scaled(X[part])
+            s = squared_distances(Z, self._scaled_centers[1])
+            slope = KERNELS[self.kernel](s, slope=True)[1]
+            for i in range(q):
+                G = slope * self.coef[:, i]
+                # The sum over centres j of G_ij d s_ij / d x_i, s the squared distance.
+                along = Z * G.sum(axis=1, keepdims=True) - G @ self._scaled_centers[1]
+                found[part, i] = self.polynomial[1:, i] + 2 * along / self.length_scale
+        return found
 
 
 def pack(networks):

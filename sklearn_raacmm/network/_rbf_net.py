@@ -165,6 +165,8 @@ class RBFNetRegressor(VersionedRegressor):
     >>> mean, std = model.predict([[0.5]], return_std=True)
     >>> bool(abs(mean[0] - np.sin(1.0)) < 2 * std[0])
     True
+    >>> bool(abs(model.predict_gradient([[0.5]])[0, 0] - 2 * np.cos(1.0)) < 0.2)
+    True
     """
 
     _parameter_constraints: dict = {
@@ -346,7 +348,7 @@ class RBFNetRegressor(VersionedRegressor):
         check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
-        X = check_features(self, X, dtype=np.float64, reset=False)
+        X = self._checked_rows(X)
         packed = vars(self).get("_packed")
         if packed is None or packed[0] is not self.networks_:
             packed = self._packed = self.networks_, pack(self.networks_)
@@ -402,11 +404,36 @@ class RBFNetRegressor(VersionedRegressor):
         >>> model.sample_y([[1.0], [2.0]], n_samples=3).shape
         (2, 3)
         """
-        X = check_features(self, X, dtype=np.float64, reset=False)
+        X = self._checked_rows(X)
         n_samples = check_scalar(n_samples, "n_samples", Integral, min_val=1)
         rng = check_random_state(random_state)
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
         return self._shaped(parts, axis=1)
+
+    def predict_gradient(self, X: ArrayLike) -> Floats:
+        """Derivatives of the prediction by the features, in closed form.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Rows.
+
+        Returns
+        -------
+        gradient : ndarray of shape (n_samples, n_features) or (n_samples, n_outputs, n_features)
+            Of the mean, in units of y per unit of X.
+
+        Raises
+        ------
+        ValueError
+            If the model is not fitted; if X has another number of features than in fit, or holds
+            NaN or infinity.
+        """
+        X = self._checked_rows(X)
+        return self._shaped([network.gradient(X) for network in self.networks_], axis=1)
+
+    def _checked_rows(self, X) -> np.ndarray:
+        return check_features(self, X, dtype=np.float64, reset=False)
 
     def _shaped(self, parts, axis=-1):
         """Values of the networks' outputs, in the order of the targets' columns, as y had them."""

@@ -75,7 +75,7 @@ def test_it_is_the_network_with_all_centres(degree):
     network = RBFNetRegressor(len(X), **options).fit(X, y, sample_weight=weights)
     assert (process.stop_reason_, network.stop_reason_) == ("all rows", "n_centers")
     pairs = [(process.predict(T), network.predict(T))]
-    both = [m.predict(T, return_cov=True) for m in (process, network)]
+    both = [(*m.predict(T, return_cov=True), m.predict_gradient(T)) for m in (process, network)]
     pairs += zip(*both, strict=True)
     for name in ("intercept_", "linear_coef_", "noise_variance_", "signal_variance_"):
         pairs.append((getattr(process, name), getattr(network, name)))

@@ -51,6 +51,7 @@ def test_each_output_has_the_network_that_it_would_have_alone(given):
     X, Y, T, model = given
     mean, std = model.predict(T, return_std=True)
     _, covariance = model.predict(T, return_cov=True, with_noise=False)
+    slope = model.predict_gradient(T)
     assert len(set(model.kernel_)) == 2
     start = 0
     for i in range(3):
@@ -60,6 +61,7 @@ def test_each_output_has_the_network_that_it_would_have_alone(given):
         np.testing.assert_allclose(std[:, i], own_std, rtol=1e-12)
         own_covariance = own.predict(T, return_cov=True, with_noise=False)[1]
         np.testing.assert_allclose(covariance[..., i], own_covariance, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(slope[:, i], own.predict_gradient(T), rtol=0, atol=1e-11)
         for name in ("alpha_", "noise_variance_", "signal_variance_", "intercept_", "linear_coef_"):
             np.testing.assert_allclose(getattr(model, name)[i], getattr(own, name), rtol=1e-12)
         np.testing.assert_array_equal(model.length_scale_[i], own.length_scale_)

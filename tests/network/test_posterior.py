@@ -6,6 +6,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm.network import KERNELS
 
 RNG = np.random.default_rng(3)
 X = RNG.uniform(-2, 2, (60, 2)) * [1, 50]
@@ -74,9 +75,10 @@ def test_covariance_has_the_standard_deviation_on_its_diagonal(degree):
         model.sample_y(T, 0)
 
 
-def test_a_constant_has_a_covariance():
+def test_a_constant_has_a_covariance_and_no_slope():
     model = RBFNetRegressor().fit([[0.0], [1.0], [2.0]], [5.0, 5.0, 5.0])
     assert len(model.centers_) == 0
+    np.testing.assert_array_equal(model.predict_gradient([[0.5], [9.0]]), [[0.0], [0.0]])
     assert model.sample_y([[0.5]]).shape == (1, 1)
     one = RBFNetRegressor().fit([[0.0]], [5.0])
     with pytest.raises(ValueError, match="noise variance is infinite"):
