@@ -94,6 +94,9 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __getitem__(self, place: tuple[slice, Any]) -> Any:
         index, whole = np.asarray(place[1]), self.graph.whole
+        if np.all(np.diff(index) == 1):
+            bounds = (whole(v) for v in (index[0], index[-1] + 1, 1))
+            return self._node(self.like[:, index], "Slice", self, *bounds)
         return self._node(self.like[:, index], "Gather", self, whole(*index), axis=1)
 
     def reshape(self, *shape: int) -> Any:
