@@ -285,6 +285,7 @@ class Correction:
         *,
         angle_unit: str = "rad",
         free: Sequence[str] = ("probe",),
+        accept: str | Sequence[str] = (),
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
 
@@ -302,8 +303,9 @@ class Correction:
             Known distances between two positions, mm.
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `angles`.
-        free : list of str, default=("probe",)
-            What is found beside the base, see :func:`calibrate`.
+        free, accept : list of str
+            What is found beside the base, and codes of findings that are none: see
+            :func:`calibrate`.
 
         Returns
         -------
@@ -317,7 +319,7 @@ class Correction:
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        found, model = self._registered(angles, positions, points, lengths, list(free))
+        found, model = self._registered(angles, positions, points, lengths, list(free), accept)
         turns = np.char.startswith(found.names, "base_r")
         open_mm = reach_mm(self.arm) * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
@@ -365,7 +367,7 @@ class Correction:
             As :meth:`register` and :func:`update_correction`.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        new: Any = self.register(angles, positions, points, lengths)
+        new: Any = self.register(angles, positions, points, lengths, accept=accept)
         y, X = new.calibration.residuals(angles, points, positions), self.inputs(angles, extra)
         updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
         return replace(new, model=updated)
@@ -501,7 +503,7 @@ class Correction:
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
-    def _registered(self, angles, positions, points, lengths, free) -> Any:
+    def _registered(self, angles, positions, points, lengths, free, accept) -> Any:
         """Calibration through the model, and the model with what of it these poses are for.
 
         They had no part in its fit: what fades beyond the doubt at them is compared with what fades
@@ -511,7 +513,7 @@ class Correction:
         def through(model):
             return calibrate(
                 self.arm, angles, positions, points=points, lengths=lengths,
-                correction=self._of_angles(model), free=free,
+                correction=self._of_angles(model), free=free, accept=accept,
             )  # fmt: skip
 
         model: Any = self.model

@@ -77,7 +77,7 @@ class CorrectionScores:
     verdict : str
         The same in one sentence, with the numbers.
     findings : tuple of Finding
-        What was noticed in the data. With one of weight "repair" nothing is judged.
+        What was noticed in the data.
     share : float
         Share of its correction that the model of all rows uses: 0 for none.
     fold_shares : tuple of float
@@ -102,11 +102,6 @@ class CorrectionScores:
     findings: tuple[Any, ...] = ()
     share: float = 1.0
     fold_shares: tuple[float, ...] = ()
-
-    @property
-    def judged(self) -> Any:
-        """Whether nothing has to be repaired before a judgement means something."""
-        return not any(finding.weight == "repair" for finding in self.findings)
 
     def __repr__(self) -> str:
         of_points = f"{self.measure} before, mm", "after", "maximum before", "after"
@@ -166,23 +161,18 @@ def _shares(share, of_folds):
 def with_verdict(scores, data, findings, model):
     """Scores with what was found, and whether the correction helps.
 
-    With a finding of weight "repair" nothing is judged. What is handed over has to be what was
-    judged: where the model of all rows is not in use, or most of those that were judged were not,
-    the verdict says so.
+    What is handed over has to be what was judged: where the model of all rows is not in use, or
+    most of those that were judged were not, the verdict says so.
     """
     scores = replace(scores, findings=tuple(findings), share=_share_of(model))
     helps, verdict = _verdict(scores, len(np.unique(_blocks(data, scores.rows_by_position))))
     is_another = (np.median(scores.fold_shares) > 0) != (scores.share > 0)
-    if not scores.judged:
-        first, *more = (f for f in scores.findings if f.weight == "repair")
-        others = f" And {len(more)} more of the findings." * bool(more)
-        verdict = f"Not judged: first repair this. {first}{others}"
-    elif is_another:
+    if is_another:
         verdict = (
             f"{'Do not use it. ' * helps}{verdict} But the model of all rows is another one "
             f"than those that were judged: {_shares(scores.share, scores.fold_shares)}."
         )
-    return replace(scores, helps=helps and scores.judged and not is_another, verdict=verdict)
+    return replace(scores, helps=helps and not is_another, verdict=verdict)
 
 
 def scores_of(data, calibration, model, cv, n_jobs, progress):

@@ -5,7 +5,6 @@
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import replace
 from datetime import date as calendar
 
 import numpy as np
@@ -21,7 +20,7 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, call_collecting, listed, one_blas_thread, validate_params
+from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -129,13 +128,12 @@ def update_correction(
     if np.shape(X)[:1] == (0,):
         return deepcopy(model)
     new = X, y, groups, sample_weight
-    accepted = listed("accept", accept)
-    updated, found = call_collecting(_updated, model, new, date, accepted)
+    updated, found = call_collecting(_updated, model, new, date, accept=accept)
     updated.findings_ = tuple(found)
     return updated
 
 
-def _updated(model, new, date, accepted):
+def _updated(model, new, date):
     """A copy of the model, brought up to date if the new poses show enough."""
     poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
@@ -144,9 +142,6 @@ def _updated(model, new, date, accepted):
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
     for finding in what_is_wrong(model, poses):
-        if finding.code not in accepted:
-            advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
-            finding = replace(finding, advice=advice, weight="refuse")
         finding.report()
     updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
