@@ -30,10 +30,10 @@ from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
+    one_warning,
     param_checks,
     slip_factors,
     validate_params,
-    with_findings,
 )
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
@@ -63,7 +63,7 @@ _PRIOR = [
     },
     prefer_skip_nested_validation=True,
 )
-@with_findings
+@one_warning
 def calibrate(
     arm: Arm,
     angles: ArrayLike,

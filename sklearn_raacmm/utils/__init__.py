@@ -31,7 +31,6 @@ from sklearn_raacmm.utils._findings import (
     numbered_rows,
     one_warning,
     row_numbers,
-    with_findings,
 )
 from sklearn_raacmm.utils._groups import (
     are_deviations,

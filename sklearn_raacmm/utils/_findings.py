@@ -174,22 +174,15 @@ def call_collecting(
 
 
 def one_warning(function: Function) -> Function:
-    """Make a function that warns of each finding once, however many of its parts make it."""
+    """Make a function that warns of each finding once, however many of its parts make it.
 
-    @wraps(function)
-    def wrapper(*args, **kwargs):
-        return call_collecting(function, *args, **kwargs)[0]
-
-    return cast(Function, wrapper)
-
-
-def with_findings(function: Function) -> Function:
-    """Make a function that puts the findings made within into its result, a dataclass."""
+    A result that keeps `findings` has them all.
+    """
 
     @wraps(function)
     def wrapper(*args, **kwargs):
         result, found = call_collecting(function, *args, **kwargs)
-        return replace(result, findings=tuple(found))
+        return replace(result, findings=tuple(found)) if hasattr(result, "findings") else result
 
     return cast(Function, wrapper)
 
