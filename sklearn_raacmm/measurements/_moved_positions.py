@@ -54,13 +54,15 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
     likeliest step, then their parts. Outliers are no steps; in rows that were shuffled neighbours
     differ as much as others do, and nothing is found.
     """
-    whole = [one for one in _sorted_poses(left, angles, codes) if len(one) >= 2 * _LEAST]
+    whole: Any = [one for one in _sorted_poses(left, angles, codes) if len(one) >= 2 * _LEAST]
     if not whole:
         return []
     away = [_from_those_about(one.left) for one in whole]
     limit = _OUTLIER * max(np.median(np.concatenate(away)), _LEAST_NOISE_MM)
     poses = [one[far <= limit] for one, far in zip(whole, away, strict=True)]
     squares = [_squares(one) for one in poses if len(one) >= 2 * _LEAST]
+    if not squares:
+        return []
     # As large as noise in most of the windows: steps are in few of them.
     spread = np.concatenate([rest / n_free for _, n_free, rest, _ in squares], axis=1)
     usual = np.maximum(np.median(spread, axis=1, keepdims=True), _LEAST_NOISE_MM**2)
@@ -76,7 +78,8 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
                 cuts.append(low + likely[0])
                 parts += [(low, cuts[-1]), (cuts[-1], high)]
         steps = []
-        for before, after in pairwise(np.split(one, sorted(cuts))):
+        divided: Any = np.split(one, sorted(cuts))
+        for before, after in pairwise(divided):
             step = after.left[:_MOST].mean(axis=0) - before.left[-_MOST:].mean(axis=0)
             rows = int(before.last[-1]), int(after.first[0])
             steps.append(Step(int(one.codes[0]), *rows, float(np.linalg.norm(step))))

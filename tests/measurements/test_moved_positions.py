@@ -106,6 +106,8 @@ def test_few_rows(n):
     angles, left = poses_and_noise()
     left[n // 2 :] += 1.0
     assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
+    left[0] += 100.0  # and one of them an outlier
+    assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
 
 
 def test_exact_residuals():
