@@ -196,12 +196,12 @@ def transfer(data_home):
             left.append(mean_deviation(true - moved.predict(far)))
         found[f"transfer, robots, {n} poses: mean deviation"] = np.mean(left)
     angles, sockets, _ = read_panda("panda_3", data_home)
-    old = calibrate(NOMINAL_PANDA, angles, sockets)
+    old = calibrate(NOMINAL_PANDA, angles, sockets, accept="moved-position")
     y = old.residuals(angles, groups=sockets)
     model = ArmResidualRegressor(old.arm).fit(angles, y, groups=sockets)
     angles, sockets, placements = read_panda("panda_2", data_home)
     known = np.isin(placements, np.unique(placements)[:3])
-    own = calibrate(NOMINAL_PANDA, angles[known], sockets[known])
+    own = calibrate(NOMINAL_PANDA, angles[known], sockets[known], accept="moved-position")
     y = own.residuals(angles[known], groups=sockets[known])
     moved = transferred_model([model], own.arm, angles[known], y, groups=sockets[known])
     left = own.residuals(angles[~known], groups=sockets[~known]) - moved.predict(angles[~known])
@@ -239,7 +239,7 @@ def calibration(data_home):
     for name in ("panda_2", "panda_3"):
         angles, sockets, placements = read_panda(name, data_home)
         lengths = pairs_known(np.unique(placements))
-        result = calibrate(NOMINAL_PANDA, angles, sockets, lengths=lengths)
+        result = calibrate(NOMINAL_PANDA, angles, sockets, lengths=lengths, accept="moved-position")
         found[f"calibrate, {name}: scatter"] = result.scatter_after_mm
         found[f"calibrate, {name}: prior sd of lengths"] = result.prior_sd["length_mm"]
         found[f"calibrate, {name}: outliers"] = len(result.outliers)
@@ -296,7 +296,7 @@ def _panda_folds(name, home):
     """Arm, angles, residuals, labels and folds of whole placements."""
     angles, groups, placements = read_panda(name, home)
     known = pairs_known(np.unique(placements))
-    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known)
+    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known, accept="moved-position")
     good = found.sample_weight > 0
     angles, groups = angles[good], groups[good]
     residuals = position_residuals(found.arm.forward(angles), groups)

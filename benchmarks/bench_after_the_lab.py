@@ -21,6 +21,7 @@ import numpy as np
 from _arm_folds import (
     ARCSEC,
     DATA,
+    MOVED,
     NOMINAL_PANDA,
     UR10,
     learn,
@@ -167,7 +168,7 @@ def left_um(arm, model, angles, groups):
 
 
 def fitted(arm, angles, groups):
-    found = calibrate(arm, angles, groups)
+    found = calibrate(arm, angles, groups, **MOVED)
     y = position_residuals(found.arm.forward(angles), groups)
     return found.arm, ArmResidualRegressor(found.arm).fit(angles, y, groups=groups)
 
@@ -366,7 +367,7 @@ def transfer_pandas(draws):
             order = np.random.default_rng(draw).permutation(len(labels))
             for n, rows in table.items():
                 known = np.isin(groups, labels[order[:n]])
-                found = calibrate(NOMINAL_PANDA, angles[known], groups[known])
+                found = calibrate(NOMINAL_PANDA, angles[known], groups[known], **MOVED)
                 parts = [
                     (angles[some], found.residuals(angles[some], groups=groups[some]), groups[some])
                     for some in (known, ~known)

@@ -43,9 +43,9 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_single_point
 from sklearn_raacmm.measurements._moved_positions import find_steps
-from sklearn_raacmm.utils import FindingError, centred, collected_findings
+from sklearn_raacmm.utils import centred, collected_findings
 
-RATE, CLEAR = 0.01, 1e-4
+CLEAR = 1e-4
 TYPICAL = ArmErrors()
 KINDS = {
     "typical": TYPICAL,
@@ -64,7 +64,7 @@ class Counts:
 
     def check(self, change, cause, model, angles, y, **options):
         """Check once, where the right cause is known."""
-        found = check_correction(model, angles, y, false_alarm_rate=RATE, **options)
+        found = check_correction(model, angles, y, false_alarm_rate=0.01, **options)
         right = not found.holds and found.suspect == cause
         self.of.setdefault(change, []).append((not found.holds, right, found.p_value < CLEAR))
 
@@ -189,7 +189,7 @@ def kind_of_panda(name, runs):
     for run in range(runs):
         mixed = np.random.default_rng([5, run]).permutation(labels)
         known, rest = (np.isin(groups, half) for half in np.array_split(mixed, 2))
-        found = calibrate(NOMINAL_PANDA, angles[known], groups[known])
+        found = calibrate(NOMINAL_PANDA, angles[known], groups[known], accept="moved-position")
         model = ArmResidualRegressor(found.arm)
         model.fit(angles[known], found.residuals_mm, groups=groups[known])
         if not model.helps_:
@@ -271,10 +271,10 @@ def simulated_test(seed):
 
 
 def look(arm, angles, y, groups):
-    """What the model leaves, positions by number, and the variance of its noise."""
+    """What the model leaves, and positions by number."""
     model = ArmResidualRegressor(arm).fit(angles, y, groups=groups)
-    left = y - model.linear_model_.predict(angles)[0]
-    return left, np.unique(groups, return_inverse=True)[1].ravel(), model.noise_sd_**2
+    codes = np.unique(groups, return_inverse=True)[1]
+    return y - model.linear_model_.predict(angles)[0], codes
 
 
 def steps(options):
@@ -282,20 +282,19 @@ def steps(options):
     for seed in range(5000, 5000 + options.tests):
         arm, angles, y, groups = simulated_test(seed)
         rng = np.random.default_rng([1, seed])
-        left, codes, variance = look(arm, angles, y, groups)
+        left, codes = look(arm, angles, y, groups)
         features = np.hstack([np.cos(angles), np.sin(angles)])
         clusters = KMeans(3, n_init=1, random_state=0).fit_predict(features)
         by_pose = np.lexsort((rng.random(len(y)), clusters, codes))
         orders = np.arange(len(y)), by_pose, rng.permutation(len(y))
-        alarms += any(find_steps(left[o], angles[o], codes[o], variance) for o in orders)
+        alarms += any(find_steps(left[o], angles[o], codes[o]) for o in orders)
         rows = np.flatnonzero(codes == rng.integers(codes.max() + 1))
         middle, direction = rows[len(rows) // 2], rng.normal(size=3)
         size = (0.03, 0.1, 0.3)[seed // 3 % 3]
         y[rows[len(rows) // 2 :]] += size * direction / np.linalg.norm(direction)
         # The model is fitted to what was measured, the moved half included.
-        left, codes, variance = look(arm, angles, y, groups)
-        moved = find_steps(left, angles, codes, variance)
-        right = [abs(step.after - middle) <= 2 for step in moved]
+        left, codes = look(arm, angles, y, groups)
+        right = [abs(step.after - middle) <= 2 for step in find_steps(left, angles, codes)]
         found.setdefault((size, len(rows)), []).append(any(right))
     print(f"{alarms} of {options.tests} tests without a step are named")
     for (size, n), hits in sorted(found.items()):
@@ -303,10 +302,9 @@ def steps(options):
     for name in ("panda_3", "panda_2") if options.real else ():
         angles, groups, placements = read_panda(name)
         lengths = pairs_known(np.unique(placements))
-        arm = calibrate(NOMINAL_PANDA, angles, groups, lengths=lengths).arm
-        y = position_residuals(arm.forward(angles), groups)
-        left, codes, variance = look(arm, angles, y, groups)
-        for step in find_steps(left, angles, codes, variance):
+        arm = calibrate(NOMINAL_PANDA, angles, groups, lengths=lengths, accept="moved-position").arm
+        left, codes = look(arm, angles, position_residuals(arm.forward(angles), groups), groups)
+        for step in find_steps(left, angles, codes):
             print(f"{name}, {np.unique(groups)[step.code]}: {step}")
 
 
@@ -351,10 +349,7 @@ def found_in(name, run):
     found = {"calibrate": of_arm, "fit": of_fit}
     for what, sign in (("update", 1), ("wrong sign", -1)):
         with collected_findings() as of_update:
-            try:
-                update_correction(model, angles[new], sign * y[new], groups=labels)
-            except FindingError as error:
-                of_update.append(error.finding)
+            update_correction(model, angles[new], sign * y[new], groups=labels)
         found[what] = of_update
     return {what: {f.code for f in every if f.weight != "note"} for what, every in found.items()}
 

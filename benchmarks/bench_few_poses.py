@@ -27,6 +27,7 @@ import numpy as np
 from _arm_folds import (
     ARCSEC,
     MIXES,
+    MOVED,
     NOMINAL_PANDA,
     geometric,
     learn,
@@ -68,7 +69,7 @@ def panda_fit(angles, sockets, train):
     here = set(sockets[train])
     both = [p for p in {s.rpartition("/")[0] for s in here} if {f"{p}/0", f"{p}/1"} <= here]
     lengths = pairs_known(sorted(both))
-    arm = calibrate(NOMINAL_PANDA, angles[train], sockets[train], lengths=lengths).arm
+    arm = calibrate(NOMINAL_PANDA, angles[train], sockets[train], lengths=lengths, **MOVED).arm
     y = position_residuals(arm.forward(angles), sockets)
     own = position_residuals(arm.forward(angles[train]), sockets[train])
     return ArmResidualRegressor(arm).fit(angles[train], own, groups=sockets[train]), y

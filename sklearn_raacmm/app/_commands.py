@@ -5,6 +5,7 @@
 
 import shlex
 import sys
+import warnings
 import webbrowser
 from contextlib import nullcontext
 from dataclasses import replace
@@ -40,10 +41,10 @@ from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import check_places, collected_findings, numbered_rows, write_whole
+from sklearn_raacmm.utils import FindingWarning, check_places, numbered_rows, write_whole
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
-OK, NO_HELP, NOT_JUDGED = 0, 3, 4
+OK, NO_HELP = 0, 3
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
@@ -61,7 +62,8 @@ def learn(options):
     measured = table.angles, table.positions, table.points, known_lengths(options)
     like = [load_correction(folder).model for folder in options.like or ()]
     # Findings stand in the result, and are printed with it.
-    with numbered_rows(table.rows), collected_findings():
+    with numbered_rows(table.rows), warnings.catch_warnings():
+        warnings.simplefilter("ignore", FindingWarning)
         result: Any = learn_correction(
             arm,
             *measured,
@@ -74,6 +76,7 @@ def learn(options):
             tools=read_labels(table, options, "tool"),
             points_sd=options.points_sd,
             blocks=read_labels(table, options, "block"),
+            accept=options.accept or (),
         )
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
@@ -90,8 +93,7 @@ def learn(options):
     print(f"Written to {options.out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
-    code = OK if result.helps else NO_HELP if result.scores.judged else NOT_JUDGED
-    return code, result.facts
+    return OK if result.helps else NO_HELP, result.facts
 
 
 def _check_learning(options):

@@ -54,7 +54,7 @@ def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved = _open_correction(options)
     layout, today, measured = _read_today(options, saved.arm)
-    new = saved.register(*measured)
+    new = saved.register(*measured, accept=options.accept or ())
     before, left = _mean_deviations(new, today, 0, new.model.predict(new.inputs(today.angles)))
     usual = _check_left(left, saved, today)
     print(f"Registered with {_describe_poses(today)}.")

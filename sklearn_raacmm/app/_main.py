@@ -38,8 +38,8 @@ def main(arguments: list[str] | None = None) -> int:
     -------
     int
         0: done; 2: bad input, named in one sentence; 3: the correction does not help, or a
-        check found that it no longer holds or that something has changed; 4: not judged, for
-        something in the data has to be repaired first.
+        check found that it no longer holds or that something has changed; 4: of `accept`,
+        not judged, for something in the run has to be repaired first.
     """
     words = sys.argv[1:] if arguments is None else arguments
     options = make_parser("--json" in words).parse_args(words)

@@ -14,7 +14,7 @@ from sklearn_raacmm._version import __version__
 
 _EPILOG = (
     "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change, "
-    "4 not judged: first repair what was found in the data."
+    "4 of accept: not judged."
 )
 
 
@@ -29,7 +29,8 @@ WORDS = {
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
-        f"--lengths --places --length-sd {_CAUSES} --block --like --take --serial --operator",
+        f"--lengths --places --length-sd {_CAUSES} --block --like --take --accept --serial "
+        "--operator",
     ),
     "correct": (
         "_commands", "correct a table of any length",
@@ -44,7 +45,7 @@ WORDS = {
     "register": (
         "_life", "find a new probe or a new place through the correction",
         "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
-        f"{_TODAY} --out",
+        f"{_TODAY} --out --accept",
     ),
     "update": (
         "_life", "bring a correction up to date with few new poses",

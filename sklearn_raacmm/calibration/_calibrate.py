@@ -30,10 +30,10 @@ from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import (
     listed,
     one_blas_thread,
+    one_warning,
     param_checks,
     slip_factors,
     validate_params,
-    with_findings,
 )
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
@@ -59,10 +59,11 @@ _PRIOR = [
         "prior_length_mm": _PRIOR,
         "prior_angle_rad": _PRIOR,
         "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
+        "accept": ["array-like", str],
     },
     prefer_skip_nested_validation=True,
 )
-@with_findings
+@one_warning
 def calibrate(
     arm: Arm,
     angles: ArrayLike,
@@ -78,6 +79,7 @@ def calibrate(
     prior_length_mm: float | str = "auto",
     prior_angle_rad: float | str = "auto",
     angle_unit: str = "rad",
+    accept: str | Sequence[str] = (),
 ) -> CalibrationResult:
     """Identify the static parameters of an arm.
 
@@ -117,6 +119,9 @@ def calibrate(
         long and short lengths apart.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
+    accept : str or list of str, default=()
+        Codes of findings, such as "moved-position", with which the result is handed over all the
+        same.
 
     Returns
     -------
@@ -127,7 +132,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        If shapes, labels or numbers do not fit together.
+        If shapes, labels or numbers do not fit together; FindingError, if something has to be put
+        right before, such as labels or lengths that are wrong, and is not accepted.
     TypeError
         If `arm` is not an Arm, or `correction` has no method predict.
 

@@ -80,7 +80,7 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
-        yield from moved_positions(left, fit.angles, groups, fit.sigma**2, poses.first)
+        yield from moved_positions(left, fit.angles, groups, poses.first)
     yield from _set_up_moved(fit, poses)
     yield from _poses_alike(fit)
 

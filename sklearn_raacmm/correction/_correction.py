@@ -284,6 +284,7 @@ class Correction:
         *,
         angle_unit: str = "rad",
         free: Sequence[str] = ("probe",),
+        accept: str | Sequence[str] = (),
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
 
@@ -301,8 +302,9 @@ class Correction:
             Known distances between two positions, mm.
         angle_unit : {"rad", "deg"}, default="rad"
             Unit of `angles`.
-        free : list of str, default=("probe",)
-            What is found beside the base, see :func:`calibrate`.
+        free, accept : list of str
+            What is found beside the base, and codes of findings that are none: see
+            :func:`calibrate`.
 
         Returns
         -------
@@ -329,7 +331,7 @@ class Correction:
             model.fading_ = replace(model.fading_, known_mm=float(doubt.max()))
         found = calibrate(
             self.arm, angles, positions, points=points, lengths=lengths,
-            correction=self._of_angles(model), free=list(free),
+            correction=self._of_angles(model), free=list(free), accept=accept,
         )  # fmt: skip
         if doubt is not None:
             y, weights = found.residuals(angles, points, positions), found.sample_weight
@@ -382,7 +384,7 @@ class Correction:
             As :meth:`register` and :func:`update_correction`.
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        new: Any = self.register(angles, positions, points, lengths)
+        new: Any = self.register(angles, positions, points, lengths, accept=accept)
         y, X = new.calibration.residuals(angles, points, positions), self.inputs(angles, extra)
         updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
         return replace(new, model=updated)

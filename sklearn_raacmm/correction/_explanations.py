@@ -60,10 +60,18 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     used = np.flatnonzero((poses.weights > 0) & known)
     if len(used) < _LEAST_ROWS:
         return
-    data = _Rows(linear, poses.at(used))
+    poses = poses.at(used)
+    data = _Rows(linear, poses)
     if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
         return
-    likely = likeliest((data.gain(one), one) for one in data.tried(as_given))
+    every = explanations(
+        poses.residuals, data.expected, poses.angles, n_joints, poses.codes,
+        lambda angles: linear.predict(angles)[0], data.expected,
+    )  # fmt: skip
+    few = linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
+    tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
+    tried = [one for one in tried if not (few and one.code == "other-table")]
+    likely = likeliest((data.gain(one), one) for one in tried)
     if not likely:
         return
     best, *near = likely
@@ -82,22 +90,10 @@ class _Rows:
     """New poses that count, what the model expects of them, and likelihoods of what is left."""
 
     def __init__(self, linear, poses):
-        self.linear, self.poses, self.y = linear, poses, poses.residuals
-        self.expected = self.predict(poses.angles)
-        self.given = self.y - self.expected
+        self.linear, self.poses = linear, poses
+        self.expected = linear.predict(poses.angles)[0]
+        self.given = poses.residuals - self.expected
         self.spreads = {}
-
-    def predict(self, angles):
-        return self.linear.predict(angles)[0]
-
-    def tried(self, as_given):
-        """Yield what may be wrong with residuals; if they are as given, the arm is another one."""
-        of = self.poses.angles, self.linear.arm.n_joints, self.poses.codes
-        every = explanations(self.y, self.expected, *of, self.predict, self.expected)
-        few = self.linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
-        for one in islice(every, 1 if as_given else None):
-            if not (few and one.code == "other-table"):
-                yield one
 
     def gain(self, one):
         """Log likelihood of an explanation less that of the same rows as they are given, nats.
@@ -108,8 +104,10 @@ class _Rows:
         rows, other_table = one.rows[some], one.code == "other-table"
         spread = self._spread(rows, _ANOTHER_TABLE * other_table)
         taus = _ANOTHER if one.code == "another-arm" else _TAUS
-        # Those of other rows scatter about nothing by what the model expects of these.
-        noise = spread.log_noise(self.expected[rows]) if one.code == "rows-unrelated" else 0.0
+        noise = 0.0
+        if one.code == "rows-unrelated":  # they scatter by what the model expects of these, too
+            size = np.square(spread.whiten(self.expected[rows].ravel())).sum()
+            noise = 0.5 * np.log1p(size / spread.freedom)
         explained = spread.log_likelihood(one.left[some], taus, noise)
         explained += spread.freedom * np.log(one.factor)
         tables = (0.0, _CALIBRATED) if other_table else (0.0,)
@@ -154,11 +152,6 @@ class _Spread:
         seen = np.linalg.svd(self.whiten.scaled(nuisance), compute_uv=False)
         seen = seen[seen > 1e-8 * seen.max()]
         self.log_volume = -np.log(root.diagonal()).sum() - np.log(seen).sum()
-
-    def log_noise(self, vectors):
-        """Logarithm of the noise that scatters as noise and some vectors (n, 3) together."""
-        vectors = self.whiten(vectors.ravel())
-        return 0.5 * np.log1p(vectors @ vectors / self.freedom)
 
     def log_likelihood(self, left, taus=_TAUS, noise=0.0):
         """Highest log likelihood of residuals (n, 3) over changes of the arm and the noise.

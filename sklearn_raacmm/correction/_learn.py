@@ -31,7 +31,7 @@ _CONSTRAINTS = {
     "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
 }
 # Scores that are kept as they are.
-_KEPT = ("verdict", "helps", "judged", "measure", "std_factor", "coverage", "share", "n_folds")
+_KEPT = ("verdict", "helps", "measure", "std_factor", "coverage", "share", "n_folds")
 
 
 def learn_correction(
@@ -51,6 +51,7 @@ def learn_correction(
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
     blocks: ArrayLike | None = None,
+    accept: str | Sequence[str] = (),
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -108,6 +109,9 @@ def learn_correction(
         others: the plate of a socket, the placement of a bar. Positions of one block are left out
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
+    accept : str or list of str, default=()
+        Codes of findings, such as "moved-position", with which the correction is handed over all
+        the same.
 
     Returns
     -------
@@ -121,13 +125,13 @@ def learn_correction(
         than three blocks of positions; if the points of the calibrated arm scatter by more than 2 %
         of its reach: labels, table or unit are then wrong, and the sentence says what
         :func:`search_table` has found; if `points_sd` is more than twice what the points differ by
-        from the corrected ones.
+        from the corrected ones; FindingError, as :func:`calibrate` and if a position has moved
+        during the test.
 
     Warns
     -----
     UserWarning
-        As :func:`calibrate`; and if a position has moved during a single-point test, as
-        :meth:`ArmResidualRegressor.fit` says.
+        As :func:`calibrate` and :meth:`ArmResidualRegressor.fit`.
 
     Notes
     -----
@@ -174,7 +178,7 @@ def learn_correction(
             )
         return data, calibration, scores, fitted, noise
 
-    (data, calibration, scores, fitted, noise), findings = call_collecting(inside)
+    (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept=accept)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
     base = None if points is None else (calibration.base_rotation, calibration.base_translation)
     facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
@@ -188,7 +192,7 @@ def _say_what_moved(data, calibration, model, noise, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        for finding in moved_positions(left, data.angles, data.positions, noise**2, data.rows):
+        for finding in moved_positions(left, data.angles, data.positions, data.rows):
             finding.report()
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]

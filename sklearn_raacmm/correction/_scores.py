@@ -75,7 +75,7 @@ class CorrectionScores:
     n_blocks : int
         How many blocks of positions, each of which was left out as a whole.
     findings : tuple of Finding
-        What was noticed in the data. With one of weight "repair" nothing is judged.
+        What was noticed in the data.
     share : float
         Share of its correction that the model of all rows uses: 0 for none.
     fold_shares : tuple of float
@@ -114,14 +114,9 @@ class CorrectionScores:
     def _judgement(self) -> tuple[bool, str]:
         """Whether it helps, and the sentence.
 
-        With a finding of weight "repair" nothing is judged. What is handed over has to be what was
-        judged: where the model of all rows is not in use, or most of those that were judged were
-        not, the verdict says so.
+        What is handed over has to be what was judged: where the model of all rows is not in use, or
+        most of those that were judged were not, the verdict says so.
         """
-        if not self.judged:
-            first, *more = (f for f in self.findings if f.weight == "repair")
-            others = f" And {len(more)} more of the findings." * bool(more)
-            return False, f"Not judged: first repair this. {first}{others}"
         helps, verdict = _verdict(self)
         if (np.median(self.fold_shares) > 0) != (self.share > 0):
             return False, (
@@ -129,11 +124,6 @@ class CorrectionScores:
                 f"than those that were judged: {_shares(self.share, self.fold_shares)}."
             )
         return helps, verdict
-
-    @property
-    def judged(self) -> Any:
-        """Whether nothing has to be repaired before a judgement means something."""
-        return not any(finding.weight == "repair" for finding in self.findings)
 
     def __repr__(self) -> str:
         of_points = f"{self.measure} before, mm", "after", "maximum before", "after"

@@ -5,7 +5,6 @@
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import replace
 from datetime import date as calendar
 
 from numpy.typing import ArrayLike
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, NewPoses, changed_model, judged_fading
 from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, call_collecting, listed, one_blas_thread, validate_params
+from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -111,13 +110,12 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    new, accepted = (X, y, groups), listed("accept", accept)
-    updated, found = call_collecting(_updated, model, new, date, accepted)
+    updated, found = call_collecting(_updated, model, (X, y, groups), date, accept=accept)
     updated.findings_ = tuple(found)
     return updated
 
 
-def _updated(model, new, date, accepted):
+def _updated(model, new, date):
     """A copy of the model, brought up to date if the new poses show enough."""
     poses = NewPoses(model, *new)
     linear, updated = model.linear_model_, deepcopy(model)
@@ -126,9 +124,6 @@ def _updated(model, new, date, accepted):
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
     for finding in what_is_wrong(model, poses):
-        if finding.code not in accepted:
-            advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
-            finding = replace(finding, advice=advice, weight="refuse")
         finding.report()
     updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):

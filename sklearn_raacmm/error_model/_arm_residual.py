@@ -203,6 +203,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         groups: ArrayLike | bool | None = None,
         lengths: Iterable[Sequence[Any]] = (),
         probes: ArrayLike | None = None,
+        accept: str | Sequence[str] = (),
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
@@ -227,6 +228,9 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Vector of the probe of each row in the last frame, mm, where several took turns:
             ``result.arms[label].probe`` of a calibration with `tools`. The causes are then learnt
             from all of them; `predict` is for the probe of `arm`, and `with_arm` for others.
+        accept : str or list of str, default=()
+            Codes of findings, such as "sign-of-residuals", with which the model is fitted all the
+            same.
 
         Returns
         -------
@@ -239,14 +243,14 @@ class ArmResidualRegressor(PointCorrectionMixin):
             If shapes, labels, weights, causes or lengths do not fit together, something is NaN or
             infinite, the model has no columns at all, or ``offsets=True`` comes without `groups`;
             if `y` are the probe's points, or half of them longer than a twentieth of the arm's
-            reach.
+            reach; FindingError, if something has to be put right before, such as the sign or the
+            unit of `y`, and is not accepted.
 
         Warns
         -----
         FindingWarning
-            Of what is found in the data, such as a wrong sign or unit of `y`, an arm that is not
-            calibrated, or a reference in another frame; see `findings_`. Rows in which the arm
-            stood still are merged to one pose.
+            Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
+            Rows in which the arm stood still are merged to one pose.
         """
         lengths = listed("lengths", lengths)
         rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes)

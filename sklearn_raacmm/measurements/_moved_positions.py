@@ -11,32 +11,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.measurements._dwells import find_dwells
+from sklearn_raacmm.measurements._explanations import likeliest
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
-# Poses on either side of a step that are compared, and the fewest: what lasts for fewer than three
-# is an outlier; beyond ten a slow change of the residuals counts as much as a step.
-_MOST, _LEAST = 10, 3
-# Squared size of a step over its variance from which on it is one. With the largest of windows of
-# 3, 5 and 10 poses the largest of 12 000 poses of a UR10 was 112, and two sockets of a Panda that
-# did move had 889 and 521; with windows of 10 `benchmarks/bench_check.py steps` has no false alarm.
-_LIMIT = 150.0
-# Ratios that are looked at, their quantile that is compared, and what it is of independent normal
-# errors: chi-squared of three freedoms.
-_TRIED, _QUANTILE, _USUAL = 200, 0.7, 3.66
+# Poses that are looked at together, and the fewest on either side of a step: what lasts for fewer
+# than three is an outlier.
+_WINDOWS, _LEAST = (10, 20), 3
+# What a model leaves of the arm: its variance in units of that of the noise, and the distance of
+# two poses, in cosines and sines of the angles, at which it fades. A step has to be likely by each.
+# Poses that the noise of the whole test counts as, beside those of a window. Of 32 clean tests in
+# three orders none is named, of steps of 0.3 mm 9 of 12 (``benchmarks/bench_check.py steps``).
+_MISFITS, _USUAL = ((3.0, 1.0), (300.0, 4.0)), 10
+# Medians of all poses beyond which a pose that differs from those about it is left out.
+_OUTLIER = 8.0
 # Orders of the rows that are tried, and how many of them may look as orderly as the one given.
 _ORDERS, _AS_ORDERLY = 1999, 4
 # Rows beside the step whose order is tried: the table of their distances stays small.
 _BESIDE = 100
-# Squared length of a normal error in three coordinates, in the median, in units of its variance.
-_MEDIAN_SQUARE = 2.366
-# Distances of poses are divided into so many classes, of at least so many pairs each.
-_CLASSES, _PAIRS = 10, 50
-# Standard deviations beyond which a pose that differs from its neighbours in the order is left out.
-_OUTLIER = 8.0
+# Poses on either side whose means are the size of a step: beyond ten a slow change counts as much.
+_MOST = 10
 # No arm measures with less noise, in mm: rounding is no step.
 _LEAST_NOISE_MM = 1e-3
-# Positions, and steps of each, that the sentence names.
-_NAMED = 3
+_NAMED = 3  # positions that the sentence names
 MOVED = "The fixed point seems to have moved during the test:"
 
 
@@ -49,40 +45,41 @@ class Step(NamedTuple):
     size_mm: float
 
 
-def find_steps(
-    left: np.ndarray, angles: np.ndarray, codes: np.ndarray, noise_variance: float = 0.0
-) -> list[Step]:
-    r"""Steps of residuals (n, 3) in mm in the order of the rows, position by position.
+def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[Step]:
+    """Steps of residuals (n, 3) in mm in the order of the rows, position by position.
 
     What a model leaves at two poses of one position differs the more, the farther the poses are
-    apart, but it does not jump between two rows while poses as far apart elsewhere agree. With A
-    and B the poses before and after a possible step, :math:`\gamma(h)` half of the mean square
-    difference of two poses at the distance h in joint space (the semivariogram, from medians of all
-    positions), the difference of the two means has the variance
-
-    .. math:: 2 \bar\gamma(A, B) - \bar\gamma(A, A) - \bar\gamma(B, B)
-
-    in every coordinate, with at least the noise variance in :math:`\gamma`. Positions are divided
-    at the largest ratio, then their parts. Outliers are no steps; in rows that were shuffled
-    neighbours differ as much as others do, and nothing is found.
+    apart, but it does not jump between two rows. So a step is as likely as a constant that changes
+    there, beside a process of the pose and noise, see `_nats`. Positions are divided at the
+    likeliest step, then their parts. Outliers are no steps; in rows that were shuffled neighbours
+    differ as much as others do, and nothing is found.
     """
-    poses = _sorted_poses(left, angles, codes)
-    poses = poses[np.bincount(poses.codes)[poses.codes] >= 2 * _LEAST]
-    if not len(poses):
+    whole: Any = [one for one in _sorted_poses(left, angles, codes) if len(one) >= 2 * _LEAST]
+    if not whole:
         return []
-    edges, half = _semivariogram(poses, noise_variance)
-    whole = [poses[poses.codes == code] for code in np.unique(poses.codes)]
-    kept = [one[~_alone(one.left, _OUTLIER * np.sqrt(half[-1]))] for one in whole]
-    # A model that is far from complete leaves errors that change faster in some directions of joint
-    # space than the distance shows: most differences of runs are to be as large as expected.
-    every = max(len(poses) // _TRIED, 1)
-    usual = np.concatenate([_contrasts(one, (edges, half), 0.0, every)[0] for one in kept])
-    wider = np.quantile(usual, _QUANTILE) / _USUAL if len(usual) else 1.0
-    spread, found = (edges, half * max(wider, 1.0)), []
-    for every_pose, one in zip(whole, kept, strict=True):
-        cuts, steps = _cuts(one, spread), []
-        parts: Any = np.split(one, sorted(cuts))
-        for before, after in pairwise(parts):
+    away = [_from_those_about(one.left) for one in whole]
+    limit = _OUTLIER * max(np.median(np.concatenate(away)), _LEAST_NOISE_MM)
+    poses = [one[far <= limit] for one, far in zip(whole, away, strict=True)]
+    squares = [_squares(one) for one in poses if len(one) >= 2 * _LEAST]
+    if not squares:
+        return []
+    # As large as noise in most of the windows: steps are in few of them.
+    spread = np.concatenate([rest / n_free for _, n_free, rest, _ in squares], axis=1)
+    usual = np.maximum(np.median(spread, axis=1, keepdims=True), _LEAST_NOISE_MM**2)
+    found = []
+    for every_pose, one in zip(whole, poses, strict=True):
+        cuts, parts = [], [(0, len(one))]
+        while parts:
+            low, high = parts.pop()
+            if high - low < 2 * _LEAST:
+                continue
+            likely = likeliest(_nats(one[low:high], usual, len(left)))
+            if likely:
+                cuts.append(low + likely[0])
+                parts += [(low, cuts[-1]), (cuts[-1], high)]
+        steps = []
+        divided: Any = np.split(one, sorted(cuts))
+        for before, after in pairwise(divided):
             step = after.left[:_MOST].mean(axis=0) - before.left[-_MOST:].mean(axis=0)
             rows = int(before.last[-1]), int(after.first[0])
             steps.append(Step(int(one.codes[0]), *rows, float(np.linalg.norm(step))))
@@ -92,22 +89,22 @@ def find_steps(
     return found
 
 
-def moved_positions(
-    left: Any, angles: Any, groups: ArrayLike, noise_variance: float, numbers: Any
-) -> Iterator[Finding]:
+def moved_positions(left: Any, angles: Any, groups: ArrayLike, numbers: Any) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
     As `find_steps`; `numbers` (n,) are what the rows are called.
     """
     labels, codes = encode_groups(groups)
-    steps = find_steps(left, angles, codes, noise_variance)
+    steps = find_steps(left, angles, codes)
     if not steps:
         return
     moved = sorted({step.code for step in steps})
     named = []
     for code in moved[:_NAMED]:
-        of = [step for step in steps if step.code == code]
-        named.append(f"position {labels[code].item()!r} by {_in_words(of, numbers)}")
+        largest = max((one for one in steps if one.code == code), key=lambda one: one.size_mm)
+        before, after = row_numbers(numbers[[largest.before, largest.after]])
+        where = f"{largest.size_mm:.3g} mm between rows {before} and {after}"
+        named.append(f"position {labels[code].item()!r} by {where}")
     more = f"; and {len(moved) - _NAMED} others" * (len(moved) > _NAMED)
     yield Finding(
         "moved-position",
@@ -121,21 +118,10 @@ def moved_positions(
     )
 
 
-def _in_words(steps, rows):
-    """The largest steps, in their order."""
-    largest = sorted(sorted(steps, key=lambda step: -step.size_mm)[:_NAMED], key=steps.index)
-    parts = []
-    for step in largest:
-        before, after = row_numbers(rows[[step.before, step.after]])
-        parts.append(f"{step.size_mm:.3g} mm between rows {before} and {after}")
-    more = f" and {len(steps) - _NAMED} more times" * (len(steps) > _NAMED)
-    return f"{', by '.join(parts)}{more}"
-
-
 def _sorted_poses(left, angles, codes):
-    """Poses, position by position in the order of their rows; rows in a row at one pose are one.
+    """Poses of each position in the order of their rows; rows in a row at one pose are one.
 
-    A record array: `left` (n, 3) mm, `place` (n, 2 n_joints) cosines and sines of the angles,
+    Record arrays: `left` (n, 3) mm, `place` (n, 2 n_joints) cosines and sines of the angles,
     `codes`, and the `first` and the `last` row of each pose.
     """
     rows = np.argsort(codes, kind="stable")
@@ -147,79 +133,55 @@ def _sorted_poses(left, angles, codes):
     poses.first, poses.last, poses.codes = first, last, codes[first]
     poses.left = dwells.mean(left[rows])
     poses.place = np.hstack([np.cos(angles[first]), np.sin(angles[first])])
-    return poses
+    return np.split(poses, np.flatnonzero(np.diff(poses.codes)) + 1)
 
 
-def _semivariogram(poses, noise_variance):
-    """Half of the mean square difference of a coordinate at two poses, by their distance.
+def _squares(one):
+    """Of every step in some window of poses, how it changes the squares in its direction.
 
-    Distances between which a class lies, and mm^2 of each class: from all pairs that windows may
-    hold, by medians, since steps are in few of them.
+    The pose behind it and how many coordinates are free, (n,), and for each misfit the squares that
+    are left and those taken away, (2, n), beside a constant, in units of the noise.
     """
-    distance, square = [], []
-    for lag in range(1, 2 * _MOST):
-        same = np.flatnonzero(poses.codes[lag:] == poses.codes[:-lag])
-        for values, out in ((poses.place, distance), (poses.left, square)):
-            out.append(np.square(values[same + lag] - values[same]).sum(axis=1))
-    distance, square = np.sqrt(np.concatenate(distance)), np.concatenate(square)
-    n = max(min(_CLASSES, len(distance) // _PAIRS), 1)
-    edges = np.quantile(distance, np.arange(1, n) / n)
-    of = np.searchsorted(edges, distance)
-    medians = [np.median(square[of == i]) if np.any(of == i) else 0.0 for i in range(n)]
-    half = np.maximum.accumulate(np.array(medians) / (2 * _MEDIAN_SQUARE))
-    return edges, np.maximum(half, max(noise_variance, _LEAST_NOISE_MM**2))
+    found = []
+    for m in sorted({min(m, len(one)) for m in _WINDOWS}):
+        at = np.arange(len(one) - m + 1)[:, None] + np.arange(m)
+        place, cuts = one.place[at], np.arange(_LEAST, m - _LEAST + 1)
+        apart = place.shape[2] - 2 * place @ place.swapaxes(1, 2)
+        steps = np.broadcast_to(np.arange(m)[:, None] >= cuts, (len(at), m, len(cuts)))
+        columns = np.concatenate([np.ones((len(at), m, 1)), steps, one.left[at]], axis=2)
+        both = []
+        for size, fades in _MISFITS:
+            root = np.linalg.cholesky(np.eye(m) + size * np.exp(-apart / (2 * fades**2)))
+            white = np.linalg.solve(root, columns)
+            constant = white[:, :, :1] / np.linalg.norm(white[:, :, :1], axis=1, keepdims=True)
+            white = white - constant @ (constant.swapaxes(1, 2) @ white)
+            steps, y = white[:, :, 1:-3], white[:, :, -3:]
+            move = (steps / np.linalg.norm(steps, axis=1, keepdims=True)).swapaxes(1, 2) @ y
+            taken = np.square(move).sum(axis=2)
+            along = y @ (move / np.sqrt(np.maximum(taken, 1e-300))[:, :, None]).swapaxes(1, 2)
+            rest = np.maximum(np.square(along).sum(axis=1) - taken, 0.0)
+            both.append([rest.ravel(), taken.ravel()])
+        behind = (at[:, :1] + cuts).ravel()
+        found.append((behind, np.full(len(behind), m - 2), *np.stack(both, axis=1)))
+    return [np.concatenate(part, axis=-1) for part in zip(*found, strict=True)]
 
 
-def _variance_of_difference(place, n_before, spread):
-    """Variance of a coordinate of the difference of the means of two runs of poses."""
-    edges, half = spread
-    apart = np.linalg.norm(place[:, None] - place, axis=2)
-    between = half[np.searchsorted(edges, apart)]
-    np.fill_diagonal(between, 0.0)
-    a, b = slice(n_before), slice(n_before, None)
-    found = 2 * between[a, b].mean() - between[a, a].mean() - between[b, b].mean()
-    return max(found, half[0] * (1 / n_before + 1 / (len(place) - n_before)))
+def _nats(one, usual, n_tried):
+    """By how much every step is likelier than none, nats, and the pose behind it.
+
+    The noise is found with it and without it, of the window beside so many poses of the `usual`
+    variance, mm^2.
+    """
+    behind, n_free, rest, taken = _squares(one)
+    nats = (n_free + _USUAL) / 2 * np.log1p(taken / (rest + _USUAL * usual)) - np.log(n_tried)
+    return zip(nats.min(axis=0).tolist(), behind.tolist(), strict=True)
 
 
-def _alone(left, limit):
-    """Poses that differ from the median of the five about them: a step of three is kept."""
+def _from_those_about(left):
+    """Distance (n,) of each pose from the median of the five about it: a step of three is kept."""
     middle = np.clip(np.arange(len(left)), 2, len(left) - 3)
     about = np.median(left[middle[:, None] + np.arange(-2, 3)], axis=1)
-    return np.linalg.norm(left - about, axis=1) > limit
-
-
-def _contrasts(one, spread, limit, every=1):
-    """Squared steps in one position over their variances, and over those of noise alone.
-
-    Before each pose from the fourth to the third from the end; the first are bounds where they are
-    below `limit`.
-    """
-    k = np.arange(_LEAST, len(one) - _LEAST + 1, every)
-    low, high = np.maximum(0, k - _MOST), np.minimum(len(one), k + _MOST)
-    before, after = k - low, high - k
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(one.left, axis=0)])
-    step = (sums[high] - sums[k]) / after[:, None] - (sums[k] - sums[low]) / before[:, None]
-    square = np.square(step).sum(axis=1)
-    of_noise = square / (spread[1][0] * (1 / before + 1 / after))
-    ratio = of_noise.copy()
-    for i in np.flatnonzero(of_noise > limit):
-        ratio[i] = square[i] / _variance_of_difference(
-            one.place[low[i] : high[i]], before[i], spread
-        )
-    return ratio, of_noise
-
-
-def _cuts(one, spread):
-    """First poses behind the steps of one position, the clearest first."""
-    found, parts = [], [(0, len(one))]
-    while parts:
-        low, high = parts.pop()
-        ratio, of_noise = _contrasts(one[low:high], spread, _LIMIT)
-        if np.any(ratio > _LIMIT):
-            k = low + _LEAST + int(np.argmax(np.where(ratio > _LIMIT, of_noise, 0.0)))
-            found.append(k)
-            parts += [(low, k), (k, high)]
-    return found
+    return np.linalg.norm(left - about, axis=1)
 
 
 def _in_order(poses, row, size):

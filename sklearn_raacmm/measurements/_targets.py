@@ -55,12 +55,15 @@ def check_targets(
     angles, codes, probes = (None if v is None else v[numbers] for v in parts)
     about_means = centred(y, codes, weights) if offsets else y  # offsets may be of any size
     if arm is None:
-        checks: list[Any] = [_are_too_large(about_means), _are_of_another_frame(y, _STRIKING_MM)]
+        shift = np.broadcast_to(np.eye(3), (len(y), 3, 3))
+        checks: list[Any] = [_are_too_large(about_means)]
+        checks.append(_are_of_another_frame(y, shift, _STRIKING_MM))
     else:
         points, reach = points_of(arm, angles, probes), arm.reach_mm
         checks = [_are_points(y, points, reach), _are_too_large(about_means, reach)]
         if not offsets:
-            checks.append(_are_of_another_frame(y, _STRIKING_SHARE * reach, points))
+            moved = base_motions(points, reach)
+            checks.append(_are_of_another_frame(y, moved, _STRIKING_SHARE * reach))
         if codes is not None:
             # In another order their means are not 0, but they are as long.
             ours, given = (np.sort(np.linalg.norm(v, axis=1)) for v in (centred(points, codes), y))
@@ -88,7 +91,8 @@ def _are_points(y, points, reach):
     """The probe's points, in whatever frame, are refused."""
     if len(y) < _LEAST_ROWS:
         return
-    left, spread = _rms(_beside_motion(y, points)[0]), _rms(points - points.mean(axis=0))
+    rotation, shift = align(points, y)
+    left, spread = _rms(y - points @ rotation.T - shift), _rms(points - points.mean(axis=0))
     # The points of a single position are residuals but for a shift.
     if left < _SHARE_OF_SPREAD * spread and spread > _SHARE_OF_REACH * reach:
         text = (
@@ -108,21 +112,16 @@ def _are_too_large(y, reach=None):
         yield Finding("no-residuals", text, advice, "refuse", size_mm=half)
 
 
-def _are_of_another_frame(y, striking, points=None):
-    """A motion of the base explains nearly all of them; without the arm, a shift."""
+def _are_of_another_frame(y, moved, striking):
+    """A motion of the base, (n, 3, p) by its numbers, explains nearly all of them."""
     size = _rms(y)
     if len(y) < _LEAST_ROWS or size < striking:
         return
-    left, n_found, about = y - y.mean(axis=0), 3, ""
-    if points is not None:
-        left, turn = _beside_motion(points - y, points)
-        n_found, about = 6, f"a turn by {turn:.2g} rad and "
-    rest = _rms(left) * np.sqrt(y.size / (y.size - n_found))
+    rest = _beside(y, moved)
     if rest < _LEFT * size:
-        mean = np.linalg.norm(y.mean(axis=0))
         text = (
-            f"The residuals of {size:.4g} mm (root mean square) are nearly one motion of the base: "
-            f"{about}a shift by {mean:.4g} mm on the average leave {rest:.4g} mm."
+            f"The residuals of {size:.4g} mm (root mean square) are nearly one motion of the base, "
+            f"which leaves {rest:.4g} mm."
         )
         advice = f"Is the reference in another frame? {HOW_TO}"
         yield Finding("another-frame", text, advice, "repair", size_mm=size)
@@ -137,21 +136,13 @@ def _are_what_calibration_takes(y, arm, angles, points, constants):
     # An arm without lengths has no deviations at all, but tables change by millimetres only.
     sizes = [_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM]
     jac = parameter_jacobian(arm, angles)[1] * np.repeat(sizes, [arm.n_joints] * 4 + [3])
-    n_columns = jac.shape[2]
-    if y.size < _COORDINATES_OF_TABLES * n_columns:
+    if y.size < _COORDINATES_OF_TABLES * jac.shape[2]:
         return
-    both = np.concatenate([y[:, :, None], jac], axis=2)
+    moved = base_motions(points, reach)  # a base that stands elsewhere is another finding
     if constants:
-        both = centred(both, *constants).reshape(y.size, -1)
-    else:  # a base that stands elsewhere is another finding
-        place = np.linalg.qr(base_motions(points, reach).reshape(y.size, 6))[0]
-        both = both.reshape(y.size, -1)
-        both = both - place @ (place.T @ both)
-    given, columns = both[:, 0], both[:, 1:]
-    size = np.sqrt(3 * np.square(given).mean())
-    ridge = _LEFT_OF_TABLE / 3 * size * np.eye(n_columns)
-    coef = np.linalg.lstsq(np.vstack([columns, ridge]), np.r_[given, np.zeros(n_columns)])[0]
-    left = np.sqrt(3 * np.square(given - columns @ coef).sum() / (y.size - n_columns))
+        y, jac, moved = centred(y, *constants), centred(jac, *constants), moved[:, :, :0]
+    size = _beside(y, moved)
+    left = _beside(y, moved, jac, _LEFT_OF_TABLE / 3 * size)
     if size > _LARGE_MM and left < _LEFT_OF_TABLE * size:
         text = (
             f"The residuals of {size:.3g} mm (root mean square) are nearly what a calibration "
@@ -161,11 +152,18 @@ def _are_what_calibration_takes(y, arm, angles, points, constants):
         yield Finding("not-calibrated", text, advice, size_mm=size)
 
 
-def _beside_motion(target, points):
-    """What the best motion of points (n, 3) leaves of a target (n, 3), and its turn in rad."""
-    rotation, shift = align(points, target)
-    turn = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
-    return target - points @ rotation.T - shift, turn
+def _beside(y, moved, table=None, ridge=0.0):
+    """Root mean square length (mm) of what columns (n, 3, p) leave of y (n, 3), as of new rows.
+
+    The numbers of the table are as small as the ridge has them.
+    """
+    columns = moved if table is None else np.concatenate([moved, table], axis=2)
+    columns = columns.reshape(y.size, -1)
+    n = columns.shape[1]
+    rows = ridge * np.eye(n)[moved.shape[2] :]
+    both = np.vstack([columns, rows]), np.r_[y.ravel(), np.zeros(len(rows))]
+    left = y.ravel() - columns @ np.linalg.lstsq(*both)[0]
+    return float(np.sqrt(3 * np.square(left).sum() / (y.size - n)))
 
 
 def _rms(vectors):

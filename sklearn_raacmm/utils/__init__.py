@@ -45,7 +45,6 @@ from sklearn_raacmm.utils._findings import (
     stage,
     warn_user,
     whole_fit,
-    with_findings,
 )
 from sklearn_raacmm.utils._rows import (
     TUKEY_CUT,

@@ -11,7 +11,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
@@ -74,9 +74,9 @@ class Finding:
     advice : str
         One sentence: what to do. Empty if there is nothing to do.
     weight : {"note", "doubt", "repair", "refuse"}
-        "note": good to know. "doubt": results may be worse than they look. "repair": no judgement
-        of the correction means anything before this is put right. "refuse": these cannot be the
-        data that are asked for; nothing is computed.
+        "note": good to know. "doubt": results may be worse than they look. "repair": nothing is
+        handed over before this is put right, or accepted by its code: then it is a doubt.
+        "refuse": these cannot be the data that are asked for; nothing is computed.
     positions : tuple
         Labels of the positions that it is about; empty if it is about all.
     rows : tuple of int
@@ -177,12 +177,15 @@ class collected_findings:  # noqa: N801  (a context manager, as those of the sta
 
 
 def call_collecting(
-    function: Callable[..., Any], *args: Any, **kwargs: Any
+    function: Callable[..., Any], *args: Any, accept: str | Sequence[str] = (), **kwargs: Any
 ) -> tuple[Any, list[Finding]]:
     """Call a function: its result, and what was found within, each warned of once at the end.
 
+    A finding of weight "repair" whose code is in `accept` becomes a doubt; of any other the result
+    is not handed over, unless this is a part of another call.
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
+    accepted = [accept] if isinstance(accept, str) else list(accept)
 
     def inside():
         found: list[Finding] = []
@@ -195,7 +198,13 @@ def call_collecting(
                 if finding is not getattr(error, "finding", None):
                     finding.report()
             raise
-        for finding in found:
+        for i, finding in enumerate(found):
+            if finding.weight == "repair" and finding.code in accepted:
+                found[i] = replace(finding, weight="doubt")
+        for finding in sorted(found, key=lambda one: one.weight == "repair"):
+            if finding.weight == "repair" and _COLLECTED.get() is None:
+                advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
+                finding = replace(finding, advice=advice, weight="refuse")
             finding.report()
         return result, found
 
@@ -203,22 +212,15 @@ def call_collecting(
 
 
 def one_warning(function: Function) -> Function:
-    """Make a function that warns of each finding once, however many of its parts make it."""
+    """Make a function that warns of each finding once, however many of its parts make it.
 
-    @wraps(function)
-    def wrapper(*args, **kwargs):
-        return call_collecting(function, *args, **kwargs)[0]
-
-    return cast(Function, wrapper)
-
-
-def with_findings(function: Function) -> Function:
-    """Make a function that puts the findings made within into its result, a dataclass."""
+    A result that keeps `findings` has them all.
+    """
 
     @wraps(function)
     def wrapper(*args, **kwargs):
         result, found = call_collecting(function, *args, **kwargs)
-        return replace(result, findings=tuple(found))
+        return replace(result, findings=tuple(found)) if hasattr(result, "findings") else result
 
     return cast(Function, wrapper)
 

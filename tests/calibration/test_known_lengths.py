@@ -1,13 +1,13 @@
 """Known lengths that are not: in another unit, of other ends, of balls without their diameter."""
 
 import re
-import warnings
 
 import numpy as np
 import pytest
 
 from sklearn_raacmm import calibrate
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.utils import collected_findings
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 POINTS, GROUPS = TEST.simulation.true_points, TEST.groups
@@ -27,8 +27,7 @@ def known(pairs, change=lambda mm: mm, only=None):
 
 
 def findings(lengths, arm=TEST.nominal_arm):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with collected_findings():
         return calibrate(arm, TEST.data, GROUPS, lengths=lengths).findings
 
 

@@ -1,7 +1,5 @@
 """Labels by geometry: places found from points, rows that bear another's label, one place twice."""
 
-import warnings
-
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
@@ -11,7 +9,7 @@ from sklearn.model_selection import GroupKFold
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.calibration._labels import places_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.utils import FindingWarning
+from sklearn_raacmm.utils import FindingWarning, collected_findings
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 PANDA = Arm.from_name("panda", probe=(0, 0, 138))
@@ -20,8 +18,7 @@ SMALL = ArmResidualRegressor(TEST.arm, orders=2)
 
 def found(arm, angles, groups):
     """Findings of a calibration by their codes."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with collected_findings():
         return {finding.code: finding for finding in calibrate(arm, angles, groups).findings}
 
 
@@ -29,8 +26,7 @@ def found(arm, angles, groups):
 def test_places_of_real_arms_are_the_sockets(panda, name):
     """Of the nominal arm with its probe fitted, then calibrated without labels."""
     data = panda(name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # two sockets of panda_2 did move
+    with collected_findings():  # two sockets of panda_2 did move
         probe = calibrate(PANDA, data.angles, data.groups, free=["probe"]).arm.probe
         first = places_of(PANDA.replace(probe=probe).forward(data.angles))
         arm = calibrate(PANDA, data.angles, first).arm

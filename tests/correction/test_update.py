@@ -230,7 +230,7 @@ def test_a_likelier_explanation_hands_nothing_over(model):
     assert 'accept="corrected-already"' in str(caught.value)
     with pytest.warns(UserWarning, match="corrected already"):
         taken = update_correction(model, angles, corrected, accept="corrected-already")
-    assert [finding.weight for finding in taken.findings_] == ["repair"]
+    assert [finding.weight for finding in taken.findings_] == ["doubt"]
 
 
 def test_new_poses_that_nothing_is_wrong_with_are_taken(model):

@@ -232,7 +232,8 @@ def leave_placements_out(data):
         train = data.placements != placement
         lengths = [(f"{p}/0", f"{p}/1", 50.0, 0.1) for p in np.unique(data.placements[train])]
         nominal = Arm.from_name("panda", probe=(0, 0, 138))
-        arm = calibrate(nominal, data.angles[train], data.groups[train], lengths=lengths).arm
+        given = data.angles[train], data.groups[train]
+        arm = calibrate(nominal, *given, lengths=lengths, accept="moved-position").arm
         y = position_residuals(arm.forward(data.angles), data.groups)
         model = ArmResidualRegressor(arm)
         model.fit(data.angles[train], y[train], groups=data.groups[train])

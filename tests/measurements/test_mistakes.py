@@ -481,18 +481,18 @@ def test_clean_data_raise_no_finding(name):
 
 
 def test_findings_travel_with_what_is_learnt():
+    """What has to be repaired hands over nothing, unless it is accepted: then it is a doubt."""
+    given = TEST.nominal_arm, moved_cone().angles, TEST.groups
+    with pytest.raises(FindingError, match='accept="moved-position" goes on') as refused:
+        learn_correction(*given, model=SMALL, cv=3)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        learned = learn_correction(
-            TEST.nominal_arm, moved_cone().angles, TEST.groups, model=SMALL, cv=3
-        )
+        learned = learn_correction(*given, model=SMALL, cv=3, accept="moved-position")
     assert {one.filename for one in caught} == {__file__}
     assert {one.category for one in caught} == {FindingWarning}
     (found,) = [finding for finding in learned.findings if finding.code == "moved-position"]
-    assert found.weight == "repair"
+    assert found.weight == "doubt"
+    assert found.text == refused.value.finding.text
     assert found.positions == (2,)
     assert found.size_mm == pytest.approx(6, rel=0.3)
-    assert not learned.helps
-    assert not learned.scores.judged
-    assert learned.verdict.startswith("Not judged: first repair this. The fixed point")
     assert learned.facts["findings"][0]["code"] in {f.code for f in learned.findings}

@@ -109,21 +109,35 @@ def test_few_rows(n):
     angles, left = poses_and_noise()
     left[n // 2 :] += 1.0
     assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
+    left[0] += 100.0  # and one of them an outlier
+    assert find_steps(left[:n], angles[:n], np.zeros(n, dtype=int)) == []
 
 
-def test_variance_of_a_difference_of_means_against_its_covariance():
-    """Of w'y with the covariance c - gamma it is w' (c - gamma) w."""
-    angles, left = poses_and_noise()
-    poses = _moved_positions._sorted_poses(left, angles, CODES)
-    spread = np.array([1.5, 2.5]), np.array([0.3, 0.5, 1.1])
-    place = poses.place[:8]
-    apart = np.sqrt(np.square(place[:, None] - place).sum(axis=2))
-    gamma = np.where(apart < 1.5, 0.3, np.where(apart < 2.5, 0.5, 1.1))
-    np.fill_diagonal(gamma, 0.0)
-    w = np.r_[np.full(3, -1 / 3), np.full(5, 1 / 5)]
-    expected = max(w @ (2.0 - gamma) @ w, 0.3 * (1 / 3 + 1 / 5))
-    found = _moved_positions._variance_of_difference(place, 3, spread)
-    assert_allclose(found, expected, rtol=1e-12)
+def test_exact_residuals():
+    angles, _ = poses_and_noise()
+    assert find_steps(np.zeros((120, 3)), angles, CODES) == []
+
+
+def test_likelihood_of_a_step_against_two_normal_densities():
+    """Of seven poses of one position, beside the noise of all: the ratio of two t densities."""
+    rng = np.random.default_rng(0)
+    angles, left = rng.uniform(-2, 2, (7, 6)), np.zeros((7, 3))
+    left[:, 0] = rng.normal(0, NOISE, 7) + 0.03 * (np.arange(7) >= 4)
+    (poses,) = _moved_positions._sorted_poses(left, angles, np.zeros(7, dtype=int))
+    usual = np.full((2, 1), NOISE**2)
+    found = {k: nats for nats, k in _moved_positions._nats(poses, usual, 1)}
+    apart = np.square(poses.place[:, None] - poses.place).sum(axis=2)
+    expected = []
+    for size, fades in _moved_positions._MISFITS:
+        inverse = np.linalg.inv(np.eye(7) + size * np.exp(-apart / 2 / fades**2))
+        squares = []
+        for columns in (np.ones((7, 1)), np.c_[np.ones(7), np.arange(7) >= 4]):
+            weigh = inverse - inverse @ columns @ np.linalg.solve(
+                columns.T @ inverse @ columns, columns.T @ inverse
+            )
+            squares.append(left[:, 0] @ weigh @ left[:, 0] + 10 * NOISE**2)
+        expected.append((5 + 10) / 2 * np.log(squares[0] / squares[1]))
+    assert_allclose(found[4], min(expected), rtol=1e-9)
 
 
 def moved_test(machine="none", n_positions=5):
@@ -142,20 +156,20 @@ def test_the_warning_names_position_rows_and_size():
     left += np.random.default_rng(0).normal(0, NOISE, left.shape)
     expected = rf"position 2 by 0\.\d+ mm between rows {first - 1} and {first}\."
     numbers = np.arange(len(left))
-    (found,) = moved_positions(left, angles, groups, NOISE**2, numbers)
+    (found,) = moved_positions(left, angles, groups, numbers)
     assert re.match(f"^{MOVED} {expected}", str(found))
     assert (found.weight, found.positions, found.rows) == ("repair", (2,), (first,))
     with numbered_rows(np.arange(len(left)) + 100):
-        (found,) = moved_positions(left, angles, groups, NOISE**2, numbers)
+        (found,) = moved_positions(left, angles, groups, numbers)
     assert f"between rows {first + 99} and {first + 100}." in found.text
     assert found.rows == (first + 100,)
     some = (numbers < first) | (groups != 2)
     given = (part[some] for part in (left, angles, groups))
-    assert not list(moved_positions(*given, NOISE**2, numbers[some]))
+    assert not list(moved_positions(*given, numbers[some]))
     # Labels of their own after each step are the way out.
     labels = np.array([f"cone {label}" for label in groups], dtype=object)
     labels[first:][groups[first:] == 2] = "cone 2, moved"
-    assert not list(moved_positions(left, angles, labels, NOISE**2, numbers))
+    assert not list(moved_positions(left, angles, labels, numbers))
 
 
 @pytest.mark.filterwarnings("ignore:The fixed point seems to have moved")  # of calibrate
@@ -164,13 +178,13 @@ def test_of_two_real_arms_one_had_a_socket_that_moved(panda):
     found = {}
     for name in ("panda_2", "panda_3"):
         data = panda(name)
-        result = calibrate(nominal, data.angles, data.groups)
+        result = calibrate(nominal, data.angles, data.groups, accept="moved-position")
         left = result.residuals_mm
         left = left - ArmResidualRegressor(result.arm, orders=20, fade=0).fit(
             data.angles, left, groups=data.groups
         ).predict(data.angles)
         numbers = np.arange(len(left))
-        found[name] = [*map(str, moved_positions(left, data.angles, data.groups, 0.0, numbers))]
+        found[name] = [*map(str, moved_positions(left, data.angles, data.groups, numbers))]
     assert found["panda_3"] == []
     (sentence,) = found["panda_2"]
     assert sentence.count("position '") == 2

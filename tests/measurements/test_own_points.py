@@ -1,7 +1,5 @@
 """Deviations of real single-point tests beside the arm's own points: what was done is named."""
 
-import warnings
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -20,8 +18,7 @@ def real(request, panda):
     """Arm, angles, deviations and codes of a real test, calibrated once."""
     data = panda(request.param)
     if request.param not in ARMS:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with collected_findings():
             nominal = Arm.from_name("panda", probe=(0, 0, 138))
             ARMS[request.param] = calibrate(nominal, data.angles, data.groups).arm
     arm = ARMS[request.param]
