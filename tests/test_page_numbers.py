@@ -2,21 +2,13 @@
 
 import json
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.stats
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    RBFNetRegressor,
-    calibrate,
-    learn_correction,
-    position_residuals,
-)
+from sklearn_raacmm import Arm, RBFNetRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -78,19 +70,6 @@ def test_links_that_are_short_by_one_share_carry_it_to_lengths():
 # -- measured again -------------------------------------------------------------------------------
 
 
-@pytest.mark.exhaustive
-def test_intervals_of_the_first_page():
-    test = make_single_point(n_positions=8, n_poses=20, bars=[500], random_state=0)
-    arm = Arm.from_lengths(
-        "2-2-2", shoulder=376, upper=750, fore=500, probe=113, elbow_offset=62, wrist_offset=62
-    )
-    summary = learn_correction(arm, test.data, test.groups, lengths=test.lengths).scores.summary
-    ends = [*summary["before"][1:], *summary["after"][1:]]
-    for page, between in (("index.md", ", "), ("../README.md", " and ")):
-        said = numbers(page, f"@ to @ mm before{between}@ to @ mm after")
-        np.testing.assert_allclose(said, ends, atol=6e-4)
-
-
 def test_a_step_of_ols_lowers_the_error_more_than_one_of_omp():
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (60, 1))
@@ -129,42 +108,3 @@ def test_numbers_of_the_real_data(panda, ur10, data_folder):
     assert left.max() == pytest.approx(authors["max_mm"], rel=0.02)
     text = (DOC / "after_the_lab.md").read_text(encoding="utf-8")
     assert f"{len(ur10.angles):,} poses".replace(",", " ") in text
-
-
-@pytest.mark.exhaustive
-def test_noise_of_the_benchmark(script):
-    error, inside = script("bench_accuracy").of_kind("noise, 5 features", range(10))
-    said = numbers("log.md", "| noise, 5, 20, 50 features | @, @, @ | @, @, @ |")
-    assert said[0] == pytest.approx(error, rel=0.03)
-    assert said[3] == pytest.approx(100 * inside, abs=0.3)
-
-
-@pytest.mark.exhaustive
-def test_good_centres_are_worth_what_is_said(script):
-    problem = script("_problems").generated("fourier3", 3000, 0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        errors = script("bench_rows").compare(problem, [20], 0)
-    said = numbers("log.md", "| `fourier3` | 20 | @ | @ | @ | @ |")
-    np.testing.assert_allclose(said, np.ravel(errors[0])[:4], rtol=0.05)
-
-
-@pytest.mark.exhaustive
-def test_twelve_positions_are_worth_what_is_said():
-    shares = []
-    for seed in (0, 1):
-        pool = make_single_point(16, 20, random_state=seed)
-        test = make_single_point(12, 30, machine=pool.simulation.machine, random_state=seed + 1000)
-        rows = np.isin(pool.groups, np.random.default_rng(seed).permutation(16)[:12])
-        residuals = position_residuals(pool.points[rows], pool.groups[rows])
-        model = ArmResidualRegressor(pool.arm)
-        model = model.fit(pool.data[rows], residuals, groups=pool.groups[rows])
-
-        def left(correction, test=test):
-            points = position_residuals(test.points - correction, test.groups)
-            return np.linalg.norm(points, axis=1).mean()
-
-        perfect = left(test.simulation.perfect_correction)
-        shares.append((left(0.0) - left(model.predict(test.data))) / (left(0.0) - perfect))
-    words = "| 20 | 13 | 68 | 80 | 86 | @ | 97 |"
-    assert_said("beyond_the_paper.md", words, [100 * np.mean(shares)], 0.03)

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import (
-    Arm,
-    ArmResidualRegressor,
-    Correction,
-    calibrate,
-    directions_of,
-    learn_correction,
-)
+from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, directions_of, learn_correction
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 
 SMALL = ArmResidualRegressor(orders=3)
@@ -80,18 +73,3 @@ def test_unknown_causes_have_their_usual_value():
     saved = Correction(Arm.from_name("aacmm6"), None, None, {"causes": usual})
     X = saved.inputs(np.zeros((2, 6)), {"time": [3.0, 4.0]})
     assert_allclose(X[:, 6:], [[21.0, 3.0, 0.0], [21.0, 4.0, 0.0]])
-
-
-@pytest.mark.exhaustive
-def test_a_make_is_where_a_new_arm_starts():
-    """Simulated arms that yield alike; the evidence is said."""
-    earlier = []
-    for seed in (10, 11, 12):
-        data = make_single_point(12, 20, machine="gravity", random_state=seed)
-        result = calibrate(data.nominal_arm, data.data, data.groups)
-        y = result.residuals(data.data, groups=data.groups)
-        earlier.append(ArmResidualRegressor(result.arm).fit(data.data, y, groups=data.groups))
-    test = make_single_point(5, 10, machine="gravity", random_state=0)
-    learned = learn_correction(test.nominal_arm, test.data, test.groups, like=earlier, cv=3)
-    assert learned.model.updates_[0]["tau"]
-    assert "make-believed" in codes_of(learned)
