@@ -46,10 +46,10 @@ def wrong_lengths(fit, bare, labels):
     covariance = bare.covariance(mask)
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     scale = np.append(bare.scale, np.zeros(len(mask) - len(bare.scale)))[mask]
-    sd = np.sqrt(scale @ covariance @ scale)
-    bends = abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma
-    _, _, places, columns = bare.data_residuals(bare.x, mask)
-    causes, off = _causes(lengths, places, columns, covariance, bare, labels)
+    sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
+    if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
+        _, _, places, columns = bare.data_residuals(bare.x, mask)
+        causes, off = _causes(lengths, places, columns, covariance, bare, labels)
     if causes:
         which = "; another known length tells which is right" * (len(causes) > 1)
         size = f"{100 * abs(change):.3g} % {'larger' if change > 0 else 'smaller'}"
@@ -61,7 +61,18 @@ def wrong_lengths(fit, bare, labels):
             f"Look at the certificate{which}. If the lengths are right, take the arm as it was "
             "calibrated with them (arm.json) as the table."
         )
-        yield Finding(causes[0][0], text, advice, "repair" if bends else "doubt", size_mm=off)
+        yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
+        return
+    errors, wrong, sds = fit.length_errors(), [], [entry[3] for entry in lengths]
+    for k in np.flatnonzero(are_wrong(lengths, errors, fit.sigma)):
+        given, said = lengths[k][2], f"{_ends(lengths[k], labels)} is"
+        wrong.append(f"{said} {given + errors[k]:.6g} mm, given as {given:g} +- {sds[k]:g} mm")
+    if wrong:
+        text = (
+            f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "
+            f"{'; '.join(wrong[:3])}{'; ...' if len(wrong) > 3 else ''}."
+        )
+        yield Finding("wrong-length", text, size_mm=np.abs(errors).max())
 
 
 def _causes(lengths, places, columns, covariance, bare, labels):

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, CylindricalResidualTarget, PoseFeatures
+from sklearn_raacmm.utils import FindingError, FindingWarning
 
 ARM = Arm.from_name("aacmm6")
 ANGLES = np.random.default_rng(0).uniform(-2, 2, (60, 6))
@@ -59,14 +60,17 @@ def test_points_are_known_by_a_twentieth_of_their_spread(share, said):
 
 
 @pytest.mark.parametrize("name", KNOW_THE_ARM)
-def test_small_motions_of_the_base_are_warned_of(name):
+def test_small_motions_of_the_base_are_refused_unless_accepted(name):
     y = measured(Rotation.from_rotvec([0, 0.006, 0.007]), [1.0, 2.0, 0.0])
-    with pytest.warns(UserWarning, match=r"a turn by 0\.0092 rad and a shift by .* leave 0\.0"):
+    said = r"nearly one motion of the base, which leaves 0\.0"
+    with pytest.raises(FindingError, match=said):
         ESTIMATORS[name].fit(ANGLES, y)
+    with pytest.warns(FindingWarning, match=said):
+        ESTIMATORS[name].fit(ANGLES, y, accept="another-frame")
 
 
-def test_without_the_arm_a_shift_is_warned_of():
-    with pytest.warns(UserWarning, match=r"base: a shift by 5.* mm .* leave 0\.0"):
+def test_without_the_arm_a_shift_is_refused():
+    with pytest.raises(FindingError, match=r"one motion of the base, which leaves 0\.0"):
         ESTIMATORS["in a pipeline"].fit(ANGLES, np.add(RESIDUALS, [5.0, 0, 0]))
 
 

@@ -30,8 +30,10 @@ CALLS = {
     "an estimator": lambda: PoseFeatures().fit(X),
     "within a pipeline": lambda: make_pipeline(PoseFeatures(), LinearRegression()).fit(X, Y),
     "within folds": lambda: cross_val_predict(PIPELINE, DEGREES, Y, n_jobs=1),
-    "a fit": lambda: CylindricalResidualTarget(azimuth=ARM.azimuth).fit(X, SHIFTED),
-    "a calibration": lambda: calibrate(ARM, X[:9], points=Y[:9]),
+    "a fit": lambda: CylindricalResidualTarget(azimuth=ARM.azimuth).fit(
+        X, SHIFTED, accept="another-frame"
+    ),
+    "a calibration": lambda: calibrate(ARM, X[:9], points=Y[:9], accept="points-of-the-arm"),
     "loading": lambda: pickle.loads(OLD),
 }
 
