@@ -70,8 +70,8 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     )  # fmt: skip
     few = linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
     tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
-    tried = [one for one in tried if not (few and one.code == "other-table")]
-    likely = likeliest((data.gain(one), one) for one in tried)
+    fair = [one for one in tried if not (few and one.code == "other-table")]
+    likely = likeliest((data.gain(one), one) for one in fair)
     if not likely:
         return
     best, *near = likely
