@@ -422,9 +422,10 @@ class FactoredColumns:
     """
 
     def __init__(self, runs: list[Any], rest: np.ndarray) -> None:
-        self.runs, self.rest = runs, rest
+        self.runs: list[Any] = runs
+        self.rest: np.ndarray = rest
 
-    def dot(self, coef):
+    def dot(self, coef: np.ndarray) -> np.ndarray:
         """``columns @ coef``, (n, 3)."""
         n, _, m = self.rest.shape
         out = (self.rest.reshape(3 * n, m) @ coef[len(coef) - m :]).reshape(n, 3)
@@ -432,7 +433,7 @@ class FactoredColumns:
             out += vector * (waves @ coef[start:end])[:, None]
         return out
 
-    def squares(self, root):
+    def squares(self, root: np.ndarray) -> np.ndarray:
         """Squared lengths (n, 3) of ``columns @ root`` for a root (n_columns, r)."""
         n, _, m = self.rest.shape
         # One product of all rows takes a quarter of the time of one for each pose.

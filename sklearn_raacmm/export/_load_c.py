@@ -50,8 +50,9 @@ class CompiledModel:
     def __init__(
         self, program: Any, dtype: Any = "double", flags: Any = _FLAGS, flat: bool = False
     ) -> None:
-        self.fingerprint = hash_program(program)
-        self.n_features_in_, self.n_outputs_ = program.n_inputs, program.n_outputs
+        self.fingerprint: str = hash_program(program)
+        self.n_features_in_: int = program.n_inputs
+        self.n_outputs_: int = program.n_outputs
         self._verb = "correct" if program.about["corrects"] else "predict"
         self._real = np.float64 if dtype == "double" else np.float32
         library = _library(sources(program, NAME, NAME, dtype), flags)
