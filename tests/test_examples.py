@@ -89,20 +89,6 @@ def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
 
 
 @pytest.mark.exhaustive
-def test_the_search_finds_the_best_of_its_own_table(run_alone, capsys):
-    page, pictures = run_alone("plot_grid_search")
-    assert len(pictures) == 1
-    assert "predictions in the other process: equal" in capsys.readouterr().out
-    search, best = page["search"], page["best"]
-    assert min(best.values()) == pytest.approx(-search.best_score_)
-    test = page["test"]
-    corrected = page["points"] - search.predict(page["data"].data[test])
-    after = single_point_repeatability(corrected, page["positions"])
-    assert page["after"] == pytest.approx(after)
-    assert not set(page["positions"]) & set(page["groups"])
-
-
-@pytest.mark.exhaustive
 def test_real_arm(run_alone, monkeypatch, data_folder, capsys):
     """The number of the uncorrected arm is what the data's own page says."""
     monkeypatch.setenv("SCIKIT_LEARN_DATA", str(data_folder("panda_ball_socket").parent))

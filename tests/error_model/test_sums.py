@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._sums import Rows, candidate_sums, waves
+from sklearn_raacmm.error_model._sums import Rows, _of_orders, _spread, candidate_sums, waves
 
 from ._arms import ARM, draw_angles
 
@@ -28,11 +28,12 @@ def explicit_sums(theta, y, weights, codes, offered, terms):
     return gram, always.shape[2]
 
 
-@pytest.mark.parametrize("chunk", [1024, 7])
+@pytest.mark.parametrize(("chunk", "many"), [(1024, 128), (7, 1)])
 @pytest.mark.parametrize("with_offsets", [False, True])
 @pytest.mark.parametrize("some_orders", [False, True])
-def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeypatch):
-    monkeypatch.setattr(_sums, "_CHUNK", chunk)
+def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, many, monkeypatch):
+    for name, value in {"_CHUNK": chunk, "_MANY_ORDERS": many, "_MANY_POSES": many}.items():
+        monkeypatch.setattr(_sums, name, value)
     rng = np.random.default_rng(3)
     n = 60
     theta, y, weights = draw_angles(ARM, n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
@@ -65,6 +66,19 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, monkeyp
     for _ in range(2):  # summed up, and remembered
         assert_allclose(found.rows(asked, [1, 2]), rows[columns], atol=1e-11 * rows.max())
     assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
+
+
+@pytest.mark.parametrize("orders", [np.arange(1, 401), np.r_[1:130, 200, 640]])
+def test_grid_is_exact_to_the_last_digits(orders):
+    """Also where poses come in parts, and at angles of several turns of either sign."""
+    rng = np.random.default_rng(len(orders))
+    theta = np.r_[rng.uniform(-9, 9, 294), 0.0, -1e-17, np.pi, -np.pi, 2 * np.pi, 1e-300]
+    columns = rng.normal(size=(300, 3))
+    parts = [_spread(theta[i], orders).T @ columns[i] for i in (slice(7), slice(7, 300))]
+    phase = theta[:, None] * orders
+    expected = np.stack([np.cos(phase).T @ columns, np.sin(phase).T @ columns], axis=1)
+    atol = 4e-16 * orders[-1] * np.linalg.norm(columns, axis=0).max() * 9  # of the phases
+    assert_allclose(_of_orders(sum(parts), orders), expected.reshape(-1, 3), rtol=0, atol=atol)
 
 
 def test_high_orders_are_exact():
