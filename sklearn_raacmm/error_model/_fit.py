@@ -31,6 +31,7 @@ from sklearn_raacmm.utils import (
     chunks,
     group_means,
     group_sums,
+    slip_factors,
     stage,
     tukey_weights,
 )
@@ -457,7 +458,9 @@ def _with_noise_of_angles(model, rows):
 def _fit(rows, columns, structures) -> tuple[Any, Any]:
     """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
-    sums, state = rows.sums(columns), None
+    if rows.codes is not None:  # one slip of metres would shift all others of its position
+        factor = slip_factors(rows.y, rows.codes, rows.weights)
+    sums, state = rows.weighted(factor).sums(columns), None
     for _ in range(_MAX_CHOICES):
         start = factor
         state = search(Problem(sums, structures), state)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
+from sklearn.base import clone
 from sklearn.metrics import adjusted_rand_score
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
@@ -86,10 +87,13 @@ def test_exchanged_labels_and_marks_of_missing_values_are_named_by_their_rows():
     groups[[12, 52]] = groups[[52, 12]]
     angles[[3, 40, 77]] = np.deg2rad(999 - 720)
     with pytest.warns(FindingWarning) as caught:
-        arm = calibrate(TEST.nominal_arm, angles, groups).arm
+        found = calibrate(TEST.nominal_arm, angles, groups)
     clean = calibrate(TEST.nominal_arm, TEST.data, TEST.groups).arm.forward(TEST.data)
     assert {w.message.finding.code: w.message.finding.rows for w in caught} == {
         "wrong-label": (12, 52),
         "no-reading": (3, 40, 77),
     }
-    assert np.linalg.norm(arm.forward(TEST.data) - clean, axis=1).max() < 0.2
+    assert np.linalg.norm(found.arm.forward(TEST.data) - clean, axis=1).max() < 0.2
+    with collected_findings():
+        model = clone(SMALL).fit(angles, found.residuals(angles, groups=groups), groups=groups)
+    assert np.flatnonzero(model.pose_weight_ == 0).tolist() == [3, 12, 40, 52, 77]
