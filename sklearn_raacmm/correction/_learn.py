@@ -178,7 +178,7 @@ def learn_correction(
             )
         return data, calibration, scores, fitted, noise
 
-    (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept=accept)
+    (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
     base = None if points is None else (calibration.base_rotation, calibration.base_translation)
     facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}

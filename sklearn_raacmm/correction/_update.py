@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from datetime import date as calendar
+from functools import partial
 
 from numpy.typing import ArrayLike
 
@@ -110,7 +111,7 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    updated, found = call_collecting(_updated, model, (X, y, groups), date, accept=accept)
+    updated, found = call_collecting(partial(_updated, model, (X, y, groups), date), accept)
     updated.findings_ = tuple(found)
     return updated
 

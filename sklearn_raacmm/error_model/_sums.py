@@ -41,8 +41,8 @@ from sklearn_raacmm.utils import chunk_size, chunks, group_means
 _CHUNK = 1024
 # Divides the sums of positions without weight.
 _TINY = 1e-300
-# Orders and poses from which on the grid is faster: without it a fit of 3000 and of 9000 poses of
-# the UR10 takes 1.3 and 1.8 times as long (``benchmarks/bench_speed.py fit``).
+# Orders and poses from which on the grid is faster: without it the fit of 3000 poses of the UR10
+# that ``benchmarks/golden.py`` times takes 1.3 times as long.
 _MANY_ORDERS, _MANY_POSES = 128, 256
 # Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
 # beside the sharpest that the grid allows (``tests/error_model/test_sums.py``).

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Literal, Self, overload
 
@@ -130,6 +130,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         X: ArrayLike,
         y: ArrayLike,
         groups: ArrayLike | bool | None = None,
+        *,
+        accept: str | Sequence[str] = (),
         **fit_params: Any,
     ) -> Self:
         """Fit the regressor on the residuals in the cylindrical frame.
@@ -147,6 +149,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             routing off, which keeps `groups` for its splitter. None: where `azimuth` is the method
             of an arm, rows are of one position if the arm's point less y is the same, and a finding
             says how many there are. False: each row is taken for itself.
+        accept : str or list of str, default=()
+            Codes of findings, such as "another-frame", with which the model is fitted all the same.
         **fit_params : dict
             Passed to the regressor's `fit`, such as `sample_weight`; routed by request if metadata
             routing is enabled.
@@ -160,12 +164,9 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         ValueError
             If `y` has the wrong number of columns, or are points and no residuals in mm; if a
             sample weight is negative; if the last two columns of `X` are not a direction where they
-            should be; if the azimuth is not one number per row; if something is not finite.
-
-        Warns
-        -----
-        FindingWarning
-            If a motion of the arm's base explains nearly all of `y`.
+            should be; if the azimuth is not one number per row; if something is not finite;
+            FindingError, if a motion of the arm's base explains nearly all of `y`, and is not
+            accepted.
         """
         X = _with_shape(X)
         validate_data(self, X, y, skip_check_array=True)

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
-from functools import wraps
+from functools import partial, wraps
+from inspect import signature
 from time import perf_counter
 from typing import Any, Literal, TypeVar, cast
 
@@ -177,21 +178,22 @@ class collected_findings:  # noqa: N801  (a context manager, as those of the sta
 
 
 def call_collecting(
-    function: Callable[..., Any], *args: Any, accept: str | Sequence[str] = (), **kwargs: Any
+    function: Callable[[], Any], accept: str | Sequence[str] | None = None
 ) -> tuple[Any, list[Finding]]:
     """Call a function: its result, and what was found within, each warned of once at the end.
 
     A finding of weight "repair" whose code is in `accept` becomes a doubt; of any other the result
-    is not handed over, unless this is a part of another call.
+    is not handed over, unless this is a part of another call, or `accept` is None.
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
-    accepted = [accept] if isinstance(accept, str) else list(accept)
+    accepted = [accept] if isinstance(accept, str) else list(accept or ())
+    refuses = accept is not None
 
     def inside():
         found: list[Finding] = []
         try:
             with collected_findings() as found:
-                result = function(*args, **kwargs)
+                result = function()
         except ValueError as error:
             # One of them may be the reason; that which is raised is not said twice.
             for finding in found:
@@ -202,13 +204,18 @@ def call_collecting(
             if finding.weight == "repair" and finding.code in accepted:
                 found[i] = replace(finding, weight="doubt")
         for finding in sorted(found, key=lambda one: one.weight == "repair"):
-            if finding.weight == "repair" and _COLLECTED.get() is None:
+            if refuses and finding.weight == "repair" and _COLLECTED.get() is None:
                 advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
                 finding = replace(finding, advice=advice, weight="refuse")
             finding.report()
         return result, found
 
     return copy_context().run(inside)
+
+
+def _accepted(function, kwargs):
+    """What is accepted of a call, taken out of its arguments; None of functions that take none."""
+    return kwargs.pop("accept", ()) if "accept" in signature(function).parameters else None
 
 
 def one_warning(function: Function) -> Function:
@@ -219,7 +226,8 @@ def one_warning(function: Function) -> Function:
 
     @wraps(function)
     def wrapper(*args, **kwargs):
-        result, found = call_collecting(function, *args, **kwargs)
+        accept = _accepted(function, kwargs)
+        result, found = call_collecting(partial(function, *args, **kwargs), accept)
         return replace(result, findings=tuple(found)) if hasattr(result, "findings") else result
 
     return cast(Function, wrapper)
@@ -249,7 +257,8 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
         def wrapper(self, *args, **kwargs):
             aside = object.__new__(type(self))
             aside.__dict__ = dict(vars(self))
-            _, findings = call_collecting(fit, aside, *args, **kwargs)
+            accept = _accepted(fit, kwargs)
+            _, findings = call_collecting(partial(fit, aside, *args, **kwargs), accept)
             aside.findings_ = tuple(findings)
             self.__dict__ = aside.__dict__
             return self

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import chi2, kstest
+from scipy.special import betainc
+from scipy.stats import chi2, kstest, ncx2
 
 from sklearn_raacmm.correction._condition import Whitened, best_cause, score_tests
 
 M = 24
 MANY = 1e7  # independent errors from which the size of the covariance is known
+FEW = 30
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +33,19 @@ def test_statistics_are_chi_squared_whatever_the_nuisances_are(drawn):
     for i in range(3):
         p_values = [one["p_value"][i] for one in tests]
         assert kstest(p_values, "uniform").pvalue > 0.01
-        statistics = [one["statistic"][i] for one in tests]
-        assert_allclose(p_values, chi2.sf(statistics, tests[0]["freedom"][i]), rtol=0, atol=2e-6)
+        of_few = score_tests(causes, whiten, left[:, i], FEW)[i]
+        share = FEW / (FEW + of_few["statistic"])
+        assert_allclose(of_few["p_value"], betainc(FEW / 2, of_few["freedom"] / 2, share))
+
+
+def test_a_cause_that_is_there_is_found_as_often_as_the_textbook_says(drawn):
+    root, nuisance, causes, left = drawn
+    whiten = Whitened(root, nuisance)
+    size = 3 / np.linalg.norm(whiten(causes["one"]))
+    moved = left + size * causes["one"]
+    found = [score_tests(causes, whiten, one, MANY)["p_value"][1] < 0.01 for one in moved.T]
+    expected = ncx2.sf(chi2.isf(0.01, 1), 1, 9)
+    assert np.mean(found) == pytest.approx(expected, abs=3 * np.sqrt(0.25 / 1500))
 
 
 def test_the_statistic_is_what_least_squares_explains(drawn):
