@@ -186,7 +186,8 @@ def check(options):
 
 def _check_model(saved, today, measured, rate, options):
     """Facts of what the model sees, rows that slipped, and what to do about a change; else ""."""
-    found = saved.check(*measured, new_base=options.new_base, false_alarm_rate=rate)
+    accept, new_base = options.accept or (), options.new_base
+    found = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
     changed = bool(found.matters and not found.holds)
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")

@@ -40,7 +40,7 @@ WORDS = {
     "check": (
         "_life", "ask whether a correction still holds today",
         "raacmm check small_test.csv --model my_arm --record checks.csv",
-        f"{_TODAY} --new-base --record",
+        f"{_TODAY} --new-base --record --accept",
     ),
     "register": (
         "_life", "find a new probe or a new place through the correction",

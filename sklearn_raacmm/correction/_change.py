@@ -31,6 +31,7 @@ from sklearn_raacmm.error_model import (
     order_price,
     smooth_shares,
 )
+from sklearn_raacmm.measurements import base_motions
 from sklearn_raacmm.utils import (
     Finding,
     centred,
@@ -51,7 +52,7 @@ LEAST_NOISE_MM = 1e-4
 # (``benchmarks/bench_after_the_lab.py series``).
 _LOW_ORDERS = 8
 # Orders that every joint may show after a change, whether or not it did before; see
-# `with_low_orders`.
+# `as_prior`.
 _NEW_ORDERS = 2
 # A fifth of the new poses is left out at a time. A choice, not measured.
 _N_FOLDS = 5
@@ -148,10 +149,8 @@ def place_columns(arm, angles, with_base):
     tool = REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
     if not with_base:  # of a single-point test the base shows nothing
         return tool
-    points = arm.forward(angles)
-    shift = np.broadcast_to(np.eye(3), (len(angles), 3, 3))
-    turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2) / arm.reach_mm
-    return np.concatenate([tool, REGISTERED_PLACE_MM * shift, REGISTERED_PLACE_MM * turn], axis=2)
+    base = base_motions(arm.forward(angles), arm.reach_mm)
+    return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
 
 
 def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):

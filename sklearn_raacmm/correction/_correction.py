@@ -236,13 +236,14 @@ class Correction:
         new_base: bool = False,
         false_alarm_rate: float = 0.01,
         date: str | None = None,
+        accept: str | Sequence[str] = (),
     ) -> CorrectionCheck:
         """Say from a few poses of today whether the correction still holds.
 
         Parameters
         ----------
-        angles, positions, points, lengths, angle_unit
-            As in :meth:`register`.
+        angles, positions, points, lengths, angle_unit, accept
+            As in :meth:`register`, by which a new base is found.
         extra : dict of str to array-like of shape (n_samples,), default=None
             As in :meth:`correct`.
         new_base : bool, default=False
@@ -262,7 +263,9 @@ class Correction:
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         new_base = points is not None and (new_base or self.base is None)
-        known = self.register(angles, positions, points, free=()) if new_base else self
+        known: Self = self
+        if new_base:
+            known = self.register(angles, positions, points, free=(), accept=accept)
         if points is not None:
             y = known.residuals(angles, points)
         elif positions is not None:

@@ -29,6 +29,7 @@ _CONSTRAINTS = {
     "n_jobs": [Integral, None],
     "progress": [callable, None],
     "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
+    "accept": ["array-like", str],
 }
 # Scores that are kept as they are.
 _KEPT = ("verdict", "helps", "measure", "std_factor", "coverage", "share", "n_folds")
@@ -157,19 +158,21 @@ def learn_correction(
     # `validate_params` would name this function where a parameter of the model is wrong.
     given = {"angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs}
     param_checks.validate_parameter_constraints(
-        _CONSTRAINTS, given | {"progress": progress, "points_sd": points_sd}, "learn_correction"
+        _CONSTRAINTS,
+        given | {"progress": progress, "points_sd": points_sd, "accept": accept},
+        "learn_correction",
     )
     if points_sd and points is None:
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
     def inside():
         data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)
-        calibration = _calibrated(data, angles, angle_unit)
+        calibration = _calibrated(data, angles, angle_unit, accept)
         data = data.seen_by(calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
-        _say_what_moved(data, calibration, fitted, noise, rows)
+        _say_what_moved(data, calibration, fitted, rows)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
             raise ValueError(
@@ -186,7 +189,7 @@ def learn_correction(
     return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)
 
 
-def _say_what_moved(data, calibration, model, noise, rows):
+def _say_what_moved(data, calibration, model, rows):
     """Say which positions moved, and by how much the run drifted, of what a model leaves."""
     expected = data.at_probes(model, calibration, slice(None)).predict(data.inputs)
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
@@ -200,9 +203,9 @@ def _say_what_moved(data, calibration, model, noise, rows):
         finding.report()
 
 
-def _calibrated(data, angles, angle_unit):
+def _calibrated(data, angles, angle_unit, accept):
     """Calibration of all rows; refuses points that cannot be those of this arm."""
-    calibration = data.calibrate()
+    calibration = data.calibrate(accept=accept)
     reach, scatter = calibration.arm.reach_mm, calibration.typical_scatter_mm
     if scatter <= MUCH_SCATTER_MM:
         return calibration

@@ -51,6 +51,8 @@ _USUAL = 0.95
 # kinds of ``benchmarks/bench_check.py``, with 12 positions, and of three with 8 and with 5.
 _FACTOR_OF_ARMS, _POSITIONS_OF_ARMS = 1.5, 5
 _ERRORS_OF_POSITION = 5
+# Of a model that does not say from how many positions it was learnt.
+_MANY_POSITIONS = 1e6
 # Sets of poses drawn for the freedoms of a mean.
 _DRAWS = 1000
 # What is suspected, and what to do. A turn of the base about z is the same as an offset of joint 1.
@@ -238,7 +240,7 @@ def check_correction(
             "to check the correction with."
         )
     causes, residual = poses.causes(), np.r_[poses.tamed.ravel(), poses.length_errors]
-    n, n_positions = poses.tamed.size, poses.linear.n_positions
+    n, n_positions = poses.tamed.size, min(poses.linear.n_positions, _MANY_POSITIONS)
     freedom = _ERRORS_OF_POSITION * n_positions
     tests = score_tests(causes, whiten, residual, freedom)
     _allow_for_arms(tests[1:], n_positions)

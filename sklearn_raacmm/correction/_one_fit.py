@@ -141,11 +141,11 @@ class Data:
         named = zip(self.given, parts, strict=True)
         return {name: None if part is None else part[rows] for name, part in named}
 
-    def calibrate(self, rows=None):
+    def calibrate(self, rows=None, accept=()):
         """Calibrate on some rows; on None on all, as they were given."""
         given = self.given if rows is None else self._at(rows)
         lengths = self.lengths_of_model(slice(None) if rows is None else rows)
-        return calibrate(self.arm, **given, lengths=lengths)
+        return calibrate(self.arm, **given, lengths=lengths, accept=accept)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""

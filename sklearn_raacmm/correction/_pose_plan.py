@@ -52,7 +52,7 @@ def plan_poses(
     """Plan a first single-point test for an arm: cones that are spread, and poses that reach them.
 
     Cones stand all around the base, from a quarter to 85 % of the reach away, up to 45 % of it
-    high, or where ``arm.limits`` let the arm reach.
+    high; those that the arm does not reach within ``arm.limits`` are passed over.
     Poses are within ``arm.limits`` where the arm has some, as different from each other as the arm
     allows, and in an order of short ways (``benchmarks/bench_after_the_lab.py plan``).
 

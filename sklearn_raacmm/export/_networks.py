@@ -7,8 +7,9 @@ import numpy as np
 
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
-# Variance of the noise over that of the signal from which on there is a standard deviation: at 1e-6
-# it was good to 1e-6 of itself, at 1e-11 to nothing.
+# Variance of the noise over that of the signal from which on one matrix does for two: at 1e-6 it
+# was good to 1e-6 of a standard deviation, at 1e-11 to nothing: tests/export/test_c_network.py
+# tries both sides.
 _CLEAR = 1e-6
 
 
@@ -44,25 +45,50 @@ def _one_network(p, net, x, std):
 
 
 def _network_variance(p, net, x, phi):
-    r"""Variances of a network's outputs, as `Network` has them.
+    """Variances of a network's outputs, as `Network` has them, by the same two matrices.
 
-    With g the radial functions in coordinates in which prior and data are diagonal, 1 and s_i, and
-    t the polynomial's terms, the variance of an output is, given the weights first, then the
-    polynomial, ``signal (1 - sum(g^2)) + noise (sum(g^2 / (s + alpha)) + |R (t - J g)|^2)``. The
-    two sums are one, from which no digits are lost where data have noise.
+    The first of them has rows of very different sizes where data have little noise. It must not be
+    multiplied by another then: what is left of the prior's variance is small beside it, and 8 of
+    its digits would be lost.
     """
-    k = len(net.centers)
+    k, parts = len(net.centers), []
     if k > MOST_CENTERS:
         raise ValueError(
             f"The standard deviation of a network of {k} centres would need a table of "
             f"{k * k / 1e6:.0f} million numbers. Export without it, or fit the network with "
             f"max_centers={MOST_CENTERS}."
         )
-    if k and not np.all(net.noise_variance > _CLEAR * net.signal_variance):
-        raise ValueError(
-            "Rounding would cost the standard deviation of a network whose noise is below "
-            f"{_CLEAR:g} of its signal: export without it, or fit with a larger alpha."
-        )
+    if k and np.all(net.noise_variance > _CLEAR * net.signal_variance):
+        return _variance_by_one_matrix(p, net, x, phi)
+    columns = [phi] if k else []
+    if len(net.tail_map):
+        slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
+        varies = np.any(slopes)
+        columns.insert(0, p.affine(x, slopes, constant) if varies else p.constant(constant))
+    for output in range(len(net.outputs)):
+        of_prior, of_weights = net.roots(output)
+        variance = p.constant(1.0)
+        if len(of_weights):
+            # From the last row to the first, so that each column ends where its zeros begin.
+            seen = p.affine(p("join", *columns), of_weights[::-1])
+            variance = p("add", p("dots", seen, seen), variance)
+        variance = p("mul", variance, net.noise_variance[output])
+        outside = p.constant(1.0)
+        if k:
+            seen = p.affine(phi, of_prior)
+            outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
+        parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
+    return p("join", *parts)
+
+
+def _variance_by_one_matrix(p, net, x, phi):
+    r"""The same of data with noise, in a half or a third of the time.
+
+    With g the radial functions in coordinates in which prior and data are diagonal, 1 and s_i, and
+    t the polynomial's terms, the variance of an output is, given the weights first, then the
+    polynomial, ``signal (1 - sum(g^2)) + noise (sum(g^2 / (s + alpha)) + |R (t - J g)|^2)``. The
+    two sums are one.
+    """
     noise, signal, size = net.noise_variance, net.signal_variance, len(net.tail_map)
     rows, whiten = net.design_triangle(), net.prior_root
     T, D = rows[:, :size], rows[:, size:] @ whiten.T
@@ -78,8 +104,6 @@ def _network_variance(p, net, x, phi):
             for ridge in zip(net.alpha, known, strict=True)
         ]
         variance = p("add", variance, p("mul", p("join", *tails), noise))
-    if not k:
-        return p("add", variance, signal)
     weights = 1 - (noise / signal)[:, None] / known
     distinct, which = np.unique(weights, axis=0, return_inverse=True)
     if len(distinct) > 2 or np.any(distinct < 0):
@@ -99,9 +123,7 @@ def _polynomial_variance(p, net, x, phi, T, D, turn, alpha, known):
     left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
     root = np.asarray(np.linalg.qr(left, mode="r")).T
     of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
-    u = p.constant(of_x[:, 0])
-    if phi is not None:
-        u = p("sub", u, p.affine(phi, J))
+    u = p("sub", p.constant(of_x[:, 0]), p.affine(phi, J))
     if np.any(of_x[:, 1:]):
         u = p("add", u, p.affine(x, of_x[:, 1:]))
     return p("dots", u, u)

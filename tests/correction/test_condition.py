@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.correction._condition import condition
+from sklearn_raacmm.correction._condition import condition, log_density, narrowed
 
 N_FREE = 2
 
@@ -111,3 +111,27 @@ def test_rows_left_out_are_those_of_a_fit_without_them():
         variance = np.diag(A[row] @ covariance @ A[row].T)
         assert_allclose(std[row], np.sqrt(variance), rtol=1e-6)
     assert_allclose(noise, after.noise_sd)
+
+
+def test_noise_stays_within_its_bounds():
+    given = problem(noise_sd=0.001)
+    free = condition(*given)
+    assert free.noise_sd == pytest.approx(0.04 * np.exp(-1))
+    held = condition(*given[:-1], (0.0, 4.0))
+    assert held.noise_sd == pytest.approx(0.04)
+
+
+def test_narrowed_is_the_inverse_of_summed_precisions():
+    rng = np.random.default_rng(0)
+    half, rows = rng.normal(size=(4, 4)), rng.normal(size=(7, 4))
+    after = narrowed(half, rows)
+    expected = np.linalg.inv(np.linalg.inv(half @ half.T) + rows.T @ rows)
+    assert_allclose(after @ after.T, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("k", [3, 12])
+def test_log_density_is_that_of_scipy(k):
+    rng = np.random.default_rng(0)
+    y, seen = rng.normal(size=8), rng.normal(size=(8, k))
+    expected = multivariate_normal(np.zeros(8), seen @ seen.T + 0.3**2 * np.eye(8)).logpdf(y)
+    assert log_density(y, seen, 0.3, 8) == pytest.approx(expected + 4 * np.log(2 * np.pi))

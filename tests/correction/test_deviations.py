@@ -7,7 +7,7 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.correction._correction import _shoulder
-from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.datasets import make_gauge, make_single_point
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "ur10", "panda"])
@@ -125,3 +125,18 @@ def test_a_tracker_cannot_be_worse_than_its_points_show(by_tracker):
         learn_correction(arm, angles, None, points, model=model, cv=3, points_sd=0.2)
     with pytest.raises(ValueError, match="there are none"):
         learn_correction(arm, angles, np.arange(200) // 10, model=model, points_sd=0.02)
+
+
+@pytest.mark.exhaustive
+def test_errors_at_other_places_are_as_large_as_is_said(learned):
+    of_distances, of_coordinates = [], []
+    for seed, correction in enumerate(learned):
+        other = make_gauge([300, 1000], 8, 2, random_state=seed)
+        points, std = correction.correct(other.data)
+        true = other.simulation.true_points
+        of_coordinates.append((points - true) / std)
+        i, j = np.arange(0, len(true), 4), np.arange(2, len(true), 4)
+        found, std = correction.distances(other.data[i], other.data[j])
+        of_distances.append((found - np.linalg.norm(true[i] - true[j], axis=1)) / std)
+    assert 0.6 < np.sqrt(np.mean(np.square(of_distances))) < 1.6
+    assert 0.4 < np.sqrt(np.mean(np.square(of_coordinates))) < 1.4

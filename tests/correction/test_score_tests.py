@@ -82,3 +82,11 @@ def test_the_best_cause_explains_what_is_too_much(drawn):
     names = [best_cause(score_tests(causes, whiten, 3 * one, MANY)) for one in left[:, :200].T]
     assert np.mean(np.array(names) == "noise") > 0.75
     assert_array_equal(best_cause(score_tests({}, whiten, left[:, 0], MANY)), "noise")
+
+
+def test_repeated_nuisances_are_counted_once(drawn):
+    root, nuisance, _, left = drawn
+    twice = Whitened(root, np.hstack([nuisance, nuisance[:, ::-1]]))
+    assert twice.freedom == M - 4
+    assert_allclose(twice(left), Whitened(root, nuisance)(left), atol=1e-8)
+    assert Whitened(root, np.empty((M, 0))).freedom == M

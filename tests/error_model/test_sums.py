@@ -68,7 +68,9 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, many, m
     assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
 
 
-@pytest.mark.parametrize("orders", [np.arange(1, 401), np.r_[1:130, 200, 640]])
+@pytest.mark.parametrize(
+    "orders", [np.arange(1, 401), np.arange(1, 1001), np.r_[1:130, 200, 640], np.arange(3, 400, 3)]
+)
 def test_grid_is_exact_to_the_last_digits(orders):
     """Also where poses come in parts, and at angles of several turns of either sign."""
     rng = np.random.default_rng(len(orders))

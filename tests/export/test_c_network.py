@@ -42,24 +42,37 @@ def test_other_processors(model, tmp_path, compiler, flags):
     assert float(re.search(r"gap is (\S+)\.$", printed)[1]) < 1e-13
 
 
+@pytest.mark.parametrize("noise", [1e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize(
     "degree", [*(pytest.param(d, marks=pytest.mark.exhaustive) for d in (-1, 1)), 0]
 )
-def test_the_standard_deviation_of_data_with_little_noise(tmp_path, degree):
-    """To 1e-3 of itself, at training rows and elsewhere; where rounding would cost it, none."""
+def test_the_standard_deviation_of_data_with_little_noise(tmp_path, noise, degree):
+    """The small difference of large numbers: to 1e-3 of itself, at training rows and elsewhere."""
     rng = np.random.default_rng(0)
     X = rng.uniform(-2, 2, (120, 3))
     y = np.sin(X[:, 0]) * X[:, 1] + np.cos(X[:, 2])
-    e = y.std() * rng.normal(size=120)
-    model = RBFNetRegressor(degree=degree).fit(X, y + 1e-2 * e)
+    model = RBFNetRegressor(degree=degree).fit(X, y + noise * y.std() * rng.normal(size=120))
     new = np.concatenate([X, rng.uniform(-2.5, 2.5, (100, 3))])
     expected = model.predict(new, return_std=True)[1]
     assert expected.min() < 0.1 * expected.max()  # they say something
     np.testing.assert_allclose(
         in_c(tmp_path, COMPILERS[0], model, new, True)[1][:, 0], expected, rtol=1e-3
     )
-    with pytest.raises(ValueError, match="noise is below 1e-06 of its signal: export without"):
-        export_c(model.fit(X, y + 1e-6 * e), tmp_path / "arm.c", std=True)
+
+
+@pytest.mark.exhaustive
+def test_centres_that_the_kernel_cannot_tell_apart(tmp_path):
+    """Fewer directions than centres: all centres count, where once the last were left out."""
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (300, 2))
+    y = np.sin(3 * X[:, 0]) * np.cos(2 * X[:, 1]) + 1e-3 * rng.normal(size=300)
+    model = RBFNetRegressor(kernel="gaussian", alpha=1e-8, length_scale=0.7).fit(X, y)
+    assert len(model.networks_[0].prior_root) < len(model.centers_)
+    new = rng.uniform(-1.2, 1.2, (100, 2))
+    expected = model.predict(new, return_std=True)[1]
+    np.testing.assert_allclose(
+        in_c(tmp_path, COMPILERS[0], model, new, True)[1][:, 0], expected, rtol=0.05
+    )
 
 
 def test_too_many_centres_for_a_table_are_refused(model, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm.inference import Problem, beside_field, search, search_at
 from sklearn_raacmm.inference._linear import columns_of
-from sklearn_raacmm.inference._search import net_evidence
+from sklearn_raacmm.inference._search import _Leftover, net_evidence
 
 
 def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
@@ -93,3 +93,32 @@ def test_the_field_has_the_evidence_of_its_own_prior(toys):
 @pytest.mark.parametrize("seed", range(4))
 def test_no_field_where_there_are_lines_only(toys, seed):
     assert with_field(toys, seed, lines_only=True)[-1] is None
+
+
+@pytest.mark.parametrize("chosen", [(), (3,), (1, 4)])
+def test_gains_of_candidates_are_those_of_the_evidence(toys, chosen):
+    """Of a pair beside others and chosen pairs: the log ratio of two normal densities of y."""
+    rng = np.random.default_rng(len(chosen))
+    A = rng.normal(size=(60, 4))
+    H = rng.normal(size=(60, 10)) + A[:, :1] + 0.5 * rng.normal(size=(60, 1))
+    y = H[:, :4] @ [0.5, -0.3, 0.2, 0.4] + 0.3 * rng.normal(size=60)
+    toy = SimpleNamespace(A=A, H=H, y=y)
+    problem = Problem(toys.sums_of(A, H, y), toys.structures(4, 5))
+    variance, noise = np.array([0.7, 0.4, 0.1]), 0.09
+    state = problem.state(np.array(chosen, dtype=int), False, variance, noise)
+    left = _Leftover(problem, state)
+    gain, sound = left.gains()
+
+    def evidence(pairs):
+        return toys.evidence_of_lines(toy, pairs, variance, noise)
+
+    free = [p for p in range(5) if p not in chosen]
+    expected = [evidence([*chosen, p]) - evidence(chosen) for p in free]
+    assert left.free.tolist() == free
+    assert sound.all()
+    assert_allclose(gain, expected, rtol=1e-9, atol=1e-9)
+    # The same by taking the pairs one after another.
+    step = _Leftover(problem, problem.state(np.array([], dtype=int), False, variance, noise))
+    for pair in chosen:
+        step.take(pair, ())
+    assert_allclose(step.gains()[0][free], gain, rtol=1e-9, atol=1e-9)

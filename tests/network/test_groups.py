@@ -5,6 +5,7 @@ import pytest
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _read
+from sklearn_raacmm.network._linear import without_constants
 from sklearn_raacmm.utils import centred
 
 
@@ -76,3 +77,15 @@ def test_groups_that_cannot_be(monkeypatch):
     monkeypatch.setattr(_read, "IN_MEMORY_ROWS", 100)
     with pytest.raises(ValueError, match="at most 100 rows"):
         RBFNetRegressor().fit(X, y, groups=groups)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.01, 1.0, 1e6])
+def test_rows_without_constants_have_independent_noise(ratio):
+    rng = np.random.default_rng(0)
+    codes, weights = np.sort(rng.integers(0, 5, 30)), rng.uniform(0.5, 2, 30)
+    noise = np.diag(1 / weights) + ratio * np.equal.outer(codes, codes)
+    T = np.sqrt(weights)[:, None] * without_constants(np.eye(30), codes, weights, ratio)
+    np.testing.assert_allclose(T @ noise @ T.T, np.eye(30), atol=1e-7 if ratio > 1 else 1e-12)
+    if ratio == 1e6:  # exact constants: what is left is the deviation from the group's mean
+        T = without_constants(np.eye(30), codes, weights, ratio)
+        np.testing.assert_allclose(T, centred(np.eye(30), codes, weights), atol=2e-3)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.network._kernels import kernel_matrix
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out
 from sklearn_raacmm.network._rows import Rows
 
@@ -64,3 +65,23 @@ def test_what_is_left_out_by_leaving_it_out(ratio):
     data = data if ratio is None else data._replace(codes=codes)
     found = left_out(data, covariance(data, "matern52", np.zeros(3))[0], alphas, ratio or 0.0)
     assert found == pytest.approx(density, rel=1e-8)
+
+
+@pytest.mark.parametrize("constants", [False, True])
+@pytest.mark.parametrize("name", sorted(KERNELS))
+def test_gradients_against_finite_differences(name, constants):
+    theta = np.append(THETA, -1.0)
+    data = some_data()
+    data = data._replace(codes=np.sort(np.arange(40) % 7)) if constants else data
+
+    def function(t):
+        return exact_likelihood(data, name, t[:3], t[3:5], np.exp(t[5]) if constants else 0.0)
+
+    _, gradient, _, of_signal = function(theta)
+    for found, part in (
+        (gradient, lambda t: function(t)[0]),
+        (of_signal[0], lambda t: function(t)[2][0]),
+        (of_signal[1], lambda t: function(t)[2][1]),
+    ):
+        numeric = approx_fprime(theta, part, 1e-7)
+        np.testing.assert_allclose(found, numeric, atol=2e-5 * np.abs(numeric).max())
