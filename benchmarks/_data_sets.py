@@ -8,6 +8,7 @@ are downloaded the first time. There calibration, too, sees the training rows on
 from typing import NamedTuple
 
 import numpy as np
+from _arm_folds import MOVED
 from _regressors import Fold, run
 from joblib import Parallel, delayed
 from sklearn.metrics import r2_score
@@ -102,12 +103,12 @@ def calibrated(data, train):
 def panda(arm, data_home):
     """Every placement of the sockets left out once, by calibration, too."""
     data = fetched(fetch_panda_ball_socket, arm, data_home=data_home)
-    folds, measured, moved = [], [], {"accept": "moved-position"}
+    folds, measured = [], []
     for name in np.unique(data.placements):
         train = data.placements != name
         known = [length for length in data.lengths if not length[0].startswith(f"{name}/")]
         given = data.nominal_arm, data.data[train], data.groups[train]
-        result = calibrate(*given, lengths=known, **moved)
+        result = calibrate(*given, lengths=known, **MOVED)
         # Calibration weighs outliers down by itself; least squares of the residuals would not.
         learn = np.flatnonzero(train)[result.sample_weight > 0]
         points, residuals = result.arm.forward(data.data), np.zeros((len(data.data), 3))

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 from _arm_folds import (
     MIXES,
+    MOVED,
     NOMINAL_PANDA,
     TOOLED_UR10,
     UR10,
@@ -196,12 +197,12 @@ def transfer(data_home):
             left.append(mean_deviation(true - moved.predict(far)))
         found[f"transfer, robots, {n} poses: mean deviation"] = np.mean(left)
     angles, sockets, _ = read_panda("panda_3", data_home)
-    old = calibrate(NOMINAL_PANDA, angles, sockets, accept="moved-position")
+    old = calibrate(NOMINAL_PANDA, angles, sockets, **MOVED)
     y = old.residuals(angles, groups=sockets)
     model = ArmResidualRegressor(old.arm).fit(angles, y, groups=sockets)
     angles, sockets, placements = read_panda("panda_2", data_home)
     known = np.isin(placements, np.unique(placements)[:3])
-    own = calibrate(NOMINAL_PANDA, angles[known], sockets[known], accept="moved-position")
+    own = calibrate(NOMINAL_PANDA, angles[known], sockets[known], **MOVED)
     y = own.residuals(angles[known], groups=sockets[known])
     moved = transferred_model([model], own.arm, angles[known], y, groups=sockets[known])
     left = own.residuals(angles[~known], groups=sockets[~known]) - moved.predict(angles[~known])
@@ -239,7 +240,7 @@ def calibration(data_home):
     for name in ("panda_2", "panda_3"):
         angles, sockets, placements = read_panda(name, data_home)
         lengths = pairs_known(np.unique(placements))
-        result = calibrate(NOMINAL_PANDA, angles, sockets, lengths=lengths, accept="moved-position")
+        result = calibrate(NOMINAL_PANDA, angles, sockets, lengths=lengths, **MOVED)
         found[f"calibrate, {name}: scatter"] = result.scatter_after_mm
         found[f"calibrate, {name}: prior sd of lengths"] = result.prior_sd["length_mm"]
         found[f"calibrate, {name}: outliers"] = len(result.outliers)
@@ -296,7 +297,7 @@ def _panda_folds(name, home):
     """Arm, angles, residuals, labels and folds of whole placements."""
     angles, groups, placements = read_panda(name, home)
     known = pairs_known(np.unique(placements))
-    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known, accept="moved-position")
+    found = calibrate(NOMINAL_PANDA, angles, groups, lengths=known, **MOVED)
     good = found.sample_weight > 0
     angles, groups = angles[good], groups[good]
     residuals = position_residuals(found.arm.forward(angles), groups)

@@ -1,4 +1,4 @@
-"""The regressors that `make_results.py` and `bench_chain.py` compare."""
+"""The regressors that `make_results.py` compares, and the chain that holds each."""
 
 import pickle
 import time

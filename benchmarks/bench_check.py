@@ -21,6 +21,7 @@ import numpy as np
 from _arm_folds import (
     ARCSEC,
     MIXES,
+    MOVED,
     NOMINAL_PANDA,
     UR10,
     learn_tracked,
@@ -189,7 +190,7 @@ def kind_of_panda(name, runs):
     for run in range(runs):
         mixed = np.random.default_rng([5, run]).permutation(labels)
         known, rest = (np.isin(groups, half) for half in np.array_split(mixed, 2))
-        found = calibrate(NOMINAL_PANDA, angles[known], groups[known], accept="moved-position")
+        found = calibrate(NOMINAL_PANDA, angles[known], groups[known], **MOVED)
         model = ArmResidualRegressor(found.arm)
         model.fit(angles[known], found.residuals_mm, groups=groups[known])
         if not model.helps_:
@@ -302,7 +303,7 @@ def steps(options):
     for name in ("panda_3", "panda_2") if options.real else ():
         angles, groups, placements = read_panda(name)
         lengths = pairs_known(np.unique(placements))
-        arm = calibrate(NOMINAL_PANDA, angles, groups, lengths=lengths, accept="moved-position").arm
+        arm = calibrate(NOMINAL_PANDA, angles, groups, lengths=lengths, **MOVED).arm
         left, codes = look(arm, angles, position_residuals(arm.forward(angles), groups), groups)
         for step in find_steps(left, angles, codes):
             print(f"{name}, {np.unique(groups)[step.code]}: {step}")

@@ -34,10 +34,6 @@ SHOWN = {
 QUICK = ("plot_newrb", "plot_ols_path", "plot_rbf_network")
 # What makes a script quicker: fewer arms, fewer positions, no search of widths.
 QUICKER = {
-    "plot_grid_search": (
-        "[RBFNetRegressor(random_state=0)]",
-        "[RBFNetRegressor(20, length_scale=2.0, alpha=0.1)]",
-    ),
     "plot_how_many_poses": ("SEEDS = [0, 1]", "SEEDS = [0]"),
     "plot_paper_figures": ("n_positions=10", "n_positions=5"),
     "plot_real_arm": ("RBFNetRegressor())", "RBFNetRegressor(20, length_scale=2.0, alpha=0.1))"),

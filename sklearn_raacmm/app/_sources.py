@@ -225,8 +225,8 @@ def _most_numbers(dialects, rows_by, n_numbers):
         counts = [dialect.count(cells) for cells in rows_by(dialect)]
         return sum(count >= n_numbers for count in counts), sum(counts)
 
-    best = max(dialects, key=found)
-    return best if found(best)[0] else None
+    most, best = max(((found(one), one) for one in dialects), key=lambda pair: pair[0])
+    return best if most[0] else None
 
 
 def find_encoding(path):

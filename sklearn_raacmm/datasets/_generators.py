@@ -211,7 +211,7 @@ def calibrated_arm(machine):
     known = [(i, i + 1, length, _LENGTH_SD_MM) for i, length in zip(first, lengths, strict=True)]
     with warnings.catch_warnings():
         # The gauges are exact here. They disagree because the arm is wrong, by up to 0.1 mm.
-        warnings.filterwarnings("ignore", ".*known lengths", UserWarning)
+        warnings.filterwarnings("ignore", ".*known lengths disagree", UserWarning)
         result = calibrate(
             machine.nominal_arm,
             angles,

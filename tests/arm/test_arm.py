@@ -12,8 +12,6 @@ from sklearn.base import clone
 
 from sklearn_raacmm import Arm
 
-NAMES = ["aacmm6", "panda", "ur10"]
-
 
 def random_angles(arm, n=50, seed=0):
     return np.random.default_rng(seed).uniform(-np.pi, np.pi, (n, arm.n_joints))
@@ -258,13 +256,13 @@ def test_forms_of_json(form, tmp_path):
         assert Arm.from_json(path) == arm
 
 
-# -- units that are most likely wrong --------------------------------------------------------------
-
-
 def test_what_is_no_source_of_json():
     for source in (None, 3, ["a"]):
         with pytest.raises(TypeError, match=f"got {type(source).__name__}"):
             Arm.from_json(source)
+
+
+# -- units that are most likely wrong --------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

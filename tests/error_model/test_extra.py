@@ -91,16 +91,6 @@ def test_a_force_turns_every_frame_by_its_torque(arm):
     assert_allclose(one["force bends frame 2 about y"], expected, atol=1e-12)
 
 
-# -- what they are worth --------------------------------------------------------------------------
-
-# What the arm has, the extra columns, and how much of the deviation is left at most.
-CAUSES = {
-    "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in range(1, 7)], 0.85),
-    "temperature": ({"drift_k": 8.0}, ["temperature"], 0.7),
-    "payload": ({"payload_n": 20.0}, ["payload"], 0.35),
-}
-
-
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_rows_may_have_probes_of_their_own(arm):
     """The columns are those of an arm with that probe, in units of the model's own arm."""
@@ -117,6 +107,16 @@ def test_rows_may_have_probes_of_their_own(arm):
             unit = ratio if is_length else 1 / ratio if name.startswith("load") else 1.0
             assert_allclose(found[:, :, waves + i], unit * expected[:, :, places[name]], atol=1e-12)
         assert_allclose(found[:, :, :waves], expected[:, :, :waves], atol=1e-12)
+
+
+# -- what they are worth --------------------------------------------------------------------------
+
+# What the arm has, the extra columns, and how much of the deviation is left at most.
+CAUSES = {
+    "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in range(1, 7)], 0.85),
+    "temperature": ({"drift_k": 8.0}, ["temperature"], 0.7),
+    "payload": ({"payload_n": 20.0}, ["payload"], 0.35),
+}
 
 
 def left_at_unseen_positions(test, values, extra):

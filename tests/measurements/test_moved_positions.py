@@ -101,9 +101,6 @@ def test_a_pose_that_was_recorded_many_times_is_one():
     assert rows_of(steps) == [(2, 499, 500)]
 
 
-# -- what users see -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("n", [0, 1, 5, 6])
 def test_few_rows(n):
     angles, left = poses_and_noise()
@@ -138,6 +135,9 @@ def test_likelihood_of_a_step_against_two_normal_densities():
             squares.append(left[:, 0] @ weigh @ left[:, 0] + 10 * NOISE**2)
         expected.append((5 + 10) / 2 * np.log(squares[0] / squares[1]))
     assert_allclose(found[4], min(expected), rtol=1e-9)
+
+
+# -- what users see -------------------------------------------------------------------------------
 
 
 def moved_test(machine="none", n_positions=5):

@@ -167,10 +167,9 @@ def test_sphere_fit_is_the_optimum_that_a_general_optimizer_finds():
 
     options = {"xatol": 1e-9, "fatol": 1e-15, "maxiter": 5000, "maxfev": 5000}
     best = minimize(cost, [700, -300, 150, 12.7], method="Nelder-Mead", options=options)
-    center, radius, distances = _spheres.fit_sphere(points)
+    center, radius, _ = _spheres.fit_sphere(points)
     assert cost([*center, radius]) <= best.fun + 1e-12
     assert_allclose([*center, radius], best.x, atol=2e-6)
-    assert_allclose(distances, np.linalg.norm(points - center, axis=1))
 
 
 @pytest.mark.parametrize(
