@@ -263,7 +263,7 @@ class Correction:
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         new_base = points is not None and (new_base or self.base is None)
-        known: Self = self
+        known: Any = self
         if new_base:
             known = self.register(angles, positions, points, free=(), accept=accept)
         if points is not None:
