@@ -158,7 +158,7 @@ def _neighbours(arm, inputs):
 
 
 def _perceptron(arm, inputs):
-    network = MLPRegressor((64, 64), solver="lbfgs", max_iter=200, random_state=0)
+    network = MLPRegressor(hidden_layer_sizes=(64, 64), solver="lbfgs", max_iter=200, random_state=0)
     # Any usual weight decay outweighs hundredths of a millimetre.
     scaled = TransformedTargetRegressor(network, transformer=StandardScaler())
     return _chain(arm, scaled, inputs, {"regressor__alpha": [1.0, 10.0]})
