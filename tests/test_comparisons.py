@@ -46,11 +46,7 @@ def nested_fourier(cone, module, n_folds):
     def predict(train, test, order, alpha):
         X = module.fourier_terms(cone.data, order, [1, 2, 3])
         scaler = StandardScaler().fit(X[train])
-        # Constants of positions drop out of what is centred at each.
-        labels = np.equal.outer(cone.groups[train], np.unique(cone.groups[train]))
-        within = np.eye(len(train)) - labels @ (labels / labels.sum(axis=0)).T
-        model = Ridge(alpha, fit_intercept=False)
-        model.fit(within @ scaler.transform(X[train]), within @ y[train])
+        model = Ridge(alpha).fit(scaler.transform(X[train]), y[train])
         return np.einsum("nji,nj->ni", turn[test], model.predict(scaler.transform(X[test])))
 
     def left(train, test, *setting):
