@@ -238,12 +238,6 @@ def test_arms_from_lengths():
         Arm.from_lengths("3-2-2", 1, 1, 1, 1)
 
 
-@pytest.mark.parametrize("source", [None, 3, b"<robot/>", ["arm.urdf"], {}])
-def test_what_is_no_path_and_no_text_gets_a_sentence(source):
-    with pytest.raises(TypeError, match="source must be a path or the text of a URDF file, got"):
-        Arm.from_urdf(source)
-
-
 # -- a calibrated arm in the robot's own file: the same points, nothing lost -----------------------
 
 # A robot as people draw them: axes along y and -z, fixed frames between, a gripper, meshes,

@@ -344,23 +344,6 @@ def test_progress_and_processes_change_nothing(test_data, learned):
     assert_allclose(scores.table["after"], learned.scores.table["after"], atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"positions": list(19 * "A" + "a" + 120 * "B")}, "'a' has a single row, row 19"),
-        ({"positions": None}, "give positions, the label of each row, or points of a tracker."),
-        ({"rows": slice(40)}, "at least 3 positions are needed to leave some out, got 2"),
-        ({"points": np.zeros((3, 3))}, r"points must have shape \(140, 3\)"),
-        ({"lengths": [(0, 99, 400, 0.1)]}, "the group 99, which has no samples; groups are 0, 1, "),
-    ],
-)
-def test_bad_input_gets_one_sentence(test_data, change, message):
-    rows = change.pop("rows", slice(None))
-    given = {"angles": test_data.data[rows], "positions": test_data.groups[rows]}
-    with pytest.raises(ValueError, match=message):
-        learn_correction(test_data.nominal_arm, **{**given, "model": QUICK, **change})
-
-
 @pytest.mark.filterwarnings("ignore::UserWarning")  # said beside the refusal
 @pytest.mark.parametrize(
     ("signs", "unit", "change"),

@@ -77,19 +77,6 @@ def test_position_residuals_against_pandas(labels, weighted):
     assert_allclose(position_residuals(points, groups, weight), expected, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("groups", "weights", "message"),
-    [
-        (["A", "A", "B", "C"], None, r"2 of 3 positions .*'B', 'C'"),
-        (None, None, "got None"),
-        (["A", "A", "B", "B"], [1, 1, 1, 0], r"1 of 2 positions .* non-zero weight: 'B'"),
-    ],
-)
-def test_position_residuals_refuses_groups(groups, weights, message):
-    with pytest.raises(ValueError, match=message):
-        position_residuals(np.ones((4, 3)), groups, weights)
-
-
 def test_rotation_against_scipy():
     rng = np.random.default_rng(3)
     vectors, phi = rng.normal(size=(50, 3)), rng.uniform(-7, 7, 50)
@@ -171,28 +158,6 @@ def test_the_direction_is_checked_at_predict_too(isotropic):
     bad[3, -2:] *= 1.001
     with pytest.raises(ValueError, match=r"1 of 200 rows .*\(row 3: 1.001\)"):
         model.predict(bad)
-
-
-ONES = np.ones((4, 3))
-
-
-@pytest.mark.parametrize(
-    ("X", "y", "azimuth", "message"),
-    [
-        (ONES, None, "appended", "requires y to be passed"),
-        (ONES, np.ones((3, 3)), "appended", r"inconsistent numbers of samples: \[4, 3\]"),
-        (np.ones((4, 2)), ONES, "appended", r"X has shape \(4, 2\), but needs at least one feat"),
-        (np.ones(4), ONES, "appended", r"X has shape \(4,\), but needs at least one feature"),
-        (np.sqrt(0.5) * ONES, np.ones((4, 2)), "appended", "y has 2 columns, but a residual has 3"),
-        (ONES, np.ones((4, 5)), first_column, "y has 5 columns, but a residual has 3"),
-        (ONES, ONES, lambda X: X[:, :2], r"shape \(4,\), got shape \(4, 2\)"),
-        (ONES, ONES, lambda X: X[1:, 0], r"shape \(4,\), got shape \(3,\)"),
-        (ONES, ONES, lambda X: X[:, 0] * np.nan, "azimuth contains NaN"),
-    ],
-)
-def test_bad_input(X, y, azimuth, message):
-    with pytest.raises(ValueError, match=message):
-        CylindricalResidualTarget(azimuth=azimuth).fit(X, y)
 
 
 # -- standard deviations --------------------------------------------------------------------------
