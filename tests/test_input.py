@@ -681,6 +681,12 @@ def refused_in_correction():
     yield learn, "points", [np.zeros((3, 3))], r"points must have shape \(48, 3\)"
     unknown = "the group 99, which has no samples; groups are 0, 1, "
     yield learn, "lengths", [[(0, 99, 400, 0.1)]], unknown
+    warm, kelvin = "temperature", np.full(len(TEST.data), 20.0)
+    yield learn, "extra", [{warm: kelvin[:3]}], r"extra\['temperature'\] must have shape \(48,\)"
+    missing = r"extra\['temperature'\] holds 1 values that are missing, NaN"
+    yield learn, "extra", [{warm: [np.nan, *kelvin[1:]]}], missing
+    yield learn, "extra", [{warm: ["20"] * 48}], r"extra\['temperature'\] must hold numbers"
+    yield learn, "extra", [[warm]], "extra must be a dict of names and values"
     yield checked, "refitted", [["table"], ANGLES], "refitted must name"
     yield checked, "false_alarm_rate", [0], "'false_alarm_rate' parameter"
     yield checked, "lengths", [[(0, 99, 100.0, 0.01)]], "lengths name the group 99"

@@ -197,9 +197,6 @@ def test_forms_of_json(form, tmp_path):
         assert Arm.from_json(path) == arm
 
 
-# -- units that are most likely wrong --------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "angles",
     [

@@ -204,9 +204,6 @@ def test_an_update_is_no_reason_to_fade(model, n):
     assert np.quantile(share, 0.05) > 0.9
 
 
-# -- extra columns ------------------------------------------------------------------------------
-
-
 def warm_rows(n, seed, lag):
     """Residuals with the temperature and the direction of joint 2 as columns 7 and 8."""
     angles, y = rows(n, seed)

@@ -23,9 +23,6 @@ def by_name(arm, theta, values, extra):
     return columns_by_name(arm, np.column_stack([theta, values]), False, False, False, extra)
 
 
-# -- columns --------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_an_arm_that_grows_as_a_whole_stays_similar(arm):
     """All lengths by 4.8 ppm per K move every point along its radius; those below 1 mm stay."""
@@ -109,8 +106,6 @@ def test_rows_may_have_probes_of_their_own(arm):
         assert_allclose(found[:, :, :waves], expected[:, :, :waves], atol=1e-12)
 
 
-# -- what they are worth --------------------------------------------------------------------------
-
 # What the arm has, the extra columns, and how much of the deviation is left at most.
 CAUSES = {
     "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in range(1, 7)], 0.85),
@@ -172,9 +167,6 @@ def test_causes_are_learnt_from_several_probes():
     assert left[0] < 0.1 * np.linalg.norm(true) < 0.5 * left[1]
     with pytest.raises(ValueError, match=r"probes must have shape \(240, 3\), in mm, got \(240,\)"):
         model.fit(theta, y, probes=lengths)
-
-
-# -- as an estimator ------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -109,7 +109,7 @@ def errors_bare(arm, X):
 
 @pytest.fixture(scope="module")
 def cones():
-    test = make_single_point(n_positions=8, n_poses=15, random_state=2)
+    test = make_single_point(n_positions=8, n_poses=15)
     model = ArmResidualRegressor(test.arm, orders=4)
     return test, model.fit(test.data, test.target, groups=test.groups)
 

@@ -223,9 +223,6 @@ def test_a_scorer_refuses_masked_rows():
         scorer(Ridge(), np.ma.masked_equal(rows, 5), np.zeros((4, 3)))
 
 
-# -- intervals of the repeatability, against the chi-square distribution ---------------------------
-
-
 def test_the_ends_are_those_of_chi_squared():
     rng = np.random.default_rng(0)
     n, sds = 25, np.array([[0.3, 0.3, 0.3], [1.2, 0.2, 0.4]])
