@@ -60,7 +60,7 @@ def made(tmp_path_factory):
     model = ArmResidualRegressor(orders=4)
     for name, points in (("cones", None), ("tracker", seen(test))):
         found = learn_correction(
-            test.nominal_arm, test.data, test.groups, points, model=model, cv=3
+            test.nominal_arm, test.data, test.groups, points, model=model, cv=2
         )
         found.save(folder / name)
     # An encoder that follows a temperature, which nobody measures later.
