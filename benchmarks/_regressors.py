@@ -158,7 +158,8 @@ def _neighbours(arm, inputs):
 
 
 def _perceptron(arm, inputs):
-    network = MLPRegressor(hidden_layer_sizes=(64, 64), solver="lbfgs", max_iter=200, random_state=0)
+    options = {"solver": "lbfgs", "max_iter": 200, "random_state": 0}
+    network = MLPRegressor(hidden_layer_sizes=(64, 64), **options)
     # Any usual weight decay outweighs hundredths of a millimetre.
     scaled = TransformedTargetRegressor(network, transformer=StandardScaler())
     return _chain(arm, scaled, inputs, {"regressor__alpha": [1.0, 10.0]})

@@ -43,7 +43,7 @@ ESTIMATORS = [
     PoseFeatures(Arm.from_name("panda"), encoding="periodic", append_azimuth=True),
     PoseFeatures(Arm.from_name("ur10"), joints="all", angle_unit="deg"),
     CylindricalResidualTarget(),
-    ArmResidualRegressor(orders=1),
+    ArmResidualRegressor(orders=1, causes=["kinematics", "wobble"]),  # gravity has most columns
     RBFNetRegressor(),
     CylindricalResidualTarget(RBFNetRegressor()),
 ]

@@ -24,9 +24,6 @@ def read(path):
     return path.read_text(encoding="utf-8")
 
 
-# -- what pages name -------------------------------------------------------------------------------
-
-
 def test_developers_find_what_their_pages_name():
     """Modules exist, and hold the functions that stand before them."""
     package = ROOT / "sklearn_raacmm"
@@ -41,9 +38,6 @@ def test_developers_find_what_their_pages_name():
         for name, module in named
         if name.split(".")[-1] not in read(package / module)
     ] == []
-
-
-# -- the reference, versions and addresses ---------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -135,16 +129,10 @@ def test_estimators_in_a_notebook_link_to_their_pages(monkeypatch):
         assert f"\n   {name}\n" in top
 
 
-# -- the site --------------------------------------------------------------------------------------
-
-
 def test_every_example_is_in_a_section_of_the_gallery(script):
     sphinx = script("_sphinx")
     shown = [name for names in sphinx.SECTIONS.values() for name in names]
     assert sorted(shown) == sorted(path.stem for path in (ROOT / "examples").glob("plot_*.py"))
-
-
-# -- measured numbers ------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -183,9 +171,6 @@ def test_what_the_pages_say_of_the_results_is_true(results):
         assert found.of(data, results.ALL)["mean_mm"] < found.of(data, results.THREE)["mean_mm"]
         others = [found.of(data, name)["r2"] for name in (results.THREE, results.ALL)]
         assert found.of(data, results.LINEAR)["r2"] < min(*others, 0)
-
-
-# -- words -----------------------------------------------------------------------------------------
 
 
 def test_pages_and_docstrings_are_within_their_limits(script, capsys):

@@ -53,7 +53,14 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.datasets import ArmErrors, SimulatedArm, make_gauge, make_single_point
+from sklearn_raacmm.datasets import (
+    ArmErrors,
+    SimulatedArm,
+    fetch_panda_ball_socket,
+    fetch_ur10_tracker,
+    make_gauge,
+    make_single_point,
+)
 
 
 def spread(n_rows, n_columns):
@@ -435,8 +442,6 @@ def refused():
     yield learn, "cv", ["folds", [1], np.array(3), [([0, 1], [2])]], "'cv' parameter"
     yield learn, "n_jobs", ["all"], "'n_jobs' parameter of .* an instance of 'int'"
     yield learn, "progress", ["yes"], "'progress' parameter of .* a callable"
-    yield ARM.replace, "convention", [LARGE], "convention"
-    yield ARM.replace, "name", [LARGE], "name"
     yield partial(ARM.forward, ANGLES), "angle_unit", [LARGE], "angle_unit"
     yield interval, "aggregate", [LARGE], "aggregate"
     yield ArmErrors, "sag_um", [LARGE], "sag_um"
@@ -484,11 +489,6 @@ def refused():
     yield partial(fitted, orders=0), "causes", [[]], "no columns"
     several = [None, "0.9", [0.9], np.array([0.9, 0.5]), 1, np.nan]
     yield interval, "probability", several, "probability must be between 0 and 1, got"
-    yield interval, "statistic", ["max"], "'max' is not"
-    yield metrics.fit_sphere, "points", [POINTS * 0], "one plane"
-    gauges = partial(metrics.gauge_lengths, POINTS, GROUPS.astype(str))
-    yield gauges, "pairs", [[[0, 1]]], "group 0"
-    yield partial(metrics.length_error, calibrated=[]), "measured", [[]], r"\(0,\)"
     yield lambda warming: MACHINE.forward(ANGLES, warming_k=warming), "warming", [np.nan], "warming"
     yield lambda n_poses: MACHINE.find_poses([400, 0, 300], n_poses), "n_poses", [-1], "n_poses"
     yield ArmErrors.only, "sag", [1], "unexpected keyword argument 'sag'"
@@ -517,9 +517,185 @@ def refused():
         for flag in ("return_std", "with_noise"):
             no_flags = ["yes", None, 2, 0.5, GROUPS, [True]]  # such as labels in the second place
             yield partial(predict, ANGLES), flag, no_flags, f"{flag} must be True or False, got "
+    yield from refused_in_arm()
+    yield from refused_in_metrics()
+    yield from refused_in_models()
+    yield from refused_in_residuals()
+    yield from refused_in_correction()
     yield from refused_in_export()
     yield from refused_in_datasets()
     yield from refused_in_acceptance()
+
+
+def refused_in_arm():
+    six, pair, change = np.zeros(6), [[0, 1]], ARM.replace
+    yield change, "a", [[1, 2, 3]], r"alpha must hold 3 numbers, got shape \(6,\)"
+    yield change, "d", [[0, 0, np.inf, 0, 0, 0]], r"d\[2\] = inf is out of bounds.*100000 mm"
+    yield change, "alpha", [90 + six], r"alpha\[0\] = 90 is out of bounds.*from_degrees"
+    yield change, "probe", [(0, 0)], r"probe must hold 3 numbers, got shape \(2,\)"
+    sign = r"^joint_signs\[0\] = -2 is out of bounds.* at most 1\.$"
+    yield change, "joint_signs", [-2], sign
+    yield change, "joint_signs", [0.5], "joint_signs must be -1 or 1"
+    kinds = "(?s)convention=.* is not one of 'standard', "
+    yield change, "convention", ["khalil", LARGE], kinds
+    numbers = r"pose_joints must be two different whole numbers from 1 to 6, got \(3(, 7|\.5, 4)\)"
+    yield change, "pose_joints", [(3, 7), (3.5, 4)], numbers
+    yield change, "pose_frames", [(2, 2)], r"pose_frames .* from 0 to 6, got \(2, 2\)"
+    yield change, "name", [3, LARGE], "name must be a string"
+    yield change, "name", ["half \ud800"], "whole characters"
+    of_six, differ = "must be 6 different names of joints, got", ["a", "a", "b", "c", "d", "e"]
+    yield change, "names", [["a"], differ, [*differ[1:], 3]], of_six
+    yield change, "limits", [pair], r"limits must have shape \(6, 2\), got \(1, 2\)"
+    yield change, "limits", [[[1, 0], *pair * 5]], "limits of joint 1 must go from low to high"
+    yield change, "limits", [[*pair * 5, [np.nan, 0]]], "limits"
+    yield change, "up", [(0, 0, 0)], "up must be a vector with a direction"
+    yield change, "up", [(0, 1)], "up must hold 3 numbers"
+    yield change, "up", [(0, np.nan, 1)], r"up\[1\] = nan is out of bounds"
+    yield change, "prob", [(0, 0, 1)], "unexpected keyword argument .prob"
+    nowhere = partial(ARM.replace, d=six, probe=(0, 0, 0))
+    yield nowhere, "a", [six], "no length above 1e-06 mm"
+    known = r"\['aacmm6', .*, 'ur5e'\], got .*(kuka|panda)"
+    yield lambda arm: Arm.from_name(arm), "arm", ["kuka", ["panda"]], known
+    yield partial(Arm.from_degrees, six, d=six), "alpha", ["x"], "^alpha must hold numbers"
+    in_degrees = partial(Arm.from_degrees, six, six, six)
+    yield in_degrees, "theta_offset", ["x"], "^theta_offset must hold numbers"
+    yield ARM.forward, "angles", [np.zeros((4, 7))], r"6 joints, got \(4, 7\)"
+    no_angle = "1 NaN or infinite values; .* nan in row 0, joint 4"
+    yield ARM.forward, "angles", [[[0, 0, 0, np.nan, 0, 0]]], no_angle
+    yield ARM.forward, "angles", [[[0] * 6, [*[0] * 5, -np.inf]]], "first is -inf in row 1, joint 6"
+    no_text = "source must be a path or the text of a URDF file, got"
+    yield Arm.from_urdf, "source", [None, 3, b"<robot/>", ["arm.urdf"], {}], no_text
+    yield Arm.from_json, "source", [None, 3, ["a"]], "got (NoneType|int|list)"
+    longer = r"d3 of the correction's arm is 750\.7422 .* 751\.7422"
+    yield LINEAR.with_arm, "arm", [ARM.replace(d=ARM.d + np.eye(6)[2])], longer
+    yield LINEAR.with_arm, "arm", [Arm.from_name("panda")], "only the probe may differ"
+
+
+def refused_in_metrics():
+    points, groups = np.zeros((4, 3)), [1, 1, 2, 2]
+    of_one = partial(metrics.single_point_repeatability, points)
+    alone = r"2 of 3 positions hold a single point \(the first: p\)"
+    yield of_one, "groups", [list("pqqr")], alone
+    axes = partial(metrics.axis_repeatability, points)
+    for measure, statistic, aggregate in (
+        (of_one, "3s", "sum"),
+        (axes, "max", "min"),
+        (interval, "max", "max"),
+        (metrics.repeatability_scorer, "3s", None),
+    ):
+        yield measure, "statistic", [statistic], f"^statistic='{statistic}' is not"
+        yield measure, "aggregate", [aggregate], f"^aggregate={aggregate!r} is not"
+    score = partial(metrics.within_position_r2_score, points)
+    yield score, "y_pred", [points[:, :1]], r"shape \(4, 3\), but y_pred \(4, 1\)"
+    yield partial(score, points), "groups", [groups], "does not vary"
+    gauges = partial(metrics.gauge_lengths, points, groups)
+    yield gauges, "pairs", [[[1, 3]]], "group 3, which has no points"
+    yield gauges, "pairs", [[1, 2]], r"shape \(2,\)"
+    yield partial(metrics.gauge_lengths, points, list("0011")), "pairs", [[[0, 1]]], "group 0"
+    length = metrics.length_error
+    yield partial(length, calibrated=[]), "measured", [[]], r"\(0,\)"
+    yield partial(length, calibrated=[300] * 3), "measured", [[300] * 2], "2 measured .* 3 calibr"
+    yield partial(length, calibrated=300), "measured", [[300, -300]], "1 of 2 values"
+    yield metrics.fit_sphere, "points", [np.eye(3)], "at least 4 points, got 3"
+    yield metrics.fit_sphere, "points", [POINTS * 0, np.eye(4)[:, :3] * [1, 1, 0]], "one plane"
+    location = metrics.articulated_location_error
+    yield location, "points", [[[0, 0, 0]]], "2 centres are compared, got 1"
+    flat = partial(location, np.zeros((8, 3)))
+    yield flat, "groups", [np.repeat([1, 2], 4)], "Articulation 1: .* one plane"
+
+
+def refused_in_models():
+    yield regression, "n_centers", [None], "'n_centers' parameter"
+    yield regression, "alpha", [[0.1, 0.2]], r"alpha has shape \(2,\).*3 outputs"
+    yield regression, "alpha", [[-0.1, 1, 1]], "alpha must be finite and not negative"
+    tuned = partial(regression, n_centers="auto")
+    yield tuned, "alpha", [0.0], 'n_centers="auto" needs alpha > 0.*least alpha of 0'
+    too_wide = "more than 1e.07 times the range of every feature"
+    yield partial(regression, alpha=0.0), "length_scale", [1e9], too_wide
+    yield regression, "length_scale", [[1.0, 2.0, 3.0]], r"shape \(3,\).*6 features"
+    yield regression, "length_scale", [np.ones((2, 2))], r"shape \(2, 2\).*6 features"
+    yield regression, "length_scale", [[-2.0, *[1.0] * 5], [np.nan] * 6], "must be positive"
+    yield regression, "length_scale", [[1e-9, *[1.0] * 5]], "does not resolve"
+    no_angles = "X has 5 columns, but the arm .* has 6 joints"
+    yield partial(harmonics().fit, y=RESIDUALS), "X", [ANGLES[:, :5]], no_angles
+    no_vectors = r"y has shape \(40,( 2)?\); Cartesian residuals \(n_samples, 3\)"
+    yield partial(harmonics().fit, ANGLES), "y", [RESIDUALS[:, :2], RESIDUALS[:, 0]], no_vectors
+    yield fitted, "causes", [["gears"]], "some of gravity, kinematics, wobble, got 'gears'"
+    yield fitted, "causes", ["gravity"], "'causes' parameter"
+    absolute = partial(harmonics(offsets=False).fit, ANGLES, RESIDUALS, groups=GROUPS)
+    yield absolute, "lengths", [[(0, 1, 100, 1)]], "lengths are for positions with offsets"
+    yield partial(harmonics(offsets=True).fit, ANGLES), "y", [RESIDUALS], "True needs groups"
+    yield fitted, "orders", [[[1], [2]]], "orders has 2 lists, but the arm has 6 joints"
+    yield fitted, "orders", [[1, 2.5]], "whole numbers of 1 or more, got 2.5 for joint 1"
+    yield fitted, "orders", [[0]], "whole numbers of 1 or more, got 0"
+    yield fitted, "extra", ["temperature"], "'extra' parameter"
+    no_name = r"extra must hold names of columns, .*got '(humidity|direction|force w)'"
+    yield fitted, "extra", [["humidity"], ["direction"], ["force w"]], no_name
+    no_joint = partial(harmonics(extra=["direction 7"]).fit, y=RESIDUALS)
+    of_six = "'direction 7', but the arm has joints 1 to 6"
+    yield no_joint, "X", [np.column_stack([ANGLES, GROUPS])], of_six
+    yield fitted, "extra", [[3]], "got 3"
+    yield fitted, "extra", [["time", "time"]], "names 'time' twice"
+    too_few = "X has 6 columns, but 7 are needed: the angles of 6 joints, then 'time'"
+    yield fitted, "extra", [["time"]], too_few
+    for function in (ARM.angles_for, LINEAR.angles_for):
+        near, turns = partial(function, POINTS[:3], ANGLES[:3]), np.tile(np.eye(3), (3, 1, 1))
+        yield partial(function, POINTS[:3]), "start", [ANGLES[:2]], "start has 2 poses for 3 points"
+        yield near, "orientations", [-turns], "3 of 3 orientations are no rotations; .* row 0"
+        too_few = r"for each point, \(3, 3, 3\), got \(2, 3, 3\)"
+        yield near, "orientations", [turns[:2]], too_few
+    yield partial(ARM.angles_for, POINTS[:3]), "angle_unit", ["grad"], "'grad' is not one of"
+
+
+def refused_in_residuals():
+    ones = np.ones((4, 3))
+    of_points = partial(position_residuals, ones)
+    yield of_points, "groups", [["A", "A", "B", "C"]], r"2 of 3 positions .*'B', 'C'"
+    yield of_points, "groups", [None], "got None"
+    alone = r"1 of 2 positions .* non-zero weight: 'B'"
+    yield partial(of_points, list("AABB")), "sample_weight", [[1, 1, 1, 0]], alone
+    target = CylindricalResidualTarget().fit
+    yield partial(target, ones), "y", [None], "requires y to be passed"
+    yield partial(target, ones), "y", [ones[1:]], r"inconsistent numbers of samples: \[4, 3\]"
+    yield partial(target, np.sqrt(0.5) * ones), "y", [ones[:, 1:]], "y has 2 columns, but a residu"
+    no_features = r"X has shape \(4,( 2)?\), but needs at least one feature"
+    yield partial(target, y=ones), "X", [ones[:, 1:], ones[:, 0]], no_features
+
+    def by_azimuth(azimuth, y=ones):
+        return CylindricalResidualTarget(azimuth=azimuth).fit(ones, y)
+
+    yield by_azimuth, "azimuth", [lambda X: X[:, :2]], r"shape \(4,\), got shape \(4, 2\)"
+    yield by_azimuth, "azimuth", [lambda X: X[1:, 0]], r"shape \(4,\), got shape \(3,\)"
+    yield by_azimuth, "azimuth", [lambda X: X[:, 0] * np.nan], "azimuth contains NaN"
+    yield partial(by_azimuth, lambda X: X[:, 0]), "y", [np.ones((4, 5))], "y has 5 columns, but a"
+
+
+def refused_in_correction():
+    of_rows = partial(learn_correction, *DATA[:2])
+    single = [*"AAAAAAAa", *"B" * 40]
+    yield of_rows, "positions", [single], "'a' has a single row, row 7"
+    yield of_rows, "positions", [None], "give positions, the label of each row, or points of a trac"
+    two = partial(learn_correction, TEST.nominal_arm, TEST.data[:16])
+    too_few = "at least 3 positions are needed to leave some out, got 2"
+    yield two, "positions", [TEST.groups[:16]], too_few
+    yield learn, "points", [np.zeros((3, 3))], r"points must have shape \(48, 3\)"
+    unknown = "the group 99, which has no samples; groups are 0, 1, "
+    yield learn, "lengths", [[(0, 99, 400, 0.1)]], unknown
+    warm, kelvin = "temperature", np.full(len(TEST.data), 20.0)
+    yield learn, "extra", [{warm: kelvin[:3]}], r"extra\['temperature'\] must have shape \(48,\)"
+    missing = r"extra\['temperature'\] holds 1 values that are missing, NaN"
+    yield learn, "extra", [{warm: [np.nan, *kelvin[1:]]}], missing
+    yield learn, "extra", [{warm: ["20"] * 48}], r"extra\['temperature'\] must hold numbers"
+    yield learn, "extra", [[warm]], "extra must be a dict of names and values"
+    yield checked, "refitted", [["table"], ANGLES], "refitted must name"
+    yield checked, "false_alarm_rate", [0], "'false_alarm_rate' parameter"
+    yield checked, "lengths", [[(0, 99, 100.0, 0.01)]], "lengths name the group 99"
+    bare = partial(check_correction, LINEAR, ANGLES, RESIDUALS)
+    yield bare, "lengths", [[(0, 1, 100.0, 0.01)]], "lengths are between positions: give groups"
+    few = partial(check_correction, LINEAR, y=RESIDUALS[:3], refitted=["base", "probe"])
+    yield few, "X", [ANGLES[:3]], "3 poses have 9 coordinates for 9 freedoms"
+    checks = partial(check_correction, X=ANGLES, y=RESIDUALS)
+    yield checks, "model", [FITTED], "cannot be updated or checked"
 
 
 def refused_in_export():
@@ -546,6 +722,9 @@ def refused_in_export():
 
 
 def refused_in_datasets():
+    yield fetch_panda_ball_socket, "arm", ["panda_1"], "panda_2"
+    for fetch in (fetch_panda_ball_socket, fetch_ur10_tracker):
+        yield fetch, "download_if_missing", [2], "'download_if_missing' parameter"
     for field in fields(ArmErrors):
         yield ArmErrors, field.name, ["1", np.nan, (1, 2, 3), None, -np.inf], field.name
     yield ArmErrors, "counterbalance", [1.2], r"\[0, 1\], got 1.2"

@@ -30,9 +30,6 @@ def assert_said(page, pattern, values, rel=0.02):
     np.testing.assert_allclose(said, values, rtol=rel, err_msg=f"{page}: {pattern}")
 
 
-# -- closed forms ---------------------------------------------------------------------------------
-
-
 def test_reductions_of_the_paper_follow_from_its_millimetres():
     page = "paper_and_ours.md"
     for row in ("| @ / @ | @ / @ | 22.5 % / 15 % |", "| @ / @ | @ / @ | 50 % / 55.5 % |",
@@ -65,9 +62,6 @@ def test_links_that_are_short_by_one_share_carry_it_to_lengths():
     drawing, over_drawing = numbers(page, "off by 0.1 to 0.7 mm at random | @ | @ |")
     # `scale_sd` is that of the drawing: it cannot know.
     assert error / over_sd == pytest.approx(drawing / over_drawing, rel=0.15)
-
-
-# -- measured again -------------------------------------------------------------------------------
 
 
 def test_a_step_of_ols_lowers_the_error_more_than_one_of_omp():

@@ -14,20 +14,15 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import InconsistentVersionWarning
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 import sklearn_raacmm
-from sklearn_raacmm import (
-    ArmResidualRegressor,
-    CylindricalResidualTarget,
-    PoseFeatures,
-    RBFNetRegressor,
-)
+from sklearn_raacmm import ArmResidualRegressor, RBFNetRegressor
 from sklearn_raacmm.correction._files import dump_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
 from sklearn_raacmm.utils import _estimators
+
+from .export._chains import form_a, form_b
 
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
 
@@ -41,12 +36,9 @@ def data():
 def fitted(data):
     """Every public estimator, fitted, in chains or by itself."""
     X, y, arm = data.data, data.target, data.arm
-    inner = make_pipeline(StandardScaler(), RBFNetRegressor(15, length_scale=1.5, alpha=0.01))
-    outermost = make_pipeline(PoseFeatures(arm), *(step for _, step in inner.steps))
-    pose, last = PoseFeatures(arm, append_azimuth=True), CylindricalResidualTarget(inner)
     return {
-        "outermost": CylindricalResidualTarget(outermost, azimuth=arm.azimuth).fit(X, y),
-        "pipeline": make_pipeline(pose, last).fit(X, y),
+        "outermost": form_a(arm).fit(X, y),
+        "pipeline": form_b(arm).fit(X, y),
         "harmonics": ArmResidualRegressor(arm, orders=3).fit(X, y, groups=data.groups),
     }
 

@@ -24,6 +24,8 @@ from sklearn_raacmm import (
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.metrics import repeatability_scorer, single_point_repeatability
 
+from .export._chains import form_a, form_b
+
 
 def network():
     return RBFNetRegressor(15, length_scale=1.0, alpha=1e-4)
@@ -32,19 +34,6 @@ def network():
 def gaussian_process():
     kernel = RBF(1.0, "fixed") + WhiteKernel(1e-4, "fixed")
     return GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True)
-
-
-def form_a(arm, regressor, **pose):
-    return CylindricalResidualTarget(
-        make_pipeline(PoseFeatures(arm, **pose), StandardScaler(), regressor), azimuth=arm.azimuth
-    )
-
-
-def form_b(arm, regressor, **pose):
-    return make_pipeline(
-        PoseFeatures(arm, append_azimuth=True, **pose),
-        CylindricalResidualTarget(make_pipeline(StandardScaler(), regressor)),
-    )
 
 
 def sagging(arm, angles):
@@ -71,9 +60,6 @@ def cone_test():
     return arm, angles, sagging(arm, angles) + rng.normal(scale=0.005, size=(180, 3))
 
 
-# -- the two forms --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("encoding", ["angle", "periodic"])
 @pytest.mark.parametrize(
     "regressor",
@@ -82,8 +68,8 @@ def cone_test():
 )
 def test_both_forms_predict_the_same(cone_test, regressor, encoding):
     arm, angles, y = cone_test
-    a = form_a(arm, regressor, encoding=encoding).fit(angles[:120], y[:120])
-    b = form_b(arm, regressor, encoding=encoding).fit(angles[:120], y[:120])
+    a = form_a(arm, net=regressor, encoding=encoding).fit(angles[:120], y[:120])
+    b = form_b(arm, net=regressor, encoding=encoding).fit(angles[:120], y[:120])
     assert_allclose(a.predict(angles), b.predict(angles), atol=1e-9)
     assert a.score(angles[120:], y[120:]) == pytest.approx(b.score(angles[120:], y[120:]))
     if isinstance(regressor, RBFNetRegressor | GaussianProcessRegressor):
@@ -91,9 +77,6 @@ def test_both_forms_predict_the_same(cone_test, regressor, encoding):
         assert_allclose(std, b.predict(angles, return_std=True)[1], rtol=1e-6)
         assert std.shape == y.shape
         assert np.all(std > 0)
-
-
-# -- why it is done this way ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", [form_a, form_b])
@@ -104,16 +87,13 @@ def test_what_is_learnt_on_one_side_holds_on_the_other(cone_test, form):
     truth = sagging(arm, angles)[~front]
     before = np.linalg.norm(truth, axis=1).mean()
 
-    model = form(arm, network()).fit(angles[front], y[front])
+    model = form(arm, net=network()).fit(angles[front], y[front])
     after = np.linalg.norm(truth - model.predict(angles[~front]), axis=1).mean()
     assert after < 0.2 * before
 
-    cartesian = form_a(arm, network()).set_params(azimuth=None).fit(angles[front], y[front])
+    cartesian = form_a(arm, net=network()).set_params(azimuth=None).fit(angles[front], y[front])
     worse = np.linalg.norm(truth - cartesian.predict(angles[~front]), axis=1).mean()
     assert worse > 0.8 * before
-
-
-# -- model selection ------------------------------------------------------------------------------
 
 
 CANDIDATES = [
@@ -165,12 +145,9 @@ def by_hand(arm, regressor, X, y, groups):
     return np.mean(scores)
 
 
-# -- metadata -------------------------------------------------------------------------------------
-
-
 def weighted(form, arm, routing):
     """The chain, and the name by which its `fit` takes the weights of the network."""
-    model = form(arm, network())
+    model = form(arm, net=network())
     if not routing:
         name = "rbfnetregressor__sample_weight"
         return model, name if form is form_a else f"cylindricalresidualtarget__{name}"

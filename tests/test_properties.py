@@ -79,9 +79,6 @@ def positions(draw, least=2):
     return centers[groups] + scatter * rng.normal(size=(len(groups), 3)), groups, rng
 
 
-# -- the arm ---------------------------------------------------------------------------------------
-
-
 @examples
 @given(arms(), listed(angles, 6), angles)
 def test_a_turn_of_the_base_turns_the_point_about_z(arm, q, turn):
@@ -109,9 +106,6 @@ def test_modified_parameters_of_a_standard_arm_are_those_of_the_row_before(arm, 
     assert_allclose(modified.jacobian([q]), arm.jacobian([q]), atol=1e-8)
 
 
-# -- residuals -------------------------------------------------------------------------------------
-
-
 @few_examples
 @given(seeds, angles)
 def test_turning_the_arm_with_its_residuals_turns_the_corrections(seed, turn):
@@ -127,9 +121,6 @@ def test_turning_the_arm_with_its_residuals_turns_the_corrections(seed, turn):
         return model.fit(X, y @ about_z.T).predict(X) @ about_z
 
     assert_allclose(corrections(turn), corrections(0.0), atol=1e-7)
-
-
-# -- orthogonal least squares ----------------------------------------------------------------------
 
 
 @st.composite
@@ -192,9 +183,6 @@ def test_a_centre_at_every_row_interpolates(data, kernel):
     assume(X.shape[1] > 1)
     model = ols(len(X), X, Y, width=0.1, degree=-1, kernel=kernel)
     assert_allclose(model.predict(X), Y, atol=1e-6)
-
-
-# -- measures --------------------------------------------------------------------------------------
 
 
 @examples

@@ -197,7 +197,7 @@ def make_gauge(
     return data
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def calibrated_arm(machine):
     """Calibrate the arm as its user would, before it warms, with cones and gauges of its own."""
     rng = np.random.RandomState(machine.calibration_seed)
@@ -335,7 +335,7 @@ def _in_direction(machine, share, rng):
     return machine.shoulder + share * machine.reach * direction
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def _individual(errors, seed):
     return SimulatedArm(errors, random_state=seed)
 

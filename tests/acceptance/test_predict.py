@@ -68,11 +68,11 @@ def test_a_perfect_arm_has_the_values_of_the_artefacts_errors():
 
 
 def test_runs_of_one_seed_are_of_one_arm_and_artefacts_do_not_move_the_noise():
-    one, two = (make_acceptance(["volumetric"], exact=exact, random_state=4) for exact in (0, 1))
+    one, two = (make_acceptance(["volumetric"], exact=exact, random_state=1) for exact in (0, 1))
     assert one.arm == two.arm
     off = one.simulation.true_points - two.simulation.true_points
     assert 1e-4 < np.abs(off).max() < 0.03
-    other = make_acceptance(["volumetric"], random_state=5)
+    other = make_acceptance(["volumetric"])
     assert np.abs(other.run.angles - one.run.angles).max() > 0.1
     with pytest.raises(ValueError, match="tests names 'pose'; known are probing"):
         make_acceptance(["pose"])

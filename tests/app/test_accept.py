@@ -6,6 +6,7 @@ import json
 import os
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,8 +14,8 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import ArmResidualRegressor, learn_correction
-from sklearn_raacmm.acceptance import LABELS, VALUES, evaluate_acceptance
-from sklearn_raacmm.app import main
+from sklearn_raacmm.acceptance import LABELS, VALUES, evaluate_acceptance, predict_acceptance
+from sklearn_raacmm.app import _accept, main
 from sklearn_raacmm.app._accept import ENTRIES, WORDS
 from sklearn_raacmm.datasets import make_acceptance, make_single_point
 
@@ -72,12 +73,20 @@ def write_book(path, tables):
     return path
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_draws():
+    """The expected values of 20 runs: 200 take five seconds in every call."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_accept, "predict_acceptance", partial(predict_acceptance, n_draws=20))
+        yield
+
+
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
     test = make_single_point(8, 20, bars=[500], random_state=0)
     model = ArmResidualRegressor(orders=4)
     found = learn_correction(
-        test.nominal_arm, test.data, test.groups, lengths=test.lengths, model=model, cv=3
+        test.nominal_arm, test.data, test.groups, lengths=test.lengths, model=model, cv=2
     )
     folder = tmp_path_factory.mktemp("model")
     found.save(folder)

@@ -136,7 +136,7 @@ def learned(tmp_path_factory, machine):
     readings[37, 3] += 0.004  # a slipped probe
     write_log(folder / "log.csv", readings, cones)
     (folder / "arm.urdf").write_text(URDF)
-    arguments = f"learn {folder}/log.csv --arm {folder}/arm.urdf --out {folder}/out --folds 4"
+    arguments = f"learn {folder}/log.csv --arm {folder}/arm.urdf --out {folder}/out --folds 3"
     code = main([*arguments.split(), "--serial", "S 17", "--operator", "Jö"])
     return folder / "out", code, readings, cones
 

@@ -1,5 +1,6 @@
 """The words for the life of an arm: register, update, move, check; by cones and by a tracker."""
 
+import functools
 import io
 import json
 import re
@@ -23,6 +24,7 @@ MACHINE = SimulatedArm("typical", random_state=1)
 TURN, SHIFT = Rotation.from_rotvec([0.1, 0.2, 1]).as_matrix(), np.array([1500.0, 300.0, -100.0])
 
 
+@functools.cache
 def with_probe(length):
     """The same simulated arm with a longer probe."""
     other = copy(MACHINE)
@@ -58,7 +60,7 @@ def made(tmp_path_factory):
     model = ArmResidualRegressor(orders=4)
     for name, points in (("cones", None), ("tracker", seen(test))):
         found = learn_correction(
-            test.nominal_arm, test.data, test.groups, points, model=model, cv=3
+            test.nominal_arm, test.data, test.groups, points, model=model, cv=2
         )
         found.save(folder / name)
     # An encoder that follows a temperature, which nobody measures later.

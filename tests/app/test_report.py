@@ -22,7 +22,7 @@ def result():
     angles[17, 2] += 0.004
     model = ArmResidualRegressor(orders=4)
     return learn_correction(
-        data.nominal_arm, angles, data.groups, lengths=lengths, model=model, cv=3
+        data.nominal_arm, angles, data.groups, lengths=lengths, model=model, cv=2
     )
 
 

@@ -49,15 +49,3 @@ def test_half_a_turn_and_limits():
     inside = arm.replace(limits=np.tile([-2.0, 2.0], (7, 1)))
     found = inside.angles_for(points, orientations=turned)
     assert np.abs(found).max() <= 2.0
-
-
-def test_what_cannot_be_a_pose_is_named():
-    arm, angles, points, turned = poses("ur10", 3)
-    with pytest.raises(ValueError, match=r"3 of 3 orientations are no rotations; .* row 0"):
-        arm.angles_for(points, angles, -turned)
-    with pytest.raises(ValueError, match=r"for each point, \(3, 3, 3\), got \(2, 3, 3\)"):
-        arm.angles_for(points, angles, turned[:2])
-    with pytest.raises(ValueError, match="start has 2 poses for 3 points"):
-        arm.angles_for(points, angles[:2])
-    with pytest.raises(ValueError, match="angle_unit='grad' is not one of"):
-        arm.angles_for(points, angle_unit="grad")

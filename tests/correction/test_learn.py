@@ -176,9 +176,9 @@ def test_a_plate_of_known_distances_still_leaves_positions_out(test_data):
     truth = test_data.simulation.positions
     lengths = [(0, i, float(np.linalg.norm(truth[0] - truth[i])), 0.05) for i in range(1, 7)]
     scores = learn_correction(
-        test_data.nominal_arm, test_data.data, test_data.groups, lengths=lengths, model=QUICK
+        test_data.nominal_arm, test_data.data, test_data.groups, lengths=lengths, model=QUICK, cv=3
     ).scores
-    assert scores.n_folds == 5
+    assert scores.n_folds == 3
     assert scores.summary["ratio"][0] < 1
     assert len(scores.lengths) < 6
 
@@ -342,23 +342,6 @@ def test_progress_and_processes_change_nothing(test_data, learned):
     ).scores  # fmt: skip
     assert seen == [(i, 5) for i in range(1, 6)]
     assert_allclose(scores.table["after"], learned.scores.table["after"], atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"positions": list(19 * "A" + "a" + 120 * "B")}, "'a' has a single row, row 19"),
-        ({"positions": None}, "give positions, the label of each row, or points of a tracker."),
-        ({"rows": slice(40)}, "at least 3 positions are needed to leave some out, got 2"),
-        ({"points": np.zeros((3, 3))}, r"points must have shape \(140, 3\)"),
-        ({"lengths": [(0, 99, 400, 0.1)]}, "the group 99, which has no samples; groups are 0, 1, "),
-    ],
-)
-def test_bad_input_gets_one_sentence(test_data, change, message):
-    rows = change.pop("rows", slice(None))
-    given = {"angles": test_data.data[rows], "positions": test_data.groups[rows]}
-    with pytest.raises(ValueError, match=message):
-        learn_correction(test_data.nominal_arm, **{**given, "model": QUICK, **change})
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # said beside the refusal

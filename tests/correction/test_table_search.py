@@ -9,7 +9,7 @@ from sklearn_raacmm.datasets import make_single_point
 
 @pytest.fixture(scope="module")
 def data():
-    return make_single_point(n_positions=8, n_poses=15, random_state=4)
+    return make_single_point(n_positions=8, n_poses=15)
 
 
 EXCHANGED = [0, 1, 4, 3, 2, 5]

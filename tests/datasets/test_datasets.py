@@ -251,14 +251,11 @@ def test_a_payload_bends_as_a_weight_at_the_probe():
     assert bent[:, 2] == pytest.approx(-drop, rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    "source",
-    [{"play_arcsec": 10}, {"softening_arcsec": 5}, {"drift_k": 3},
-     {"payload_n": 9, "joint_compliance_urad_per_nm": 30}],
-)  # fmt: skip
-def test_a_perfect_model_knows_the_new_sources(source):
+def test_a_perfect_model_knows_the_new_sources():
     """Their own errors are larger than what is left once they are known."""
-    test = make_single_point(4, 10, machine=ArmErrors.only(**source))
+    sources = {"play_arcsec": 10, "softening_arcsec": 5, "drift_k": 3, "payload_n": 9}
+    errors = ArmErrors.only(**sources, joint_compliance_urad_per_nm=30)
+    test = make_single_point(4, 10, machine=errors)
     perfect = test.points - test.simulation.perfect_correction
     assert metrics.single_point_repeatability(perfect, test.groups) < 1e-5
     assert metrics.single_point_repeatability(test.points, test.groups) > 1e-3
@@ -368,6 +365,8 @@ def test_calibration_and_a_perfect_model_each_leave_less():
     true_points = truth.machine.forward(test.data)
     assert_allclose(truth.perfect_correction + true_points, test.points)
     assert_allclose(test.arm.forward(test.data), test.points)
+    means = np.stack([test.points[test.groups == i].mean(axis=0) for i in range(6)])
+    assert_allclose(test.target, test.points - means[test.groups])
 
 
 def test_noise_alone_makes_the_floor():
@@ -382,7 +381,7 @@ def test_noise_alone_makes_the_floor():
 
 
 def test_gauges_have_their_lengths():
-    gauge = make_gauge((300, 500), n_placements=4, n_poses=5, random_state=2)
+    gauge = make_gauge((300, 500), n_placements=4, n_poses=5)
     ends = gauge.simulation.positions
     assert gauge.pairs.shape == (8, 2)
     assert_allclose(
@@ -393,15 +392,15 @@ def test_gauges_have_their_lengths():
 
 
 def test_same_seed_same_data_whatever_ran_before():
-    first = make_single_point(3, 10, random_state=7)
+    first = make_single_point(3, 10, random_state=1)
     np.random.seed(0)  # noqa: NPY002
-    make_gauge(n_placements=2, random_state=8)
-    again = make_single_point(3, 10, random_state=7)
+    make_gauge(n_placements=2)
+    again = make_single_point(3, 10, random_state=1)
     assert_array_equal(first.data, again.data)
     assert_array_equal(first.target, again.target)
-    assert not np.array_equal(first.data, make_single_point(3, 10, random_state=8).data)
+    assert not np.array_equal(first.data, make_single_point(3, 10).data)
     # A seed is one individual, which both tests measure with, at other places.
-    gauge = make_gauge(n_placements=2, random_state=7)
+    gauge = make_gauge(n_placements=2, random_state=1)
     assert gauge.arm == first.arm
     assert gauge.simulation.machine is first.simulation.machine
 
@@ -415,20 +414,11 @@ def test_an_individual_keeps_its_draws_when_sources_are_switched_off(poses):
 
 
 def test_one_machine_can_be_measured_again_and_again():
-    machine = SimulatedArm("gravity", random_state=0)
+    machine = make_single_point(2, 10, machine="gravity").simulation.machine
     first, second = (make_single_point(2, 10, machine=machine, random_state=s) for s in (1, 2))
     assert first.arm == second.arm
     assert not np.array_equal(first.simulation.positions, second.simulation.positions)
     drawn = make_single_point(2, 5, random_state=np.random.RandomState(0))
     assert_array_equal(
         drawn.data, make_single_point(2, 5, random_state=np.random.RandomState(0)).data
-    )
-
-
-def test_residuals_are_from_the_mean_of_each_position():
-    plain = make_single_point(2, 5)
-    assert plain.data.shape == (10, 6)
-    assert_allclose(
-        plain.target,
-        plain.points - np.repeat([plain.points[:5].mean(0), plain.points[5:].mean(0)], 5, axis=0),
     )

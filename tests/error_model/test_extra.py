@@ -23,9 +23,6 @@ def by_name(arm, theta, values, extra):
     return columns_by_name(arm, np.column_stack([theta, values]), False, False, False, extra)
 
 
-# -- columns --------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_an_arm_that_grows_as_a_whole_stays_similar(arm):
     """All lengths by 4.8 ppm per K move every point along its radius; those below 1 mm stay."""
@@ -109,8 +106,6 @@ def test_rows_may_have_probes_of_their_own(arm):
         assert_allclose(found[:, :, :waves], expected[:, :, :waves], atol=1e-12)
 
 
-# -- what they are worth --------------------------------------------------------------------------
-
 # What the arm has, the extra columns, and how much of the deviation is left at most.
 CAUSES = {
     "direction": ({"play_arcsec": 6.0}, [f"direction {j}" for j in range(1, 7)], 0.85),
@@ -174,9 +169,6 @@ def test_causes_are_learnt_from_several_probes():
         model.fit(theta, y, probes=lengths)
 
 
-# -- as an estimator ------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def lagging():
     """Simulated: joint 2 lags by 10 arc seconds, and a temperature that does nothing."""
@@ -218,18 +210,6 @@ def test_through_pipelines_and_searches(lagging):
 
 def test_what_is_refused(lagging):
     arm, X, y, _ = lagging
-    for extra, message in [
-        ("temperature", "'extra' parameter"),
-        (["humidity", "time"], r"extra must hold names of columns, .*got 'humidity'"),
-        (["direction", "time"], "got 'direction'"),
-        (["direction 7", "time"], "'direction 7', but the arm has joints 1 to 6"),
-        (["force w", "time"], "got 'force w'"),
-        ([3, "time"], "got 3"),
-        (["time", "time"], "names 'time' twice"),
-        (["time"], r"X has 8 columns, but 7 are needed: the angles of 6 joints, then 'time'"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            ArmResidualRegressor(arm, extra=extra, **SMALL).fit(X, y)
     model = ArmResidualRegressor(arm, extra=["payload"], **SMALL).fit(X[:, :7], y)
     with pytest.raises(ValueError, match="expecting 7 features"):
         model.predict(X[:, :6])

@@ -35,9 +35,6 @@ def cones():
     return theta, truth + rng.normal(0, 0.01, truth.shape), groups, truth
 
 
-# -- judgement ------------------------------------------------------------------------------------
-
-
 def test_a_correction_that_helps_is_judged_by_what_was_left_out(cones):
     theta, y, groups, _ = cones
     model = small().fit(theta, y, groups=groups)
@@ -112,9 +109,6 @@ def test_one_position_or_one_place_is_not_left_out(cones, n_places, n_positions)
     assert model.helps_
 
 
-# -- fading ---------------------------------------------------------------------------------------
-
-
 def test_fading_is_that_of_the_formula(cones):
     theta, y, _, _ = cones
     model = small(fade=3.0).fit(theta, y)
@@ -161,9 +155,6 @@ def test_rows_of_weight_0_change_nothing(cones, offsets):
         assert_array_equal(one, other)
 
 
-# -- the share that is used -----------------------------------------------------------------------
-
-
 def judged(y, correction, positions, **options):
     n = len(y)
     fading = Fading(size_mm=1.0, factor=0.0)
@@ -194,10 +185,3 @@ def test_with_fewer_than_four_positions_each_has_to_gain():
     assert judged(y, correction, positions)[0].most == 1.0
     y[20:] *= -1
     assert judged(y, correction, positions)[0].most == 0.0
-
-
-def test_nothing_fades_where_poses_have_shown_so():
-    fading = Fading(size_mm=1.0, factor=2.0, known_mm=0.5, most=0.8)
-    assert_allclose(fading.share(np.array([0.0, 0.5])), 0.8)
-    assert_allclose(fading.share(np.array([1.5])), 0.8 / (1 + 4 * (1.5**2 - 0.5**2)))
-    assert fading.share(np.array([1e6]))[0] < 1e-9

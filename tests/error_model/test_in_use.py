@@ -76,13 +76,6 @@ def test_degrees_give_the_same_model():
     assert_allclose(new[1], new[0], atol=1e-5)
 
 
-def test_only_the_probe_may_differ(model):
-    with pytest.raises(ValueError, match=r"d3 of the correction's arm is 750\.7422 .* 751\.7422"):
-        model.with_arm(ARM.replace(d=ARM.d + np.eye(6)[2]))
-    with pytest.raises(ValueError, match="only the probe may differ"):
-        model.with_arm(Arm.from_name("panda"))
-
-
 def test_an_exchanged_arm_is_not_ignored(model):
     X, y = rows(200, 4)
     exchanged = ArmResidualRegressor(ARM, orders=2, extra=EXTRA).fit(X, y).set_params(arm=LONG)
@@ -116,7 +109,7 @@ def errors_bare(arm, X):
 
 @pytest.fixture(scope="module")
 def cones():
-    test = make_single_point(n_positions=8, n_poses=15, random_state=2)
+    test = make_single_point(n_positions=8, n_poses=15)
     model = ArmResidualRegressor(test.arm, orders=4)
     return test, model.fit(test.data, test.target, groups=test.groups)
 
@@ -172,8 +165,6 @@ def test_angles_for_points_are_those_of_the_corrected_probe(unit):
     with pytest.warns(UserWarning, match=r"2 of 6 points are not reached: first that of row 4"):
         far = model.angles_for(np.vstack([wanted[:4], [[9000, 0, 0]] * 2]), turned[:6])
     assert np.isnan(far).all(axis=1).tolist() == [False] * 4 + [True] * 2
-    with pytest.raises(ValueError, match="start has 2 poses for 3 points"):
-        model.angles_for(wanted[:3], turned[:2])
 
 
 def test_angles_for_orientations_are_those_of_the_true_arm():

@@ -1,24 +1,30 @@
-"""How sure the linear model is: what a single-point test can show, and intervals that hold."""
+"""How sure the linear model is: what a single-point test can show, and intervals that hold.
+
+Intervals against errors that were drawn, and SciPy's own fit.
+"""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import norm as normal
+from scipy.stats import t as student
 
 from sklearn_raacmm import ArmResidualRegressor
-from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import Fading, Terms
+from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.error_model import Fading, Terms, interval_scales
 from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.error_model._fit import fit_linear_model
 from sklearn_raacmm.error_model._left_out import _blocks, find_fading, leave_out
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.utils import centred
 
+MACHINE = SimulatedArm("none")
 LOUD = Terms(np.array([(1, 1), (2, 1), (3, 2)]), False, True, False)
 
 
 def draw(seed, n_positions=16, n_poses=15):
     """An arm, its poses, and errors of which the model holds all causes; two thirds to train."""
-    test = make_single_point(n_positions, n_poses, machine="none", random_state=seed)
+    test = make_single_point(n_positions, n_poses, machine=MACHINE, random_state=seed)
     rng = np.random.default_rng(seed)
     columns = columns_of(test.arm, LOUD).at(test.data)
     w = rng.normal(0, 4, columns.shape[2])
@@ -113,6 +119,11 @@ def test_fading_is_wieners_factor():
     doubt = np.array([0.0, 0.05, 0.5])
     assert_allclose(Fading(0.1, 2.0).share(doubt), [1, 0.5, 1 / 101])
     assert_array_equal(Fading(0.1, 0.0).share(doubt), 1)
+    # Nothing fades where poses have shown so.
+    fading = Fading(size_mm=1.0, factor=2.0, known_mm=0.5, most=0.8)
+    shares = [0.8, 0.8, 0.8 / (1 + 4 * (1.5**2 - 0.5**2))]
+    assert_allclose(fading.share(np.array([0.0, 0.5, 1.5])), shares)
+    assert fading.share(np.array([1e6]))[0] < 1e-9
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0)
     few = np.ones((9, 3)), np.ones(9), np.arange(9) // 3
@@ -122,3 +133,44 @@ def test_fading_is_wieners_factor():
     assert find_fading(*single_point, widening=4.0).factor == 1.0
     assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
     assert find_fading(*single_point[:2], None, widening=1.6).factor == 1.0
+
+
+@pytest.mark.parametrize("freedom", [3, 100])
+def test_scales_are_found(freedom):
+    """Errors of known scales, drawn: intervals of 95 % hold 95 % of them."""
+    rng = np.random.default_rng(0)
+    noise, std = np.full((3000, 3), 0.01), rng.uniform(0.001, 0.03, (3000, 3))
+    scale = np.sqrt(0.5 * noise**2 + 6.0 * std**2)
+    errors = scale * rng.standard_t(freedom, (3000, 3))
+    of_noise, of_std = interval_scales(errors, noise, std, np.ones(3000))
+    width = np.sqrt((of_noise * noise) ** 2 + (of_std * std) ** 2)
+    assert np.mean(np.abs(errors) < 1.96 * width) == pytest.approx(0.95, abs=0.01)
+    assert of_std / of_noise == pytest.approx(np.sqrt(12), rel=0.3)
+    once = interval_scales(errors[:500], noise[:500], std[:500], np.full(500, 2.0))
+    twice = np.r_[0:500, 0:500]
+    again = interval_scales(errors[twice], noise[twice], std[twice], np.ones(1000))
+    assert_allclose(once, again, rtol=1e-2)
+
+
+def test_prior_of_the_scale_gives_way_to_what_is_shown():
+    """Deviations that noise hides leave the factor at its prior; clear ones find their own."""
+    rng = np.random.default_rng(0)
+    noise, std, ones = np.full((900, 3), 0.01), np.full((900, 3), 0.001), np.ones(900)
+    errors = rng.normal(scale=0.01, size=(900, 3))
+    of_noise, hidden = interval_scales(errors, noise, std, ones, 0.05, 0.7)
+    assert of_noise == pytest.approx(1.0, abs=0.1)
+    assert hidden / of_noise == pytest.approx(np.exp(0.35), rel=0.1)
+    errors = rng.normal(scale=0.01, size=(900, 3))
+    _, shown = interval_scales(errors, noise / 1000, 2 * noise, ones, 0.5, 0.7)
+    assert shown == pytest.approx(0.5, rel=0.1)
+
+
+def test_scale_and_tails_are_those_that_scipy_fits():
+    """Noise alone: the factor is that of the most likely Student variable, found by SciPy."""
+    errors = 0.02 * np.random.default_rng(0).standard_t(5, (1500, 3))
+    freedom, _, scale = student.fit(errors.ravel(), floc=0)
+    noise = np.full(errors.shape, 0.01)
+    found, _ = interval_scales(errors, noise, np.zeros(errors.shape), np.ones(1500))
+    # The prior pulls a little towards normal errors.
+    width = student.ppf(0.975, freedom) / normal.ppf(0.975) * scale
+    assert 0.01 * found == pytest.approx(width, rel=0.01)

@@ -28,20 +28,6 @@ def test_offered_orders():
     assert offered_harmonics(theta, 0).shape == (0, 2)
 
 
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({"orders": [[1], [2]]}, "orders has 2 lists, but the arm has 6 joints"),
-        ({"orders": [1, 2.5]}, "whole numbers of 1 or more, got 2.5 for joint 1"),
-        ({"orders": [0]}, "whole numbers of 1 or more, got 0"),
-    ],
-)
-def test_orders_are_checked(params, message):
-    theta, y = with_gears(20, [])
-    with pytest.raises(ValueError, match=message):
-        ArmResidualRegressor(ARM, **params).fit(theta, y)
-
-
 def with_gears(n, gears, seed=0, amplitude=4.0, noise=0.01):
     """Poses and residuals of an arm whose joints err by harmonics of these orders."""
     theta = draw_angles(ARM, n, seed)

@@ -2,17 +2,22 @@
 
 import builtins
 import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
-from sklearn_raacmm import Arm, PoseFeatures
+from sklearn_raacmm import Arm, ArmResidualRegressor, PoseFeatures
 from sklearn_raacmm.export import _export, fingerprint, to_onnx
 
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+PAGE = Path(__file__).parents[2] / "doc" / "deployment.md"
 pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
 
 
@@ -80,3 +85,25 @@ def test_a_file_that_does_not_keep_its_promise_is_refused(chain, monkeypatch):
     monkeypatch.setattr(_export, "run_onnx", lambda *args: {"y": 1.001 * compute(*args)["y"]})
     with pytest.raises(ValueError, match=r"the ONNX file is up to .* away from predict, 0.001 of"):
         to_onnx(chain)
+
+
+def test_the_script_of_the_page(data, tmp_path):
+    """The JavaScript of the deployment page, run by node."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not on PATH")
+    asked = [node, "-e", 'require.resolve("onnxruntime-node")']
+    if subprocess.run(asked, capture_output=True, check=False).returncode:
+        pytest.skip("onnxruntime-node is not installed: npm install it, and name it in NODE_PATH")
+    model = ArmResidualRegressor(data.arm, orders=2, causes=["kinematics"])
+    to_onnx(model.fit(data.data, data.target), tmp_path / "my_arm.onnx")
+    (script,) = re.findall(r"```js\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    given = re.search(r"Float64Array\.of\((.*?)\)", script)[1]
+    X = np.concatenate([[np.fromstring(given, sep=",")], data.data[:5]])  # the page's row, and more
+    several = script.replace(given, ", ".join(map(repr, X.ravel().tolist())))
+    (tmp_path / "correct.js").write_text(several)
+    command = [node, "correct.js"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    got = np.reshape(json.loads(done.stdout), (-1, 3))
+    np.testing.assert_allclose(got, model.predict(X), rtol=0, atol=1e-12)

@@ -164,9 +164,6 @@ def test_a_network_whose_centres_are_all_rows(tmp_path):
     assert_same_files(model, new)
 
 
-# -- the probe as an argument: the moved model, whatever the probe ---------------------------------
-
-
 def fitted(groups=None, **params):
     rng = np.random.default_rng(0)
     angles = rng.uniform(-2, 2, (200, 6))

@@ -43,9 +43,6 @@ def test_all_of_several_that_are_repeated_are_found_once(toys):
     assert sorted(found.lines % 6) == [0, 2, 4]
 
 
-# -- the field ------------------------------------------------------------------------------------
-
-
 def with_field(toys, seed, lines_only):
     """All pairs of 30 a little, two of them more; or those two alone."""
     rng = np.random.default_rng(seed)

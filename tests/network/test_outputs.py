@@ -125,6 +125,17 @@ def test_what_has_been_found_can_be_given(data, networks):
     assert not hasattr(again, "log_marginal_likelihood_value_")
 
 
+def test_outliers_in_one_of_the_outputs():
+    rng = np.random.default_rng(0)
+    X = np.sort(rng.uniform(-2, 2, (120, 1)), axis=0)
+    truth = np.column_stack([np.sin(X[:, 0]), np.sin(8 * X[:, 0])])
+    Y, rows = truth + 0.1 * rng.standard_normal(truth.shape), rng.permutation(120)[:5]
+    Y[rows, 0] += 10
+    robust = RBFNetRegressor(loss="tukey", random_state=0).fit(X, Y)
+    assert np.all(robust.row_weight_[rows] == 0)
+    assert np.std(robust.predict(X) - truth, axis=0).max() < 0.06
+
+
 def test_files(given):
     *_, T, model = given
     again = pickle.loads(pickle.dumps(model))

@@ -116,27 +116,6 @@ def test_a_ridge_bounds_predictions_everywhere(seed):
     assert np.all(away < bound)
 
 
-@pytest.mark.parametrize(
-    ("params", "match"),
-    [
-        ({"n_centers": None}, "'n_centers' parameter"),
-        ({"alpha": [0.1, 0.2, 1]}, r"alpha has shape \(3,\).*2 outputs"),
-        ({"alpha": [-0.1, 1]}, "alpha must be finite and not negative"),
-        ({"alpha": 0.0, "length_scale": 1e9}, "more than 1e.07 times the range of every feature"),
-        ({"length_scale": [1.0, 2.0, 3.0]}, r"shape \(3,\).*2 features"),
-        ({"length_scale": [1.0, -2.0]}, "must be positive"),
-        ({"length_scale": [1.0, np.nan]}, "must be positive"),
-        ({"alpha": 0.0}, 'n_centers="auto" needs alpha > 0.*least alpha of 0'),
-        ({"length_scale": np.ones((2, 2))}, r"shape \(2, 2\).*2 features"),
-        ({"length_scale": [1.0, 1e-9]}, "does not resolve"),
-    ],
-)
-def test_bad_parameters(params, match):
-    X, y, _ = smooth(30)
-    with pytest.raises(ValueError, match=match):
-        RBFNetRegressor(**params).fit(X, np.column_stack([y, y]))
-
-
 def test_feature_that_never_varied_is_ignored():
     X, y, _ = smooth(100)
     still = np.column_stack([X, np.full(100, 3.0)])

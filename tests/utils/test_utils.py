@@ -1,10 +1,13 @@
+"""Chunks, order of labels, messages; robust scales and Tukey's weights beside closed forms."""
+
 import logging
 
 import numpy as np
 import pytest
+from scipy.stats import chi
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import _rows, chunks, natural_order
+from sklearn_raacmm.utils import _rows, chunks, natural_order, robust_scale, tukey_weights
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -33,3 +36,73 @@ def test_labels_are_in_the_order_of_their_numbers():
     assert [labels[i] for i in natural_order(labels)] == [
         7, "a 1 x 3", "a 1 x 20", "b", "cone 2", "cone 10",
     ]  # fmt: skip
+
+
+def errors(n, q, seed=0, n_far=0):
+    """Normal errors of standard deviation 0.3, of which some are ten times as large."""
+    found = np.random.default_rng(seed).normal(0, 0.3, (n, q))
+    found[:n_far] *= 10
+    return found
+
+
+@pytest.mark.parametrize("q", [1, 2, 3, 6])
+def test_scale_of_normal_errors(q):
+    found = robust_scale(np.linalg.norm(errors(200_000, q), axis=1), q)
+    assert found == pytest.approx(0.3, rel=0.01)
+    # Half of the distances are below it by definition.
+    assert robust_scale(chi.ppf([0.2, 0.5, 0.9], q), q) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [9, 10])
+def test_weights_are_repeats(n):
+    rng = np.random.default_rng(1)
+    distances, weights = rng.uniform(size=n), rng.integers(0, 4, n)
+    repeated = robust_scale(np.repeat(distances, weights), 3)
+    assert robust_scale(distances, 3, weights) == pytest.approx(repeated, rel=1e-14)
+    assert robust_scale(distances, 3, 0.7 * weights) == pytest.approx(repeated, rel=1e-14)
+    assert robust_scale(distances, 3, np.ones(n)) == robust_scale(distances, 3)
+
+
+def test_scale_does_not_mind_a_few_that_are_far_off():
+    clean = np.linalg.norm(errors(500, 3), axis=1)
+    dirty = np.r_[clean, np.full(20, 1e300)]
+    assert robust_scale(dirty, 3) == pytest.approx(robust_scale(clean, 3), rel=0.05)
+
+
+@pytest.mark.parametrize("q", [1, 3, 6])
+def test_weights_are_the_closed_form(q):
+    residuals = errors(300, q, n_far=15)
+    distances = np.linalg.norm(residuals, axis=1)
+    cut = 5.5 * np.median(distances) / chi.median(q)
+    expected = [(1 - (d / cut) ** 2) ** 2 if d < cut else 0.0 for d in distances]
+    found = tukey_weights(residuals)
+    assert found == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    assert np.count_nonzero(found == 0) >= 5
+    assert found[15:].min() > 0
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(q, q)))[0]
+    assert tukey_weights(residuals @ turn) == pytest.approx(found, rel=1e-10, abs=1e-12)
+    assert tukey_weights(1e-150 * residuals) == pytest.approx(found, rel=1e-10, abs=1e-12)
+
+
+def test_all_rows_count_fully_while_none_is_far_off():
+    residuals = errors(200, 3)
+    assert tukey_weights(residuals).tolist() == [1.0] * 200
+    weighed = tukey_weights(residuals, weighed=True)
+    assert 0.2 < weighed.min() < weighed.max() < 1
+    assert tukey_weights(errors(200, 3, n_far=1), least_scale=3.0).tolist() == [1.0] * 200
+
+
+def test_rows_without_weight_decide_nothing():
+    residuals, weights = errors(40, 3), np.ones(40)
+    residuals[:25] *= 100
+    weights[:25] = 0
+    found = tukey_weights(residuals, weights)
+    assert found.tolist() == [1.0] * 40
+    assert np.all(tukey_weights(residuals, weights, weighed=True)[:20] < 0.5)
+
+
+def test_rows_that_are_met_exactly_have_no_scale():
+    residuals = np.zeros((9, 3))
+    residuals[:4] = 1.0
+    assert tukey_weights(residuals).tolist() == [1.0] * 9
+    assert tukey_weights(residuals, least_scale=0.1).tolist() == [0.0] * 4 + [1.0] * 5
