@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
@@ -278,14 +279,15 @@ def score_tests(
     causes: Mapping[str, np.ndarray],
     whiten: Whitened,
     residual: np.ndarray,
-    known_from: float,
+    known_from: ArrayLike,
 ) -> np.ndarray:
     """Test the size of all residuals (m,), and for each cause whether it is there.
 
     What of a cause, columns (m, k), is not taken up by the nuisances spans some directions. If the
     covariance is right, the squares of the residuals along these are a chi-squared variable (C. R.
     Rao, Proc. Camb. Phil. Soc. 44, 1948). As its size was found from few independent errors,
-    `known_from`, their mean is a variable of Fisher's distribution F.
+    their mean is a variable of Fisher's distribution F. `known_from` (2, 2) holds how many these
+    were and a factor of the variance: for the size of all, then for the causes.
 
     Returns a structured array of `cause`, `statistic`, `freedom` and `p_value`: of "noise", all
     residuals, first, then of each cause that the rows show.
@@ -301,8 +303,9 @@ def score_tests(
             rows.append((name, np.square(seen.T @ left).sum(), seen.shape[1]))
     dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
     tests = np.array([(*row, 0.0) for row in rows], dtype=dtype)
-    statistic, freedom = tests["statistic"], tests["freedom"]
-    tests["p_value"] = fisher.sf(statistic / freedom, freedom, known_from)
+    freedom = tests["freedom"]
+    known, factor = np.repeat(known_from, [1, len(rows) - 1], axis=0).T
+    tests["p_value"] = fisher.sf(tests["statistic"] / freedom / factor, freedom, known)
     return tests
 
 

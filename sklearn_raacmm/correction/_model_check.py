@@ -241,9 +241,9 @@ def check_correction(
         )
     causes, residual = poses.causes(), np.r_[poses.tamed.ravel(), poses.length_errors]
     n, n_positions = poses.tamed.size, min(poses.linear.n_positions, _MANY_POSITIONS)
-    freedom = _ERRORS_OF_POSITION * n_positions
-    tests = score_tests(causes, whiten, residual, freedom)
-    _allow_for_arms(tests[1:], n_positions)
+    freedom, of_arms = _ERRORS_OF_POSITION * n_positions, n_positions + _POSITIONS_OF_ARMS
+    factor = (n_positions + _POSITIONS_OF_ARMS * _FACTOR_OF_ARMS) / of_arms
+    tests = score_tests(causes, whiten, residual, [(freedom, 1.0), (of_arms, factor)])
     limits = false_alarm_rate / (len(tests) + 1)
     mean, chart = _chart(poses.tamed, root[:n, :n], nuisance[:n], freedom, limits)
     p_value = min(float(min(tests["p_value"].min(), mean["p_value"])) * (len(tests) + 1), 1.0)
@@ -285,14 +285,6 @@ def _widened(linear):
     )
 
 
-def _allow_for_arms(tests, n_positions):
-    """Set the p-values of causes: along one of them arms differ more than over all directions."""
-    freedom = n_positions + _POSITIONS_OF_ARMS
-    factor = (n_positions + _POSITIONS_OF_ARMS * _FACTOR_OF_ARMS) / freedom
-    ratio = tests["statistic"] / tests["freedom"] / factor
-    tests["p_value"] = fisher.sf(ratio, tests["freedom"], freedom)
-
-
 def _slipped(linear, poses, left):
     """Rows too far off for their own expected spread, if they are few, and residuals without tails.
 
@@ -300,14 +292,12 @@ def _slipped(linear, poses, left):
     usual in proportion.
     """
     spread = linear.predict(poses.angles, return_std=True)[1]
-    used = poses.weights > 0
-    noise = linear.noise_variance / np.where(used, poses.weights, 1.0)
-    sd = np.sqrt(np.square(spread).max(axis=1) + noise)
+    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
     middle = medians_of(left, poses.codes)
     distance = np.linalg.norm(left - middle, axis=1) / sd
-    far = used & (distance > chi.isf(_FALSE_NAMES / len(left), 3))
-    slipped = far if far.sum() <= _MOST_SLIPS * used.sum() else np.zeros(len(left), bool)
-    larger = max(np.median(distance[used]) / chi.median(3), 1.0)
+    far = distance > chi.isf(_FALSE_NAMES / len(left), 3)
+    slipped = far if far.sum() <= _MOST_SLIPS * len(left) else np.zeros(len(left), bool)
+    larger = max(np.median(distance) / chi.median(3), 1.0)
     share = np.minimum(chi.ppf(_USUAL, 3) * larger / np.maximum(distance, 1e-300), 1.0)
     return slipped, middle + share[:, None] * (left - middle)
 
@@ -325,15 +315,15 @@ class _Poses:
         correction = model.predict(X)
         slipped, tamed = _slipped(linear, today, today.residuals - correction)
         self.slipped = tuple(np.flatnonzero(slipped).tolist())
-        kept = (today.weights > 0) & ~slipped
+        kept = ~slipped
         self.tamed, poses = tamed[kept], today.at(kept)
-        self.poses, self.weights, self.codes = poses, poses.weights, poses.codes
+        self.poses, self.codes = poses, poses.codes
         self.angles = poses.angles[:, : linear.arm.n_joints]  # without extra columns
         self.place = place_columns(linear.arm, self.angles, with_base=True)
         points = linear.arm.forward(self.angles) - correction[kept]
         known = [entry for entry in lengths if np.isin(entry[:2], self.codes).all()]
-        # Weights of the poses in the mean of one end less the mean of the other.
-        ends = [[self.weights * (self.codes == end) for end in entry[:2]] for entry in known]
+        # Shares of the poses in the mean of one end less the mean of the other.
+        ends = [[self.codes == end for end in entry[:2]] for entry in known]
         shares = [last / last.sum() - first / first.sum() for first, last in ends]
         shares = np.array(shares).reshape(-1, len(points))
         line = shares @ points
@@ -351,21 +341,20 @@ class _Poses:
     def root_of_covariance(self):
         """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
         half = self.rows(self.linear.columns(self.poses.angles)) @ self.linear.half
-        of_coordinates = np.diag(np.repeat(self.linear.noise_sd / np.sqrt(self.weights), 3))
-        noise = self.rows(of_coordinates)
-        of_lengths = np.r_[np.zeros(len(of_coordinates)), np.square(self.length_sd)]
+        noise = self.rows(self.linear.noise_sd * np.eye(self.tamed.size))
+        of_lengths = np.r_[np.zeros(self.tamed.size), np.square(self.length_sd)]
         covariance = half @ half.T + noise @ noise.T + np.diag(of_lengths)
         return cholesky(covariance, lower=True, check_finite=False)
 
     def usual_mm(self):
         """Root mean square of what a correction that holds leaves of what the poses can show."""
         spread = self.linear.predict(self.poses.angles, return_std=True)[1]
-        noise = 3 * self.linear.noise_variance / self.weights
+        noise = 3 * self.linear.noise_variance
         return float(np.sqrt(np.mean(np.square(spread).sum(axis=1) + noise)))
 
     def size_mm(self, change):
         """Root mean square of a change (3 n,); of positions with offsets about their means."""
-        change = centred(change.reshape(-1, 3), self.codes, self.weights)
+        change = centred(change.reshape(-1, 3), self.codes)
         return float(np.sqrt(np.mean(np.square(change).sum(axis=1))))
 
     def nuisance(self, refitted):
@@ -396,7 +385,7 @@ class _Poses:
             causes["drift"] = np.repeat(np.linspace(-1, 1, len(angles)), 3)[:, None] * place[:, 3:6]
         points = arm.forward(angles)
         if self.codes is not None:  # a position is one point: what it shows about it is no scale
-            points = group_means(points, self.codes, self.weights)[self.codes]
+            points = group_means(points, self.codes)[self.codes]
         causes["scale"] = self.rows(points[:, :, None])
         for j in range(arm.n_joints):
             causes[f"offset of joint {j + 1}"] = self.rows(jacobian[:, :, [j]])
