@@ -7,11 +7,10 @@ tests say which causes explain what is left of rows whose covariance is known.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
@@ -279,14 +278,14 @@ def score_tests(
     causes: Mapping[str, np.ndarray],
     whiten: Whitened,
     residual: np.ndarray,
-    known_from: ArrayLike,
+    known_from: Sequence[tuple[float, float]],
 ) -> np.ndarray:
     """Test the size of all residuals (m,), and for each cause whether it is there.
 
     What of a cause, columns (m, k), is not taken up by the nuisances spans some directions. If the
     covariance is right, the squares of the residuals along these are a chi-squared variable (C. R.
     Rao, Proc. Camb. Phil. Soc. 44, 1948). As its size was found from few independent errors,
-    their mean is a variable of Fisher's distribution F. `known_from` (2, 2) holds how many these
+    their mean is a variable of Fisher's distribution F. `known_from` holds how many these
     were and a factor of the variance: for the size of all, then for the causes.
 
     Returns a structured array of `cause`, `statistic`, `freedom` and `p_value`: of "noise", all

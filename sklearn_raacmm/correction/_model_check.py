@@ -65,6 +65,8 @@ _ADVICE = {
     "anew.",
     "probe": "Register again (Correction.register, raacmm register).",
     "scale": "Bring the arm to its usual temperature, or check its scale by a known length.",
+    "corrected already": "Give what the arm shows without the correction, measured minus "
+    "reference. If you did, update the correction (Correction.update, raacmm update).",
     "noise": "Look for a loose probe, a dirty seat or an unsteady stand, and measure anew.",
     "offset of joint 1": "Register again: a base that has turned looks the same. If that does not "
     "hold, update the correction (Correction.update, raacmm update).",
@@ -88,7 +90,7 @@ class CorrectionCheck:
     suspect : str
         What explains the poses best: "nothing", "offset of joint 2", "harmonics of joint 2",
         "probe", "base" (shifted), "base turned", "drift" (a base that moves from the first row to
-        the last), "scale", or "noise" if nothing else does.
+        the last), "scale", "corrected already" (the residuals), or "noise" if nothing else does.
     advice : str
         What to do, in one sentence.
     size_mm : float
@@ -203,9 +205,10 @@ def check_correction(
     the model's posterior and noise, both widened by `std_scale` and `noise_scale` of its linear
     model. One test is of the size of all against that, one of their mean distance; one of each
     cause, a score test. The widening is known from the arm's own positions, for one cause with 5
-    more of other arms: the freedoms of the denominator of Fisher's F. The smallest p-value
-    times the number of tests is compared with the rate (Bonferroni). A pose that lies farther off
-    than 95 % do counts as though it lay there.
+    more of other arms: the freedoms of the denominator of Fisher's F. The tests share the rate
+    (Bonferroni): a cause of k numbers has 1 / k of what the size, the mean and a cause of one
+    number have each. A pose that lies farther off than 95 % do counts as though it lay there.
+    That residuals were corrected already is tested where it is likelier than that they were not.
 
     A single-point test shows no drift, no scale without known lengths, and of joint 1 nothing but
     harmonics; a moved base shows in residuals of an earlier registration.
@@ -243,12 +246,21 @@ def check_correction(
     n, n_positions = poses.tamed.size, min(poses.linear.n_positions, _MANY_POSITIONS)
     freedom, of_arms = _ERRORS_OF_POSITION * n_positions, n_positions + _POSITIONS_OF_ARMS
     factor = (n_positions + _POSITIONS_OF_ARMS * _FACTOR_OF_ARMS) / of_arms
+    already, left = poses.rows(-poses.correction[:, :, None]), whiten(residual)
+    seen = whiten(already)[:, 0]
+    if seen @ left > 0.5 * (seen @ seen):  # likelier by all of the correction than by none
+        causes["corrected already"] = already
     tests = score_tests(causes, whiten, residual, [(freedom, 1.0), (of_arms, factor)])
-    limits = false_alarm_rate / (len(tests) + 1)
-    mean, chart = _chart(poses.tamed, root[:n, :n], nuisance[:n], freedom, limits)
-    p_value = min(float(min(tests["p_value"].min(), mean["p_value"])) * (len(tests) + 1), 1.0)
+    # Of 560 knocks of 10 arc seconds equal shares found 487, these 497 (arms with other seeds than
+    # those of ``benchmarks/bench_check.py kinds``): misfit looks like causes of many numbers.
+    shares = np.r_[1.0, 1 / tests["freedom"][1:], 1.0]
+    shares /= shares.sum()
+    rate = false_alarm_rate * shares[-1]
+    mean, chart = _chart(poses.tamed, root[:n, :n], nuisance[:n], freedom, rate)
+    tests = np.append(tests, np.array(mean, dtype=tests.dtype))
+    p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds = p_value >= false_alarm_rate
-    suspect = "nothing" if holds else best_cause(tests)
+    suspect = "nothing" if holds else best_cause(tests[:-1])
     usual_mm, size_mm = poses.usual_mm(), 0.0
     if suspect in causes:
         size_mm = poses.size_mm(explained(causes[suspect], whiten, residual)[:n])
@@ -264,7 +276,6 @@ def check_correction(
         )
     record = {"date": day(date), "n_poses": len(poses.tamed)}
     record |= {**chart, "p_value": p_value, "suspect": suspect}
-    tests = np.append(tests, np.array(tuple(mean.values()), dtype=tests.dtype))
     return CorrectionCheck(
         holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, poses.slipped, record
     )
@@ -296,7 +307,7 @@ def _slipped(linear, poses, left):
     middle = medians_of(left, poses.codes)
     distance = np.linalg.norm(left - middle, axis=1) / sd
     far = distance > chi.isf(_FALSE_NAMES / len(left), 3)
-    slipped = far if far.sum() <= _MOST_SLIPS * len(left) else np.zeros(len(left), bool)
+    slipped = far & (far.sum() <= _MOST_SLIPS * len(left))
     larger = max(np.median(distance) / chi.median(3), 1.0)
     share = np.minimum(chi.ppf(_USUAL, 3) * larger / np.maximum(distance, 1e-300), 1.0)
     return slipped, middle + share[:, None] * (left - middle)
@@ -305,9 +316,9 @@ def _slipped(linear, poses, left):
 class _Poses:
     """Poses of today that count: rows of coordinates, and one for each known length.
 
-    `tamed` (n, 3) are the residuals less the correction, without tails, mm; `slipped` are the rows
-    that do not count. `lengths` (l, 3 n) is what the coordinates do to the lengths whose two ends
-    have poses, mm per mm; `length_errors` and `length_sd` are (l,) in mm.
+    `tamed` (n, 3) are the residuals less the `correction`, without tails, mm; `slipped` are the
+    rows that do not count. `lengths` (l, 3 n) is what the coordinates do to the lengths whose two
+    ends have poses, mm per mm; `length_errors` and `length_sd` are (l,) in mm.
     """
 
     def __init__(self, model, X, today, lengths):
@@ -316,11 +327,11 @@ class _Poses:
         slipped, tamed = _slipped(linear, today, today.residuals - correction)
         self.slipped = tuple(np.flatnonzero(slipped).tolist())
         kept = ~slipped
-        self.tamed, poses = tamed[kept], today.at(kept)
+        self.tamed, self.correction, poses = tamed[kept], correction[kept], today.at(kept)
         self.poses, self.codes = poses, poses.codes
         self.angles = poses.angles[:, : linear.arm.n_joints]  # without extra columns
         self.place = place_columns(linear.arm, self.angles, with_base=True)
-        points = linear.arm.forward(self.angles) - correction[kept]
+        points = linear.arm.forward(self.angles) - self.correction
         known = [entry for entry in lengths if np.isin(entry[:2], self.codes).all()]
         # Shares of the poses in the mean of one end less the mean of the other.
         ends = [[self.codes == end for end in entry[:2]] for entry in known]
@@ -418,6 +429,5 @@ def _chart(tamed, root, nuisance, freedom, rate):
         low, high = np.sqrt(unit * law.ppf([rate, 1 - rate])).tolist()
         record |= {f"{name}_mm": value, f"{name}_low_mm": low, f"{name}_high_mm": high}
         ratio = value**2 / unit
-        test = {"cause": name, "statistic": k * ratio, "freedom": round(k)}
-        tests.append(test | {"p_value": law.sf(ratio)})
+        tests.append((name, k * ratio, round(k), law.sf(ratio)))
     return tests[0], record
