@@ -125,7 +125,7 @@ def test_what_is_real_and_small_is_said_to_be_small(model):
 def test_few_positions_raise_fewer_alarms(model):
     """With the same residuals the p-value is that of F: larger from 12 positions than from 500.
 
-    Five errors of each say how large all is. For one cause other arms stand for 5 positions more,
+    Five errors of each say how large all is. For one cause other arms stand for one position more,
     with half as much variance again.
     """
     fitted, today = copy(model), rows(40, 5, knock(2, 10))
@@ -136,8 +136,8 @@ def test_few_positions_raise_fewer_alarms(model):
     noise, causes, freedom = few.tests[0], few.tests[1:-1], few.tests["freedom"]
     mean = few.tests["statistic"] / freedom
     assert_allclose(noise["p_value"], stats.f.sf(mean[0], freedom[0], 5 * 12))
-    ratio = mean[1:-1] / ((12 + 1.5 * 5) / (12 + 5))
-    assert_allclose(causes["p_value"], stats.f.sf(ratio, freedom[1:-1], 12 + 5))
+    ratio = mean[1:-1] / ((12 + 1.5) / (12 + 1))
+    assert_allclose(causes["p_value"], stats.f.sf(ratio, freedom[1:-1], 12 + 1))
     assert few.p_value > many.p_value
     # A cause of k numbers has a k-th of the share of a cause of one.
     shares = 1 / np.r_[1, freedom[1:-1], 1]
