@@ -159,7 +159,7 @@ def kind_of_arm(kind, errors, options):
             for name, by, what in (
                 ("none", 0.0, "nothing"),
                 ("knock of 10 arc s", *knock(known.arm, 10)(new.data, None, 1 + (seed + day) % 3)),
-                ("corrected twice", -model.predict(new.data), "noise"),
+                ("corrected twice", -model.predict(new.data), "corrected already"),
             ):
                 counts.check(name, what, model, new.data, new.target + by, groups=new.groups)
     counts.show()

@@ -7,7 +7,7 @@ tests say which causes explain what is left of rows whose covariance is known.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -278,14 +278,15 @@ def score_tests(
     causes: Mapping[str, np.ndarray],
     whiten: Whitened,
     residual: np.ndarray,
-    known_from: float,
+    known_from: Sequence[tuple[float, float]],
 ) -> np.ndarray:
     """Test the size of all residuals (m,), and for each cause whether it is there.
 
     What of a cause, columns (m, k), is not taken up by the nuisances spans some directions. If the
     covariance is right, the squares of the residuals along these are a chi-squared variable (C. R.
     Rao, Proc. Camb. Phil. Soc. 44, 1948). As its size was found from few independent errors,
-    `known_from`, their mean is a variable of Fisher's distribution F.
+    their mean is a variable of Fisher's distribution F. `known_from` holds how many these
+    were and a factor of the variance: for the size of all, then for the causes.
 
     Returns a structured array of `cause`, `statistic`, `freedom` and `p_value`: of "noise", all
     residuals, first, then of each cause that the rows show.
@@ -301,8 +302,9 @@ def score_tests(
             rows.append((name, np.square(seen.T @ left).sum(), seen.shape[1]))
     dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
     tests = np.array([(*row, 0.0) for row in rows], dtype=dtype)
-    statistic, freedom = tests["statistic"], tests["freedom"]
-    tests["p_value"] = fisher.sf(statistic / freedom, freedom, known_from)
+    freedom = tests["freedom"]
+    known, factor = np.repeat(known_from, [1, len(rows) - 1], axis=0).T
+    tests["p_value"] = fisher.sf(tests["statistic"] / freedom / factor, freedom, known)
     return tests
 
 

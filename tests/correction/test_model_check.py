@@ -80,6 +80,12 @@ def test_other_causes_are_distinguished(model):
     loose = check_correction(model, *rows(40, 2, lambda q, rng: rng.normal(0, 0.02, (40, 3))))
     assert loose.suspect == "noise"
     assert "loose probe" in loose.advice
+    angles, y = rows(40, 4)
+    twice = check_correction(model, angles, y - model.predict(angles))
+    assert twice.suspect == "corrected already"
+    assert "without the correction" in twice.advice
+    of_correction = np.sqrt(np.square(model.predict(angles)).sum(axis=1).mean())
+    assert twice.size_mm == pytest.approx(of_correction, rel=0.2)
     longer = ARM.replace(probe=ARM.probe + np.array([0, 0, 0.05]))
     probe = check_correction(model, *rows(40, 3, lambda q, rng: longer.forward(q) - ARM.forward(q)))
     assert probe.suspect == "probe"
@@ -119,7 +125,7 @@ def test_what_is_real_and_small_is_said_to_be_small(model):
 def test_few_positions_raise_fewer_alarms(model):
     """With the same residuals the p-value is that of F: larger from 12 positions than from 500.
 
-    Five errors of each say how large all is. For one cause other arms stand for 5 positions more,
+    Five errors of each say how large all is. For one cause other arms stand for one position more,
     with half as much variance again.
     """
     fitted, today = copy(model), rows(40, 5, knock(2, 10))
@@ -130,9 +136,12 @@ def test_few_positions_raise_fewer_alarms(model):
     noise, causes, freedom = few.tests[0], few.tests[1:-1], few.tests["freedom"]
     mean = few.tests["statistic"] / freedom
     assert_allclose(noise["p_value"], stats.f.sf(mean[0], freedom[0], 5 * 12))
-    ratio = mean[1:-1] / ((12 + 1.5 * 5) / (12 + 5))
-    assert_allclose(causes["p_value"], stats.f.sf(ratio, freedom[1:-1], 12 + 5))
+    ratio = mean[1:-1] / ((12 + 1.5) / (12 + 1))
+    assert_allclose(causes["p_value"], stats.f.sf(ratio, freedom[1:-1], 12 + 1))
     assert few.p_value > many.p_value
+    # A cause of k numbers has a k-th of the share of a cause of one.
+    shares = 1 / np.r_[1, freedom[1:-1], 1]
+    assert few.p_value == pytest.approx(np.min(few.tests["p_value"] / shares) * shares.sum())
 
 
 def test_a_slipped_pose_is_named_and_does_not_raise_an_alarm(model):
