@@ -32,12 +32,14 @@ _NEW_COLUMNS = (
     *(f"sd {axis} within position [mm]" for axis in "xyz"),
     "sd of 1 m [mm]",
 )
+# How many of them there are by `--std`.
+_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 # What `learn` and the later words write into a folder.
 WRITTEN = (
     "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
 )  # fmt: skip
-# How many of them there are by `--std`.
-_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
+# Options that `Layout` has under the same names.
+_OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "sheet")
 
 
 def load_arm(source, base=None, tip=None):
@@ -136,29 +138,18 @@ def print_notes(notes):
 
 def find_rows(options, arm, labelled=True):
     """Layout of the table that the options name."""
-    points = getattr(options, "points", None)
-    labels = getattr(options, "tool", None), getattr(options, "block", None)
-    if points and not Path(points).is_file():
-        points = points.split(",")
-        if len(points) != 3:
+    given: dict[str, Any] = {name: getattr(options, name, None) for name in _OF_LAYOUT}
+    if given["points"] and not Path(given["points"]).is_file():
+        given["points"] = given["points"].split(",")
+        if len(given["points"]) != 3:
             needed = "three columns, such as x,y,z, or a file that is there"
             raise TableError(f"--points needs {needed}, got {options.points!r}.")
-    counts = options.counts_per_turn
-    if counts is not None:
-        counts = [parse_number(text) for text in counts.split(",")]
-    return Layout(
-        options.table,
-        arm.n_joints,
-        angles=options.angles.split(",") if options.angles else None,
-        points=points,
-        position=options.position if labelled else None,
-        angle_unit=options.unit,
-        labelled=labelled,
-        joint_names=arm.names,
-        counts_per_turn=counts,
-        sheet=options.sheet,
-        others=[*find_cause_columns(options).values(), *filter(None, labels)],
-    )
+    if given["counts_per_turn"] is not None:
+        given["counts_per_turn"] = [parse_number(n) for n in given["counts_per_turn"].split(",")]
+    labels = getattr(options, "tool", None), getattr(options, "block", None)
+    others = [*find_cause_columns(options).values(), *filter(None, labels)]
+    given |= {"labelled": labelled, "joint_names": arm.names, "others": others}
+    return Layout(options.table, arm.n_joints, **given)
 
 
 def parse_numbers(option, text, n=3, such="such as 0,0,1"):
@@ -218,11 +209,11 @@ def text_of_label(cell):
 
 def find_unnamed_probe(saved):
     """Sentence for rows that do not name which of the learnt probes they are of, or ""."""
-    tools, own = saved.tools, saved.arm.probe.tolist()
-    if len(tools) < 2 or own not in tools.values():
+    tools = saved.tools
+    own = [name for name, probe in tools.items() if probe == saved.arm.probe.tolist()]
+    if len(tools) < 2 or not own:
         return ""
-    name = next(name for name, probe in tools.items() if probe == own)
-    return f"this correction was learnt with the tools {', '.join(tools)}, and {name} is in use"
+    return f"this correction was learnt with the tools {', '.join(tools)}, and {own[0]} is in use"
 
 
 # -- known lengths: of the command line, and in files ----------------------------------------------

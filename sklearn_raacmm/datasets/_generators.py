@@ -335,9 +335,7 @@ def _in_direction(machine, share, rng):
     return machine.shoulder + share * machine.reach * direction
 
 
-@lru_cache(maxsize=8)
-def _individual(errors, seed):
-    return SimulatedArm(errors, random_state=seed)
+_individual = lru_cache(maxsize=8)(SimulatedArm)
 
 
 def machine_and_stream(machine, random_state, stream):
@@ -347,9 +345,7 @@ def machine_and_stream(machine, random_state, stream):
     else:
         seed = check_random_state(random_state).randint(2**31 - 1)
     if not isinstance(machine, SimulatedArm):
-        if not isinstance(machine, ArmErrors):
-            machine = ArmErrors.from_name(machine)
-        machine = _individual(machine, seed)
+        machine = _individual(machine, random_state=seed)
     return machine, np.random.RandomState([seed, stream])
 
 

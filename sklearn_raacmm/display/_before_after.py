@@ -77,14 +77,12 @@ class RepeatabilityDisplay(FittedDisplay):
     >>> plt.close(display.figure_)
     """
 
-    before: np.ndarray
     after: np.ndarray
     positions: ArrayLike | None = None
     floor: np.ndarray | None = None
     statistic: str = "2s"
     before_interval: np.ndarray | None = None
     after_interval: np.ndarray | None = None
-    name: str = "after"
 
     @classmethod
     def from_predictions(
@@ -207,11 +205,9 @@ class LengthErrorDisplay(FittedDisplay):
     >>> plt.close(display.figure_)
     """
 
-    before: np.ndarray
     after: np.ndarray
     lengths: np.ndarray
     floor: np.ndarray | None = None
-    name: str = "after"
 
     @classmethod
     def from_predictions(
