@@ -126,10 +126,9 @@ def _certificate(shown):
     entries = shown["entries"]
     if missing := [ENTRIES[name] for name in _NEEDED if not entries[name]]:
         raise TableError(f"The certificate needs of the table sheet: {'; '.join(missing)}.")
-    if not re.fullmatch("[A-Z]{2}", entries["country"]):
-        raise TableError(
-            f"{ENTRIES['country']}: two capitals, such as DE, got {entries['country']}."
-        )
+    country = entries["country"]
+    if not re.fullmatch("[A-Z]{2}", country):
+        raise TableError(f"{ENTRIES['country']}: two capitals, such as DE, got {country}.")
     days = {name: _days(ENTRIES[name], entries[name]) for name in ("received", "tested", "issued")}
     methods = {one.standard: one for one in shown["result"].values}
     page = render("_accept.xml", plain=_plain, days=days, methods=methods, **shown)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._arms import take
-from sklearn_raacmm.app._figures import draw_svg, draw_volume
 from sklearn_raacmm.app._files import (
     WRITTEN,
     corrected_file,
@@ -35,7 +34,7 @@ from sklearn_raacmm.app._files import (
 )
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import list_outliers, render, write_report
+from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
@@ -173,9 +172,8 @@ def plan(options):
     poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))
     lines = [",".join(["cone", *names])]
     lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
-    shown = {"plan": found, "names": names, "poses": poses}
     figure = draw_svg("plan", draw_volume, arm, found.angles, found.positions)
-    page = render("_plan.html", arm=repr(arm), figure=figure, **shown)
+    page = render("_plan.html", arm=repr(arm), figure=figure, plan=found, names=names, poses=poses)
     write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
     print(f"{size}: about {found.minutes:.0f} minutes.")

@@ -10,7 +10,7 @@ import codecs
 import contextlib
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
@@ -254,12 +254,10 @@ def _find_sheet(path, n_numbers, wanted):
         others = ", ".join(other for other in sheets if other != name)
         more = f" (--sheet takes another: {others})" if others else ""
         what, rows = f"Spreadsheet, sheet {name!r}{more}", sheets[name]
-        dialects = [
-            Dialect(path, separator=separator, decimal=decimal, what=what, table=rows)
-            for separator, decimal in ((",", "."), (";", ","))
-        ]
         some = [cells for _, cells in rows[:_LOOKED_AT]]
-        if best := _most_numbers(((one, some) for one in dialects), n_numbers):
+        point = Dialect(path, what=what, table=rows)
+        comma = replace(point, separator=";", decimal=",")
+        if best := _most_numbers([(point, some), (comma, some)], n_numbers):
             return best
     several = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
     raise TableError(f"{path}: no row with {n_numbers} numbers was found in {several}.")

@@ -154,8 +154,7 @@ class _Drawn:
     def bars(self, test):
         """Ends of bars: five lengths in seven positions thrice, or one bar in twenty once."""
         volumetric = test == "volumetric"
-        sizes = [500.0] * 20 if volumetric else np.repeat(_LENGTHS, 7)
-        n_times = 1 if volumetric else 3
+        sizes, n_times = ([500.0] * 20, 1) if volumetric else (np.repeat(_LENGTHS, 7), 3)
         ends, poses = draw_gauges(self.machine, sizes, n_times, self.rng)
         for i, size in enumerate(sizes):
             name = f"bar {size:.0f}"

@@ -36,10 +36,7 @@ UR10_URL = (
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
 _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
 
-_CONSTRAINTS = {
-    "data_home": [str, PathLike, None],
-    "download_if_missing": ["boolean"],
-}
+_CONSTRAINTS = {"data_home": [str, PathLike, None], "download_if_missing": ["boolean"]}
 
 
 @validate_params(
@@ -109,9 +106,8 @@ def fetch_panda_ball_socket(
     labels = [f"{name.split('/')[1]}/{name[-len('0.csv')]}" for name in names]
     angles = np.concatenate(tables)
     groups = np.repeat(labels, [len(table) for table in tables])
-    lengths = [
-        (a, b, HOLES_MM, HOLES_SD_MM) for a, b in zip(labels[::2], labels[1::2], strict=True)
-    ]
+    pairs = zip(labels[::2], labels[1::2], strict=True)
+    lengths = [(a, b, HOLES_MM, HOLES_SD_MM) for a, b in pairs]
     nominal = Arm.from_name("panda", probe=(0, 0, 241))
     moved = {"accept": "moved-position"}  # two sockets of panda_2
     calibrated = calibrate(nominal, angles, groups, lengths=lengths, **moved).arm
@@ -229,9 +225,8 @@ def cached_file(name, folder, address, download_if_missing, *, n_retries=3, dela
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        return _fetch_remote(
-            RemoteFileMetadata(path.name, url, sha256), path.parent, n_retries, delay
-        )
+        remote = RemoteFileMetadata(path.name, url, sha256)
+        return _fetch_remote(remote, path.parent, n_retries, delay)
     except OSError as error:
         raise OSError(f"{url} cannot be downloaded: {error}") from error
 

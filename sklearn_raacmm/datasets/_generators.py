@@ -26,10 +26,7 @@ _CALIBRATED_AT_DEGC = 20.0
 # A usual standard uncertainty of a gauge with cones at its ends.
 _LENGTH_SD_MM = 0.01
 # Numbers and lengths are checked with the machine at hand.
-_CONSTRAINTS = {
-    "machine": [SimulatedArm, ArmErrors, str],
-    "random_state": ["random_state"],
-}
+_CONSTRAINTS = {"machine": [SimulatedArm, ArmErrors, str], "random_state": ["random_state"]}
 
 if TYPE_CHECKING:  # scikit-learn's Bunch has no types
 

@@ -156,8 +156,7 @@ class RepeatabilityDisplay(FittedDisplay):
         largest = max(np.max(values) for values in shown if values is not None)
         labels = np.arange(1, len(self.before) + 1) if self.positions is None else self.positions
         _draw_sides(self, ax, slice(None), labels, (0.0, 1.35 * largest), "mean")
-        statistic = _NAMES[self.statistic]
-        ax.set(xlabel="position", ylabel=f"repeatability, {statistic} ({self.unit_})")
+        ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({self.unit_})")
         self.ax_: Any = ax
         self.figure_: Any = ax.figure
         return self

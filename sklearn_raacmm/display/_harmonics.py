@@ -70,9 +70,8 @@ class HarmonicDisplay:
     def __init__(self, *, harmonics: np.ndarray, n_joints: int) -> None:
         self.harmonics = harmonics
         self.n_joints = n_joints
-        cos, sin, cos_sd, sin_sd = (
-            harmonics[f"{name}_arcsec"] for name in ("cos", "sin", "cos_sd", "sin_sd")
-        )
+        names = ("cos", "sin", "cos_sd", "sin_sd")
+        cos, sin, cos_sd, sin_sd = (harmonics[f"{name}_arcsec"] for name in names)
         self.gear_ratios: np.ndarray = _likely_gear_ratios(
             harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
         )
@@ -107,8 +106,7 @@ class HarmonicDisplay:
             raise TypeError(
                 f"Harmonics are drawn of an ArmResidualRegressor, got {type(estimator).__name__}."
             )
-        harmonics, n_joints = estimator.harmonics_, estimator.arm_.n_joints
-        return cls(harmonics=harmonics, n_joints=n_joints).plot(axes)
+        return cls(harmonics=estimator.harmonics_, n_joints=estimator.arm_.n_joints).plot(axes)
 
     def plot(self, axes: Any = None) -> Self:
         """Draw.
