@@ -23,6 +23,7 @@ _ANGLES = {
     "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
     "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
+_MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
 _UNITS = (*_UNIT_OF_WORD, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
@@ -202,6 +203,13 @@ class Columns:
                     what += f" with a decimal {sign}, which the others have"
                 raise self.fault(rows[i][0], column, what)
         return values
+
+    def points(self, rows, columns):
+        """Points (n_rows, 3) of some rows, in mm."""
+        units = sorted({self.units[i] for i in columns})
+        if len(units) != 1 or units[0] not in _MM_PER_UNIT:
+            raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
+        return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
 
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""

@@ -80,7 +80,6 @@ def write_corrected(layout, correction, options, file, std="all"):
     writer = csv.writer(file, delimiter=source.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
-    columns = {name: column for name, column in columns.items() if name in correction.causes}
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         X = correction.inputs(in_rad(block), read_causes(block, columns))
