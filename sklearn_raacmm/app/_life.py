@@ -92,10 +92,8 @@ def update(options):
     most = ", ".join(parts[:4]) or "nothing"
     print(f"Changed most, in per cent of its usual size: {most}.")
     rms = _rms(now - was)
-    print(
-        f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
-        f"{before:.3f} -> {after:.3f} mm."
-    )
+    change = f"mean deviation {before:.3f} -> {after:.3f} mm"
+    print(f"The correction has changed by {rms:.3f} mm (rms) at these poses; {change}.")
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": rms, "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
@@ -117,12 +115,9 @@ def move(options):
 
 def _print_lack(saved, new):
     """Say so where the new probe is known by less than the one before, for its size."""
-    sizes = []
-    for one in (saved, new):
-        tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
-        parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
-        sizes += [_rms(part) for part in parts]
-    old, old_sd, now, now_sd = sizes
+    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, saved.arm.n_joints))
+    X, models = saved.inputs(tried), (saved.model.linear_model_, new.model.linear_model_)
+    old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
         print("Learn with two probes: the first alone shows less of the last joints.")
 
@@ -188,10 +183,8 @@ def _check_model(saved, today, measured, rate, options):
         print("The base was found from these same poses: what it takes up shows no change.")
     if not found.holds:
         little = "" if changed else " That is too little to act on."
-        print(
-            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
-        )
+        size = f"{found.size_mm:.3f} mm at the probe (p = {found.p_value:.2g})"
+        print(f"Suspect: {found.suspect}, {size}, where {found.usual_mm:.3f} mm is usual.{little}")
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")

@@ -81,7 +81,6 @@ def make_acceptance(
     if unknown or not tests:
         what = repr(unknown[0]) if unknown else "none"
         raise ValueError(f"tests names {what}; known are {', '.join(_TESTS)}, bidirectional.")
-    simulated: SimulatedArm
     simulated, rng = machine_and_stream(machine, random_state, stream=3)
     own = np.random.RandomState(rng.randint(2**31 - 1))
     drawn = _Drawn(simulated, rng, own, 0.0 if exact else 1.0)

@@ -335,7 +335,7 @@ def _in_direction(machine, share, rng):
 _individual = lru_cache(maxsize=8)(SimulatedArm)
 
 
-def machine_and_stream(machine, random_state, stream):
+def machine_and_stream(machine, random_state, stream) -> tuple[SimulatedArm, Any]:
     # An instance of RandomState gives the next int, so that both uses below agree on it.
     if isinstance(random_state, int | np.integer):
         seed = int(random_state)

@@ -174,7 +174,7 @@ class SimulatedArm:
         torques = self._torques(axes, origin)
         payload = _per_row("payload_n", payload_n, len(angles))
         pulled = (axes * np.cross(levers / 1e3, -self.true_arm.up)).sum(axis=2) * payload
-        lag, softening = np.zeros((2, *angles.shape))
+        lag, softening = np.zeros(angles.shape), np.zeros(angles.shape)
         if directions is not None:
             lag = -self._play / 2 * _points("directions", directions, angles.shape)
         _, _, forearm, wrist = self._loads()
