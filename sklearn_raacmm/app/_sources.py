@@ -222,8 +222,8 @@ def _most_numbers(candidates, n_numbers):
         # Blanks part columns only where nothing else does.
         return fitting > 0 and dialect.separator is not None, fitting, sum(counts)
 
-    best = max(candidates, key=found)
-    return best[0] if found(best)[1] else None
+    most, best = max(((found(one), one[0]) for one in candidates), key=lambda pair: pair[0])
+    return best if most[1] else None
 
 
 def find_encoding(path):
