@@ -49,7 +49,7 @@ from sklearn_raacmm.app._sources import (
     parse_number,
     read_sheets,
 )
-from sklearn_raacmm.app._tables import Layout, find_point_factor
+from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
 
@@ -126,10 +126,9 @@ def _certificate(shown):
     entries = shown["entries"]
     if missing := [ENTRIES[name] for name in _NEEDED if not entries[name]]:
         raise TableError(f"The certificate needs of the table sheet: {'; '.join(missing)}.")
-    if not re.fullmatch("[A-Z]{2}", entries["country"]):
-        raise TableError(
-            f"{ENTRIES['country']}: two capitals, such as DE, got {entries['country']}."
-        )
+    country = entries["country"]
+    if not re.fullmatch("[A-Z]{2}", country):
+        raise TableError(f"{ENTRIES['country']}: two capitals, such as DE, got {country}.")
     days = {name: _days(ENTRIES[name], entries[name]) for name in ("received", "tested", "issued")}
     methods = {one.standard: one for one in shown["result"].values}
     page = render("_accept.xml", plain=_plain, days=days, methods=methods, **shown)
@@ -147,9 +146,8 @@ def _days(label, text):
         if len(days) > 2 or days != sorted(days):
             raise ValueError
     except ValueError:
-        raise TableError(
-            f"{label}: a day such as 2026-11-23, or two, 2026-11-20/2026-11-23, got {text!r}."
-        ) from None
+        needed = "a day such as 2026-11-23, or two, 2026-11-20/2026-11-23"
+        raise TableError(f"{label}: {needed}, got {text!r}.") from None
     return [day.isoformat() for day in days] or [""]
 
 
@@ -219,16 +217,15 @@ def _read_readings(path, arm, sheet, rows):
     given = [name for name in LABELS if name in columns.names]
     if missing := {"test", "artefact"} - set(given):
         raise TableError(f"{path} has no column {' and no column '.join(sorted(missing))}.")
-    options = {"labelled": False, "others": given, "sheet": sheet}
+    points = ["x", "y", "z"] if has_points else None
+    options = {"labelled": False, "others": given, "sheet": sheet, "points": points}
     if has_points and not has_angles:  # the reader of angles reads any three columns of numbers
-        table = Layout(path, 3, angles=["x", "y", "z"], angle_unit="deg", **options)
-        factor, table = find_point_factor(columns, table.angle_columns), table.read()
-        found = {"points": factor * table.angles}
+        table = Layout(path, 3, angles=points, angle_unit="deg", **options).read()
+        found = {"points": table.points}
     else:
         if arm is None:
             raise TableError(f"{path} holds joint angles: name --model or --arm, whose they are.")
-        points = ["x", "y", "z"] if has_points else None
-        table = Layout(path, arm.n_joints, points=points, joint_names=arm.names, **options).read()
+        table = Layout(path, arm.n_joints, joint_names=arm.names, **options).read()
         found = {"angles": in_rad(table), "points": table.points}
     labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
     return {"columns": labels | found, "rows": table.rows, "notes": table.notes}

@@ -101,20 +101,17 @@ def take(arm, code):
     word, *joints = code.split("-")
     numbers = [str(i + 1) for i in range(arm.n_joints)]
     if word != "reversed" or not joints or not set(joints) <= set(numbers):
-        raise TableError(
-            f"--take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, or "
-            f"other-convention, got {code!r}."
-        )
+        needed = f"reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4"
+        raise TableError(f"--take needs {needed}, or other-convention, got {code!r}.")
     return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(numbers, joints), -1, 1))
 
 
 def _meant_arm(options):
     """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
-    if options.lengths_222 or options.lengths_223:
-        layout = "2-2-2" if options.lengths_222 else "2-2-3"
-        lengths = options.lengths_222 or options.lengths_223
-        offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
-        return Arm.from_lengths(layout, *lengths, **offsets)
+    offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}
+    for layout, lengths in (("2-2-2", options.lengths_222), ("2-2-3", options.lengths_223)):
+        if lengths:
+            return Arm.from_lengths(layout, *lengths, **offsets)
     if options.dh:
         convention = "modified" if options.modified else "standard"
         return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))

@@ -23,6 +23,7 @@ _ANGLES = {
     "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
     "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
+_MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
 _UNITS = (*_UNIT_OF_WORD, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
@@ -54,19 +55,24 @@ _LOOKED_AT = 200
 
 def find_header(source, n_numbers):
     """Names of the columns, the row they stand in (0: none), and the first rows of data."""
-    above, data = [], []
+    above, data, n_above = [], [], 0
     for number, cells in source.rows():
         if data or source.count(cells) >= n_numbers:
             data.append((number, cells))
-        else:
-            above.append((number, strip_mark(cells) or cells))
-        if len(data) == _LOOKED_AT:
-            break
+            if len(data) == _LOOKED_AT:
+                break
+            continue
+        cells = strip_mark(cells) or cells
+        above.append((number, cells))
+        n_found = source.count(cells)
+        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_found
+        if n_texts >= n_numbers and not n_found:
+            n_above = len(above)
+        elif n_above and n_found:  # data with a fault, which is reported on reading
+            above, data = above[:n_above], above[n_above:]
     if not data:
         raise TableError(f"{source.path}: no row with {n_numbers} numbers was found.")
     width = len(data[0][1])
-    n_above = _count_above(above, source, n_numbers)
-    above, data = above[:n_above], above[n_above:] + data
     names = _names_of_columns([cells for _, cells in above], width, n_numbers)
     if not names:
         names = _fields_of_joint_states(data[0][1], source, n_numbers)
@@ -102,19 +108,6 @@ def _fields_of_joint_states(cells, source, n_joints):
             names = [f"{field}{i}" for field in fields for i in range(n)]
             return ([""] * (run.end() - n) + names)[: len(cells)]
     return []
-
-
-def _count_above(above, source, n_numbers):
-    """How many of these rows end with the names; those below are data with a fault."""
-    named = 0
-    for i, (_, cells) in enumerate(above):
-        n_found = source.count(cells)
-        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_found
-        if n_texts >= n_numbers and not n_found:
-            named = i + 1
-        elif named and n_found:
-            return named  # its fault is reported on reading
-    return len(above)
 
 
 def split_unit(name):
@@ -210,6 +203,13 @@ class Columns:
                     what += f" with a decimal {sign}, which the others have"
                 raise self.fault(rows[i][0], column, what)
         return values
+
+    def points(self, rows, columns):
+        """Points (n_rows, 3) of some rows, in mm."""
+        units = sorted({self.units[i] for i in columns})
+        if len(units) != 1 or units[0] not in _MM_PER_UNIT:
+            raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
+        return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
 
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._arms import take
-from sklearn_raacmm.app._figures import draw_svg, draw_volume
 from sklearn_raacmm.app._files import (
     WRITTEN,
     corrected_file,
@@ -35,7 +34,7 @@ from sklearn_raacmm.app._files import (
 )
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
-from sklearn_raacmm.app._report import list_outliers, render, write_report
+from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
@@ -52,7 +51,14 @@ _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 def learn(options):
     """Calibrate, learn, judge, and write everything into a folder."""
-    _check_learning(options)
+    # What can be refused is refused before minutes of learning.
+    if options.folds is not None and options.folds < 2:
+        raise TableError(f"--folds must be 2 or more, got {options.folds}.")
+    check_installed("jinja2", "matplotlib", "skops")
+    out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
+    check_places([out / name for name in WRITTEN], filter(None, read))
+    if (out / "correction.json").exists() and not options.force:
+        raise TableError(f"{out} holds a correction; --force replaces it.")
     arm = load_arm(options.arm, options.base, options.tip)
     for code in options.take or ():
         arm = take(arm, code)
@@ -88,31 +94,16 @@ def learn(options):
     step = step_of("learn", today, facts, result.scores.measure, before, after)
     card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     taught = replace(result, facts=result.facts | {"training": card["training"]})
-    _print_result(result, table.rows, options)  # before what may fail
-    save_step(taught, options.out, step, today, report, contents)
-    print(f"Written to {options.out}: {', '.join(WRITTEN)}")
-    if options.open:
-        webbrowser.open((Path(options.out) / "report.html").resolve().as_uri())
-    return OK if result.helps else NO_HELP, result.facts
-
-
-def _check_learning(options):
-    """Refuse what can be refused before minutes of learning."""
-    if options.folds is not None and options.folds < 2:
-        raise TableError(f"--folds must be 2 or more, got {options.folds}.")
-    check_installed("jinja2", "matplotlib", "skops")
-    out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
-    check_places([out / name for name in WRITTEN], filter(None, read))
-    if (out / "correction.json").exists() and not options.force:
-        raise TableError(f"{out} holds a correction; --force replaces it.")
-
-
-def _print_result(result, row_numbers, options):
-    """Print what was learnt; the verdict at the end, where it is seen without scrolling."""
+    # Printed before what may fail; the verdict at the end, where it is seen without scrolling.
     print(str(result.scores).removeprefix(f"{result.verdict}\n"))
-    for row, label, distance in list_outliers(result, row_numbers)[:10]:
+    for row, label, distance in list_outliers(result, table.rows)[:10]:
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
     print(f"\n{result.verdict}")
+    save_step(taught, out, step, today, report, contents)
+    print(f"Written to {out}: {', '.join(WRITTEN)}")
+    if options.open:
+        webbrowser.open((out / "report.html").resolve().as_uri())
+    return OK if result.helps else NO_HELP, result.facts
 
 
 def correct(options):
@@ -181,9 +172,8 @@ def plan(options):
     poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))
     lines = [",".join(["cone", *names])]
     lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
-    shown = {"plan": found, "names": names, "poses": poses}
     figure = draw_svg("plan", draw_volume, arm, found.angles, found.positions)
-    page = render("_plan.html", arm=repr(arm), figure=figure, **shown)
+    page = render("_plan.html", arm=repr(arm), figure=figure, plan=found, names=names, poses=poses)
     write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
     print(f"{size}: about {found.minutes:.0f} minutes.")

@@ -32,12 +32,14 @@ _NEW_COLUMNS = (
     *(f"sd {axis} within position [mm]" for axis in "xyz"),
     "sd of 1 m [mm]",
 )
+# How many of them there are by `--std`.
+_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 # What `learn` and the later words write into a folder.
 WRITTEN = (
     "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
 )  # fmt: skip
-# How many of them there are by `--std`.
-_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
+# Options that `Layout` has under the same names.
+_OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "sheet")
 
 
 def load_arm(source, base=None, tip=None):
@@ -78,7 +80,6 @@ def write_corrected(layout, correction, options, file, std="all"):
     writer = csv.writer(file, delimiter=source.separator or " ")
     writer.writerow([*layout.header, *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
-    columns = {name: column for name, column in columns.items() if name in correction.causes}
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         X = correction.inputs(in_rad(block), read_causes(block, columns))
@@ -136,29 +137,18 @@ def print_notes(notes):
 
 def find_rows(options, arm, labelled=True):
     """Layout of the table that the options name."""
-    points = getattr(options, "points", None)
-    labels = getattr(options, "tool", None), getattr(options, "block", None)
-    if points and not Path(points).is_file():
-        points = points.split(",")
-        if len(points) != 3:
+    given: dict[str, Any] = {name: getattr(options, name, None) for name in _OF_LAYOUT}
+    if given["points"] and not Path(given["points"]).is_file():
+        given["points"] = given["points"].split(",")
+        if len(given["points"]) != 3:
             needed = "three columns, such as x,y,z, or a file that is there"
             raise TableError(f"--points needs {needed}, got {options.points!r}.")
-    counts = options.counts_per_turn
-    if counts is not None:
-        counts = [parse_number(text) for text in counts.split(",")]
-    return Layout(
-        options.table,
-        arm.n_joints,
-        angles=options.angles.split(",") if options.angles else None,
-        points=points,
-        position=options.position if labelled else None,
-        angle_unit=options.unit,
-        labelled=labelled,
-        joint_names=arm.names,
-        counts_per_turn=counts,
-        sheet=options.sheet,
-        others=[*find_cause_columns(options).values(), *filter(None, labels)],
-    )
+    if given["counts_per_turn"] is not None:
+        given["counts_per_turn"] = [parse_number(n) for n in given["counts_per_turn"].split(",")]
+    labels = getattr(options, "tool", None), getattr(options, "block", None)
+    others = [*find_cause_columns(options).values(), *filter(None, labels)]
+    given |= {"labelled": labelled, "joint_names": arm.names, "others": others}
+    return Layout(options.table, arm.n_joints, **given)
 
 
 def parse_numbers(option, text, n=3, such="such as 0,0,1"):
@@ -192,10 +182,8 @@ def _numbers(table, column):
         try:
             times.append(datetime.fromisoformat(text).timestamp())
         except ValueError:
-            raise TableError(
-                f"row {row}, column {column!r}: {text!r} is neither a number nor a time such as "
-                "2024-05-31 12:30:00."
-            ) from None
+            what = f"{text!r} is neither a number nor a time such as 2024-05-31 12:30:00"
+            raise TableError(f"row {row}, column {column!r}: {what}.") from None
     return np.array(times)
 
 
@@ -218,11 +206,11 @@ def text_of_label(cell):
 
 def find_unnamed_probe(saved):
     """Sentence for rows that do not name which of the learnt probes they are of, or ""."""
-    tools, own = saved.tools, saved.arm.probe.tolist()
-    if len(tools) < 2 or own not in tools.values():
+    tools = saved.tools
+    own = [name for name, probe in tools.items() if probe == saved.arm.probe.tolist()]
+    if len(tools) < 2 or not own:
         return ""
-    name = next(name for name, probe in tools.items() if probe == own)
-    return f"this correction was learnt with the tools {', '.join(tools)}, and {name} is in use"
+    return f"this correction was learnt with the tools {', '.join(tools)}, and {own[0]} is in use"
 
 
 # -- known lengths: of the command line, and in files ----------------------------------------------
@@ -244,10 +232,9 @@ def parse_length(text):
         first, second, length, sd = (part.strip() for part in text.split(":"))
         return first, second, parse_number(length), parse_number(sd)
     except ValueError:
-        raise TableError(
-            "--length needs two positions, their distance and its standard deviation in mm, such "
-            f"as A:B:500.012:0.005, got {text!r}."
-        ) from None
+        needed = "two positions, their distance and its standard deviation in mm"
+        such = "such as A:B:500.012:0.005"
+        raise TableError(f"--length needs {needed}, {such}, got {text!r}.") from None
 
 
 def read_lengths(path, sd=None):

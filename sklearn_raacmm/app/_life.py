@@ -55,10 +55,8 @@ def register(options):
     saved = _open_correction(options)
     layout, today, measured = _read_today(options, saved.arm)
     new = saved.register(*measured, accept=options.accept or ())
-    before, left = _mean_deviations(new, today, 0, new.model.predict(new.inputs(today.angles)))
-    usual = _check_left(left, saved, today)
-    print(f"Registered with {_describe_poses(today)}.")
-    facts = _print_moves(saved, new)
+    now = new.model.predict(new.inputs(today.angles))
+    before, left, usual, facts = _compare("Registered", saved, new, today, 0, now)
     print(f"Mean deviation {before:.3f} -> {left:.3f} mm.")
     holds = usual is None or left <= _MUCH_MORE * usual
     if usual is None:
@@ -84,10 +82,7 @@ def update(options):
     new = saved.update(*measured, date=day, accept=options.accept or ())
     X = saved.inputs(today.angles)
     was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
-    before, after = _mean_deviations(new, today, was, now)
-    _check_left(after, saved, today)
-    print(f"Updated with {_describe_poses(today)}.")
-    facts = _print_moves(saved, new)
+    before, after, _, facts = _compare("Updated", saved, new, today, was, now)
     updates = vars(new.model).get("updates_", ())
     if len(updates) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
@@ -97,10 +92,8 @@ def update(options):
     most = ", ".join(parts[:4]) or "nothing"
     print(f"Changed most, in per cent of its usual size: {most}.")
     rms = _rms(now - was)
-    print(
-        f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
-        f"{before:.3f} -> {after:.3f} mm."
-    )
+    change = f"mean deviation {before:.3f} -> {after:.3f} mm"
+    print(f"The correction has changed by {rms:.3f} mm (rms) at these poses; {change}.")
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": rms, "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
@@ -122,12 +115,9 @@ def move(options):
 
 def _print_lack(saved, new):
     """Say so where the new probe is known by less than the one before, for its size."""
-    sizes = []
-    for one in (saved, new):
-        tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, one.arm.n_joints))
-        parts = one.model.linear_model_.predict(one.inputs(tried), return_std=True)
-        sizes += [_rms(part) for part in parts]
-    old, old_sd, now, now_sd = sizes
+    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, saved.arm.n_joints))
+    X, models = saved.inputs(tried), (saved.model.linear_model_, new.model.linear_model_)
+    old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
         print("Learn with two probes: the first alone shows less of the last joints.")
 
@@ -193,10 +183,8 @@ def _check_model(saved, today, measured, rate, options):
         print("The base was found from these same poses: what it takes up shows no change.")
     if not found.holds:
         little = "" if changed else " That is too little to act on."
-        print(
-            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
-        )
+        size = f"{found.size_mm:.3f} mm at the probe (p = {found.p_value:.2g})"
+        print(f"Suspect: {found.suspect}, {size}, where {found.usual_mm:.3f} mm is usual.{little}")
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")
@@ -213,10 +201,8 @@ def _check_spread(saved, today, rate, advice):
 
     `advice` is what to do about a change that the model sees: one answer says what to do once.
     """
-    before, after = (
-        single_point_repeatability(points, today.positions, aggregate=None)
-        for points in (saved.arm.forward(today.angles), saved.correct(today.angles)[0])
-    )
+    sides = saved.arm.forward(today.angles), saved.correct(today.angles)[0]
+    before, after = (single_point_repeatability(p, today.positions, aggregate=None) for p in sides)
     labels = np.unique(today.positions)
     for i in natural_order(labels):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
@@ -290,31 +276,28 @@ def _describe_poses(today):
     return f"{len(today.angles)} poses in {len(np.unique(today.positions))} cones"
 
 
-def _mean_deviations(new, today, *corrections):
-    """Mean distance, mm, of points from where they should be, with each of the corrections."""
+def _compare(word, saved, new, today, was, now):
+    """Mean deviation of points with two corrections, what was usual, and facts of what moved.
+
+    In mm; what was left when it was learnt is None if that was another measure. Poses whose points
+    scatter as those of no arm with this table do are refused.
+    """
     labels = today.positions
     y = new.calibration.residuals(today.angles, today.points, labels)
-    left = [y - mm if labels is None else position_residuals(y - mm, labels) for mm in corrections]
-    return [float(np.linalg.norm(one, axis=1).mean()) for one in left]
-
-
-def _check_left(left, saved, today):
-    """Refuse poses whose points scatter as those of no arm with this table do.
-
-    Returns the mean deviation that was left when it was learnt, mm; None if that was another
-    measure.
-    """
+    left = [y - mm if labels is None else position_residuals(y - mm, labels) for mm in (was, now)]
+    before, after = (float(np.linalg.norm(one, axis=1).mean()) for one in left)
     usual, by_cones = None, saved.facts["measure"] == "2S"
     if by_cones == (today.points is None):
         usual = float(np.mean(saved.facts["positions"]["after"]))
         if by_cones:  # of normal errors: twice their length's root mean square
             usual *= np.sqrt(8 / (3 * np.pi)) / 2
-    if left > max(MUCH_SCATTER_MM, _MUCH_MORE * (usual or 0.0)):
+    if after > max(MUCH_SCATTER_MM, _MUCH_MORE * (usual or 0.0)):
         raise TableError(
-            f"the points are still off by {left:.3g} mm, and nothing is written. {_OTHER_ARM} If "
+            f"the points are still off by {after:.3g} mm, and nothing is written. {_OTHER_ARM} If "
             "all are right, the arm has changed too much: learn again."
         )
-    return usual
+    print(f"{word} with {_describe_poses(today)}.")
+    return before, after, usual, _print_moves(saved, new)
 
 
 def _print_moves(old, new):

@@ -98,8 +98,8 @@ def _number(metavar, text, kind: Any = float, **more):
     return _value(metavar, text, type=kind, **more)
 
 
-def _choice(choices, text, default=None):
-    return {"choices": choices, "help": text, "default": default}
+def _choice(choices, text, default=None, **more):
+    return {"choices": choices, "help": text, "default": default, **more}
 
 
 _ARM = "arm file, URDF, or name of a built-in arm"
@@ -123,9 +123,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "demo --out": _value("FOLDER", "folder to write into (raacmm-demo)", default="raacmm-demo"),
     "arm --out": _value("FILE", "JSON, or what --into names; - is the standard output"),
     # -- the table
-    "--angles": _value("Q1,Q2,...", "columns of the joint angles"),
+    "--angles": _number("Q1,Q2,...", "columns of the joint angles", lambda text: text.split(",")),
     "--position": _value("NAME", "column of the positions' labels"),
-    "--unit": _choice(("deg", "rad"), "unit of the joint angles"),
+    "--unit": _choice(("deg", "rad"), "unit of the joint angles", dest="angle_unit"),
     "--counts-per-turn": _value("N", "counts of the encoders in a turn, one or one for each joint"),
     "--sheet": _value("NAME", "sheet of a spreadsheet, name or number"),
     "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),

@@ -10,7 +10,7 @@ import codecs
 import contextlib
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
@@ -72,9 +72,8 @@ def check_installed(*names):
     """Refuse work that needs, perhaps in its last step, packages that are missing."""
     missing = [name for name in names if find_spec(name) is None]
     if missing:
-        raise TableError(
-            f"{' and '.join(missing)} must be installed: pip install {' '.join(missing)}."
-        )
+        needed = " and ".join(missing)
+        raise TableError(f"{needed} must be installed: pip install {' '.join(missing)}.")
 
 
 def parse_number(text):
@@ -203,13 +202,8 @@ def find_dialect(path, n_numbers):
         for separator, decimal in product(_SEPARATORS, _DECIMALS)
         if separator != decimal or quoted
     ]
-
-    def rows_by(dialect):
-        return [next(dialect.split([line]), (1, []))[1] for line in lines]
-
-    parted = [dialect for dialect in dialects if dialect.separator is not None]
-    # Blanks part columns only where nothing else does.
-    best = _most_numbers(parted, rows_by, n_numbers) or _most_numbers(dialects, rows_by, n_numbers)
+    rows = [[next(one.split([line]), (1, []))[1] for line in lines] for one in dialects]
+    best = _most_numbers(zip(dialects, rows, strict=True), n_numbers)
     if best is None:
         raise TableError(
             f"{path}: no row with {n_numbers} numbers was found; columns may be parted by "
@@ -218,15 +212,18 @@ def find_dialect(path, n_numbers):
     return best
 
 
-def _most_numbers(dialects, rows_by, n_numbers):
-    """The dialect by which most rows have at least so many numbers; None if no row has."""
+def _most_numbers(candidates, n_numbers):
+    """Of dialects, each with its rows, that with most rows of so many numbers; None without any."""
 
-    def found(dialect):
-        counts = [dialect.count(cells) for cells in rows_by(dialect)]
-        return sum(count >= n_numbers for count in counts), sum(counts)
+    def found(candidate):
+        dialect, rows = candidate
+        counts = [dialect.count(cells) for cells in rows]
+        fitting = sum(count >= n_numbers for count in counts)
+        # Blanks part columns only where nothing else does.
+        return fitting > 0 and dialect.separator is not None, fitting, sum(counts)
 
-    most, best = max(((found(one), one) for one in dialects), key=lambda pair: pair[0])
-    return best if most[0] else None
+    most, best = max(((found(one), one[0]) for one in candidates), key=lambda pair: pair[0])
+    return best if most[1] else None
 
 
 def find_encoding(path):
@@ -256,12 +253,10 @@ def _find_sheet(path, n_numbers, wanted):
         others = ", ".join(other for other in sheets if other != name)
         more = f" (--sheet takes another: {others})" if others else ""
         what, rows = f"Spreadsheet, sheet {name!r}{more}", sheets[name]
-        dialects = [
-            Dialect(path, separator=separator, decimal=decimal, what=what, table=rows)
-            for separator, decimal in ((",", "."), (";", ","))
-        ]
         some = [cells for _, cells in rows[:_LOOKED_AT]]
-        if best := _most_numbers(dialects, lambda _, some=some: some, n_numbers):
+        point = Dialect(path, what=what, table=rows)
+        comma = replace(point, separator=";", decimal=",")
+        if best := _most_numbers([(point, some), (comma, some)], n_numbers):
             return best
     several = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
     raise TableError(f"{path}: no row with {n_numbers} numbers was found in {several}.")

@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._sources import TableError
 
-_MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
-
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -151,7 +149,6 @@ class Layout(Columns):
             each = f"one for each of {n_joints} joints"
             raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
         self.angle_unit = angle_unit or self.find_unit(self.angle_columns)
-        self.point_factor = find_point_factor(self, self.point_columns)
         self.others = {name: self.column(name, "others") for name in others}
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
@@ -179,7 +176,7 @@ class Layout(Columns):
         if self.position_column is not None:
             positions = self.labels(rows, self.position_column)
         if self.point_columns:
-            points = self.numbers(rows, self.point_columns) * self.point_factor
+            points = self.points(rows, self.point_columns)
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
         others = {}
         for name, column in self.others.items():
@@ -203,15 +200,6 @@ def _refuse_lonely_labels(path, table):
 # -- points of a tracker --------------------------------------------------------------------------
 
 
-def find_point_factor(columns, point_columns):
-    """Millimetres in the unit of the columns of points."""
-    units = {columns.units[i] for i in point_columns} or {"mm"}
-    if len(units) != 1 or not units <= set(_MM_PER_UNIT):
-        given = ", ".join(sorted(units))
-        raise TableError(f"{columns.path}: the points are in {given}, not in mm.")
-    return _MM_PER_UNIT[units.pop()]
-
-
 def read_points(path):
     """Names, None if no column holds any, and points (n, 3), mm, as trackers export them.
 
@@ -226,11 +214,10 @@ def read_points(path):
         found = found[len(found) == 4 and found[0] == 0 :][:3]
     if len(found) != 3:
         raise TableError(f"{path}: which columns are x, y and z? It has {columns}.")
-    factor = find_point_factor(columns, found)
     rows = list(columns.rows(found))
     # Names stand before the points.
     names = columns.labels(rows, found[0] - 1).tolist() if found[0] else None
-    return names, factor * columns.numbers(rows, found)
+    return names, columns.points(rows, found)
 
 
 def _with_points(layout, table, source):
@@ -246,9 +233,7 @@ def _with_points(layout, table, source):
                 how = f"matched by the column {name}"
                 break
     if len(order) != len(table.angles):
-        raise TableError(
-            f"{source} holds {len(points)} points, {layout.path} {len(table.angles)} rows, "
-            "and no column of names says which belong together."
-        )
+        counts = f"{source} holds {len(points)} points, {layout.path} {len(table.angles)} rows"
+        raise TableError(f"{counts}, and no column of names says which belong together.")
     table.notes.append(f"Points of {source}, {how}.")
     return replace(table, points=points[order])

@@ -81,7 +81,6 @@ def make_acceptance(
     if unknown or not tests:
         what = repr(unknown[0]) if unknown else "none"
         raise ValueError(f"tests names {what}; known are {', '.join(_TESTS)}, bidirectional.")
-    simulated: SimulatedArm
     simulated, rng = machine_and_stream(machine, random_state, stream=3)
     own = np.random.RandomState(rng.randint(2**31 - 1))
     drawn = _Drawn(simulated, rng, own, 0.0 if exact else 1.0)
@@ -154,8 +153,7 @@ class _Drawn:
     def bars(self, test):
         """Ends of bars: five lengths in seven positions thrice, or one bar in twenty once."""
         volumetric = test == "volumetric"
-        sizes = [500.0] * 20 if volumetric else np.repeat(_LENGTHS, 7)
-        n_times = 1 if volumetric else 3
+        sizes, n_times = ([500.0] * 20, 1) if volumetric else (np.repeat(_LENGTHS, 7), 3)
         ends, poses = draw_gauges(self.machine, sizes, n_times, self.rng)
         for i, size in enumerate(sizes):
             name = f"bar {size:.0f}"

@@ -136,10 +136,8 @@ class ArmErrors:
         -------
         ArmErrors
         """
-        off: dict[str, Any] = {
-            f.name: (0.0, 0.0) if isinstance(f.default, tuple) else 0.0 for f in fields(cls)
-        }
-        del off["counterbalance"], off["slip_mm"]
+        kept = ("counterbalance", "slip_mm")
+        off: Any = {f.name: np.zeros_like(f.default) for f in fields(cls) if f.name not in kept}
         return cls(**off | sizes)
 
     @classmethod

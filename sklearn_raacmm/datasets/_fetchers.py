@@ -3,22 +3,28 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import hashlib
 from datetime import datetime
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sklearn.datasets import get_data_home
+
+# The public `fetch_file` does the same, but refuses addresses of local files.
+from sklearn.datasets._base import RemoteFileMetadata, _fetch_remote
 from sklearn.utils import Bunch
 
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.datasets._download import SHA256, cached_file, data_folder
 from sklearn_raacmm.datasets._simulation import directions_of
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import param_checks, validate_params
 
+# Checksum of each file, by its name.
+_LINES = Path(__file__).with_name("_sha256.txt").read_text(encoding="utf-8").splitlines()
+SHA256 = {name: checksum for checksum, name in map(str.split, _LINES)}
 PANDA_URL = (
     "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/"
     "05a05ab4cbbe328c8f5bfcc76479c752ed07b82e/data"
@@ -30,10 +36,7 @@ UR10_URL = (
 HOLES_MM, HOLES_SD_MM = 50.0, 0.1  # between the two sockets of a placement; the sd is our guess
 _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 17)
 
-_CONSTRAINTS = {
-    "data_home": [str, PathLike, None],
-    "download_if_missing": ["boolean"],
-}
+_CONSTRAINTS = {"data_home": [str, PathLike, None], "download_if_missing": ["boolean"]}
 
 
 @validate_params(
@@ -96,21 +99,15 @@ def fetch_panda_ball_socket(
     >>> test.data.shape, test.target.shape  # doctest: +SKIP
     ((387, 7), (387, 3))
     """
-    fetch = partial(
-        cached_file,
-        folder=data_folder(data_home, "panda_ball_socket"),
-        address=PANDA_URL,
-        download_if_missing=download_if_missing,
-    )
+    where = data_folder(data_home, "panda_ball_socket"), PANDA_URL, download_if_missing
     names = [name for name in SHA256 if name.startswith(arm)]
-    tables = [np.loadtxt(fetch(name), delimiter=",", ndmin=2) for name in names]
+    tables = [np.loadtxt(cached_file(name, *where), delimiter=",", ndmin=2) for name in names]
     # Of "panda_3/backleft/hole_0.csv" the label is "backleft/0".
     labels = [f"{name.split('/')[1]}/{name[-len('0.csv')]}" for name in names]
     angles = np.concatenate(tables)
     groups = np.repeat(labels, [len(table) for table in tables])
-    lengths = [
-        (a, b, HOLES_MM, HOLES_SD_MM) for a, b in zip(labels[::2], labels[1::2], strict=True)
-    ]
+    pairs = zip(labels[::2], labels[1::2], strict=True)
+    lengths = [(a, b, HOLES_MM, HOLES_SD_MM) for a, b in pairs]
     nominal = Arm.from_name("panda", probe=(0, 0, 241))
     moved = {"accept": "moved-position"}  # two sockets of panda_2
     calibrated = calibrate(nominal, angles, groups, lengths=lengths, **moved).arm
@@ -175,12 +172,8 @@ def fetch_ur10_tracker(
     >>> test.data.shape, test.target.shape  # doctest: +SKIP
     ((11911, 6), (11911, 3))
     """
-    path = cached_file(
-        "measurements_grid.csv",
-        data_folder(data_home, "ur10_tracker"),
-        UR10_URL,
-        download_if_missing=download_if_missing,
-    )
+    where = data_folder(data_home, "ur10_tracker"), UR10_URL, download_if_missing
+    path = cached_file("measurements_grid.csv", *where)
     # Semicolons between fields, decimal commas.
     lines = path.read_text(encoding="utf-8-sig").replace(",", ".").splitlines()[1:]
     table = np.loadtxt(lines, delimiter=";", usecols=range(_POINT.stop))
@@ -209,6 +202,33 @@ def fetch_ur10_tracker(
         target_names=["dx", "dy", "dz"],
         DESCR=_description("_ur10_tracker.rst"),
     )
+
+
+def data_folder(data_home, name):
+    """Folder of a data set below scikit-learn's data folder or `data_home`."""
+    if data_home is not None and Path(data_home).is_file():
+        raise NotADirectoryError(f"data_home={str(data_home)!r} is a file; a folder is needed.")
+    return Path(get_data_home(data_home)) / name
+
+
+def cached_file(name, folder, address, download_if_missing, *, n_retries=3, delay=1.0):
+    """Path of a file of `SHA256` below a folder, downloaded where it is not there or damaged."""
+    path, url, sha256 = folder / name, f"{address.rstrip('/')}/{name}", SHA256[name]
+    if not download_if_missing:
+        if not path.is_file():
+            raise OSError(f"{path} is not there, and download_if_missing=False.")
+        if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != sha256:
+            raise OSError(
+                f"{path} has the SHA-256 checksum {found}, but {sha256} is expected: it was cut "
+                "short or changed, and download_if_missing=False."
+            )
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        remote = RemoteFileMetadata(path.name, url, sha256)
+        return _fetch_remote(remote, path.parent, n_retries, delay)
+    except OSError as error:
+        raise OSError(f"{url} cannot be downloaded: {error}") from error
 
 
 def _description(name):

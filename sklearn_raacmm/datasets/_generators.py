@@ -26,10 +26,7 @@ _CALIBRATED_AT_DEGC = 20.0
 # A usual standard uncertainty of a gauge with cones at its ends.
 _LENGTH_SD_MM = 0.01
 # Numbers and lengths are checked with the machine at hand.
-_CONSTRAINTS = {
-    "machine": [SimulatedArm, ArmErrors, str],
-    "random_state": ["random_state"],
-}
+_CONSTRAINTS = {"machine": [SimulatedArm, ArmErrors, str], "random_state": ["random_state"]}
 
 if TYPE_CHECKING:  # scikit-learn's Bunch has no types
 
@@ -335,21 +332,17 @@ def _in_direction(machine, share, rng):
     return machine.shoulder + share * machine.reach * direction
 
 
-@lru_cache(maxsize=64)
-def _individual(errors, seed):
-    return SimulatedArm(errors, random_state=seed)
+_individual = lru_cache(maxsize=64)(SimulatedArm)
 
 
-def machine_and_stream(machine, random_state, stream):
+def machine_and_stream(machine, random_state, stream) -> tuple[SimulatedArm, Any]:
     # An instance of RandomState gives the next int, so that both uses below agree on it.
     if isinstance(random_state, int | np.integer):
         seed = int(random_state)
     else:
         seed = check_random_state(random_state).randint(2**31 - 1)
     if not isinstance(machine, SimulatedArm):
-        if not isinstance(machine, ArmErrors):
-            machine = ArmErrors.from_name(machine)
-        machine = _individual(machine, seed)
+        machine = _individual(machine, random_state=seed)
     return machine, np.random.RandomState([seed, stream])
 
 

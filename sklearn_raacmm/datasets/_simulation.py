@@ -91,20 +91,19 @@ class SimulatedArm:
         )
         # RandomState, not Generator: its stream is frozen, so a seed means the same data for ever.
         rng = check_random_state(random_state)
-        self.nominal_arm: Arm = Arm.from_name("aacmm6", up=up)
-        self.reach: float = float(
-            self.nominal_arm.d[[2, 4]].sum() + np.linalg.norm(self.nominal_arm.probe)
-        )
-        self.shoulder: np.ndarray = np.array([0.0, 0.0, self.nominal_arm.d[0]])
+        nominal = Arm.from_name("aacmm6", up=up)
+        self.nominal_arm: Arm = nominal
+        self.reach: float = float(nominal.d[[2, 4]].sum() + np.linalg.norm(nominal.probe))
+        self.shoulder: np.ndarray = np.array([0.0, 0.0, nominal.d[0]])
         length, angle = self.errors.length_mm, np.deg2rad(self.errors.angle_deg)
         # Base height and the first encoder's zero define the base frame: they have no error.
         free = np.arange(6) > 0
-        self.true_arm: Arm = self.nominal_arm.replace(
-            a=self.nominal_arm.a + length * rng.normal(size=6),
-            d=self.nominal_arm.d + length * rng.normal(size=6) * free,
-            alpha=self.nominal_arm.alpha + angle * rng.normal(size=6),
-            theta_offset=self.nominal_arm.theta_offset + angle * rng.normal(size=6) * free,
-            probe=self.nominal_arm.probe + length * rng.normal(size=3),
+        self.true_arm: Arm = nominal.replace(
+            a=nominal.a + length * rng.normal(size=6),
+            d=nominal.d + length * rng.normal(size=6) * free,
+            alpha=nominal.alpha + angle * rng.normal(size=6),
+            theta_offset=nominal.theta_offset + angle * rng.normal(size=6) * free,
+            probe=nominal.probe + length * rng.normal(size=3),
             name="true (simulated)",
         )
         self._amplitudes = rng.uniform(0.5, 1.5, size=(2, 6))
@@ -175,10 +174,9 @@ class SimulatedArm:
         torques = self._torques(axes, origin)
         payload = _per_row("payload_n", payload_n, len(angles))
         pulled = (axes * np.cross(levers / 1e3, -self.true_arm.up)).sum(axis=2) * payload
-        lag = np.zeros(angles.shape)
+        lag, softening = np.zeros(angles.shape), np.zeros(angles.shape)
         if directions is not None:
             lag = -self._play / 2 * _points("directions", directions, angles.shape)
-        softening = np.zeros(angles.shape)
         _, _, forearm, wrist = self._loads()
         # Torque about the elbow over that of the horizontal forearm.
         load = torques[:, 3] / ((forearm / 2 + wrist) * self.nominal_arm.d[4] / 1e3)
@@ -267,9 +265,8 @@ class SimulatedArm:
         """
         rng = check_random_state(random_state)
         angles = check_angles(angles, 6, "rad")
-        readings = angles + self.errors.encoder_noise_arcsec * _ARCSEC * rng.normal(
-            size=angles.shape
-        )
+        noise = self.errors.encoder_noise_arcsec * _ARCSEC
+        readings = angles + noise * rng.normal(size=angles.shape)
         step = self.errors.quantisation_arcsec * _ARCSEC
         return np.round(readings / step) * step if step else readings
 
@@ -410,9 +407,8 @@ def _reach(forward, arm, angles, points):
         normal = jacobian @ jacobian.transpose(0, 2, 1)
         # A stretched arm is singular: 1e-9 of the trace keeps its steps finite.
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        step = np.einsum(
-            "nij,ni->nj", jacobian, np.linalg.solve(normal, missing[..., None])[..., 0]
-        )
+        solved = np.linalg.solve(normal, missing[..., None])[..., 0]
+        step = np.einsum("nij,ni->nj", jacobian, solved)
         largest = np.abs(step).max(axis=1, keepdims=True)
         angles = angles + step * np.minimum(1, 0.3 / np.maximum(largest, 1e-300))
     return (angles + np.pi) % (2 * np.pi) - np.pi

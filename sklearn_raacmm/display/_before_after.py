@@ -77,14 +77,12 @@ class RepeatabilityDisplay(FittedDisplay):
     >>> plt.close(display.figure_)
     """
 
-    before: np.ndarray
     after: np.ndarray
     positions: ArrayLike | None = None
     floor: np.ndarray | None = None
     statistic: str = "2s"
     before_interval: np.ndarray | None = None
     after_interval: np.ndarray | None = None
-    name: str = "after"
 
     @classmethod
     def from_predictions(
@@ -158,8 +156,7 @@ class RepeatabilityDisplay(FittedDisplay):
         largest = max(np.max(values) for values in shown if values is not None)
         labels = np.arange(1, len(self.before) + 1) if self.positions is None else self.positions
         _draw_sides(self, ax, slice(None), labels, (0.0, 1.35 * largest), "mean")
-        statistic = _NAMES[self.statistic]
-        ax.set(xlabel="position", ylabel=f"repeatability, {statistic} ({self.unit_})")
+        ax.set(xlabel="position", ylabel=f"repeatability, {_NAMES[self.statistic]} ({self.unit_})")
         self.ax_: Any = ax
         self.figure_: Any = ax.figure
         return self
@@ -207,11 +204,9 @@ class LengthErrorDisplay(FittedDisplay):
     >>> plt.close(display.figure_)
     """
 
-    before: np.ndarray
     after: np.ndarray
     lengths: np.ndarray
     floor: np.ndarray | None = None
-    name: str = "after"
 
     @classmethod
     def from_predictions(

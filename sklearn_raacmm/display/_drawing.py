@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -20,14 +21,13 @@ AFTER = {"color": "#0072B2", "marker": "D", "linestyle": "", "markersize": 5}
 _MICROMETRES_UP_TO = 0.1
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class FittedDisplay:
     """What a correction does, drawn of given predictions or of those of a fitted model."""
 
-    name: str
-    ax_: Any
-    axes_: Any
-    figure_: Any
-    unit_: str
+    before: np.ndarray
+    name: str = "after"
+    unit_ = ""  # known when it is drawn
     # Whether `from_predictions` takes the joint angles beside the points or residuals.
     _draws_poses = False
 

@@ -73,10 +73,8 @@ class ResidualDisplay(FittedDisplay):
 
     _draws_poses = True
     pose: np.ndarray
-    before: np.ndarray
     after: np.ndarray | None = None
     feature_names: Sequence[Any] = ("theta3", "theta4", "theta_dis")
-    name: str = "after"
 
     @classmethod
     def from_predictions(

@@ -27,19 +27,11 @@ _DISTANCES = ("2s", "max", "mean")
 
 @overload
 def single_point_repeatability(
-    points: ArrayLike,
-    groups: ArrayLike | None = None,
-    *,
-    statistic: str = "2s",
-    aggregate: str = "mean",
+    points: ArrayLike, groups: ArrayLike | None = ..., *, statistic: str = ..., aggregate: str = ...
 ) -> float: ...
 @overload
 def single_point_repeatability(
-    points: ArrayLike,
-    groups: ArrayLike | None = None,
-    *,
-    statistic: str = "2s",
-    aggregate: None,
+    points: ArrayLike, groups: ArrayLike | None = ..., *, statistic: str = ..., aggregate: None
 ) -> Floats: ...
 def single_point_repeatability(
     points: ArrayLike,

@@ -55,9 +55,8 @@ def fit_sphere(points: ArrayLike) -> tuple[Floats, float, Floats]:
             f"{spread[0]:.3g} mm along it), which does not determine a sphere."
         )
     # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit.
-    unknowns = np.linalg.lstsq(
-        np.column_stack([2 * centred, np.ones(len(points))]), (centred**2).sum(axis=1), rcond=None
-    )[0]
+    columns = np.column_stack([2 * centred, np.ones(len(points))])
+    unknowns = np.linalg.lstsq(columns, (centred**2).sum(axis=1), rcond=None)[0]
     start = np.append(unknowns[:3], np.sqrt(max(unknowns[3] + unknowns[:3] @ unknowns[:3], 0)))
 
     def residuals(x):

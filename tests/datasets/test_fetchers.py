@@ -10,12 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm import calibrate
-from sklearn_raacmm.datasets import (
-    _download,
-    _fetchers,
-    fetch_panda_ball_socket,
-    fetch_ur10_tracker,
-)
+from sklearn_raacmm.datasets import _fetchers, fetch_panda_ball_socket, fetch_ur10_tracker
 
 MOVED = "moved-position"
 CONTENT = b"0.1,0.2\n0.3,0.4\n" * 100
@@ -61,7 +56,7 @@ def serve(monkeypatch):
 
 @pytest.fixture
 def published(tmp_path, monkeypatch):
-    monkeypatch.setitem(_download.SHA256, "table.csv", hashlib.sha256(CONTENT).hexdigest())
+    monkeypatch.setitem(_fetchers.SHA256, "table.csv", hashlib.sha256(CONTENT).hexdigest())
     folder = tmp_path / "published"
     folder.mkdir()
     (folder / "table.csv").write_bytes(CONTENT)
@@ -70,7 +65,7 @@ def published(tmp_path, monkeypatch):
 
 def cached(home, url, download_if_missing=True, n_retries=0):
     options = {"download_if_missing": download_if_missing, "n_retries": n_retries, "delay": 0}
-    return _download.cached_file("table.csv", home, url, **options)
+    return _fetchers.cached_file("table.csv", home, url, **options)
 
 
 def files(folder):
