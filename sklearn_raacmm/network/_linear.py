@@ -123,13 +123,11 @@ def _stacked(upper, lower, n_triangular):
 
 
 def stack_triangles(upper, lower):
-    """The triangular factor of two blocks of rows from those of each."""
+    """The triangular factor of two blocks of rows from those of each, triangular both."""
     k = upper.shape[1]
     if len(upper) < k or not k:
         return triangular_factor(np.vstack([upper, lower]))
-    triangular = not np.any(np.tril(lower, -1))
-    upper, lower = np.array(upper, order="F"), np.array(lower, order="F")
-    return _stacked(upper, lower, len(lower) if triangular else 0)
+    return _stacked(np.array(upper, order="F"), np.array(lower, order="F"), len(lower))
 
 
 def nested_least_squares(R, n_tail, penalty_root, alphas, within):
