@@ -383,8 +383,6 @@ def _sizes(chain, linear, table, vectors):
                 part = p("mul", part, p.constant(up[c]))
             torque = part if torque is None else p("add", torque, part)
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
-    if not extra:
-        return sizes
     values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
     pushed = np.flatnonzero(table["kind"] == Effect.PUSH)
     if len(pushed):

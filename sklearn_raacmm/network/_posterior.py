@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from scipy.linalg import LinAlgError, lapack
+from scipy.linalg import cholesky, lapack
 
 from sklearn_raacmm.network._kernels import (
     KERNELS,
@@ -301,7 +301,4 @@ def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
         C *= root[:, None]
         C *= root
     C[np.diag_indices(n)] += alpha
-    factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
-    if failed:
-        raise LinAlgError("kernel matrix is not positive definite to working precision")
-    return factor
+    return cholesky(C, lower=True, overwrite_a=True, check_finite=False)
