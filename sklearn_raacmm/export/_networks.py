@@ -26,7 +26,7 @@ def network(p, step, x, std):
 def _one_network(p, net, x, std):
     """Prediction and variance (or None) of outputs that share centres."""
     phi, linear = None, net.polynomial[1:].T
-    y = p.constant(net.polynomial[0] + 0.0)  # no negative zeros
+    y = p("add", p.constant(net.polynomial[0]), 0.0)
     if np.any(linear):
         y = p.affine(x, linear, net.polynomial[0])
     if len(net.centers):
