@@ -13,7 +13,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.error_model import ArmResidualRegressor, Effect
 from sklearn_raacmm.export._networks import network
-from sklearn_raacmm.export._program import Builder, hash_program, pruned, run
+from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
 from sklearn_raacmm.export._steps import (
     KNOWN,
@@ -104,7 +104,7 @@ def build_program(model, std=False, fade="exact", poses=None):
         about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_columns(model)]}
     if chain.fade != "exact":
         about["fingerprint"] = hash_program(build_program(model))
-    return p.program(outputs, about)
+    return pruned(Program(tuple(p.ops), outputs, about), outputs)
 
 
 def _read(chain, steps, x):
