@@ -247,11 +247,9 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
         about += within[kept]
     within = np.column_stack([summed(column) for column in about.T])
     if count is None:
-        observed = np.ones(n)
         several = np.flatnonzero((np.bincount(inverse, minlength=n) > 1)[inverse])
-        if len(several):
-            pairs = np.unique(np.column_stack([inverse[several], Y[several]]), axis=0)[:, 0]
-            observed = np.maximum(np.bincount(pairs.astype(np.intp), minlength=n), 1.0)
+        pairs = np.unique(np.column_stack([inverse[several], Y[several]]), axis=0)[:, 0]
+        observed = np.maximum(np.bincount(pairs.astype(np.intp), minlength=n), 1.0)
     else:
         alike = np.all(within == 0.0, axis=1)
         observed = np.where(alike, 1.0, summed(count[kept]))
