@@ -7,6 +7,8 @@ once. The others have a loop of their own.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from functools import partial
+
 import numpy as np
 
 from sklearn_raacmm.utils import LARGEST
@@ -101,17 +103,18 @@ class _Writer:
         """Lines of a template; a place for further lines may stay empty."""
         self.put(*filter(None, self.tables.c(name, **given).splitlines()))
 
-    def loop(self, n, body):
-        """``for`` over n numbers, or the body itself with 0 in place of i."""
+    def assign(self, name, n, expression, start=0):
+        """Numbers of an array, from `start` on, by the expression of each."""
         if n == 1:
-            self.put(body("0"))
+            self.put(f"{name}[{start}] = {expression('0')};")
         else:
-            self.put(f"for (int i = 0; i < {n}; ++i)", f"    {body('i')}")
+            place = f"{start} + i" if start else "i"
+            self.put(f"for (int i = 0; i < {n}; ++i)", f"    {name}[{place}] = {expression('i')};")
 
     def _assign(self, number, expression):
         """A value of its own, by the expression of each of its numbers."""
         self.declare(number)
-        self.loop(self.ops[number].size, lambda i: f"v{number}[{i}] = {expression(i)};")
+        self.assign(f"v{number}", self.ops[number].size, expression)
 
     def declare(self, number, n=None, fill=""):
         self.put(f"{self.real} v{number}[{n or self.ops[number].size}]{fill};")
@@ -143,13 +146,7 @@ class _Writer:
         start = 0
         for source in op.inputs:
             n = self.ops[source].size
-            place = "i" if start == 0 else f"{start} + i"
-            self.loop(
-                n,
-                lambda i, place=place, start=start, source=source: (
-                    f"v{number}[{place if i == 'i' else start}] = {self.at(source, i)};"
-                ),
-            )
+            self.assign(f"v{number}", n, partial(self.at, source), start)
             start += n
 
     def _dots(self, number, op):
@@ -206,7 +203,7 @@ class _Writer:
             table = self.tables("columns", packed.ravel())
             self.declare(number, n, " = {0}")
             if np.any(shift):
-                self.loop(rows, lambda i: f"v{number}[{i}] = {self._init(shift)};")
+                self.assign(f"v{number}", rows, partial(self._init, shift))
             self.fill("columns", v=f"v{number}", x=x, table=table, columns=columns, length=length)
 
     def _init(self, shift, i="i"):
@@ -292,7 +289,7 @@ def function(program, tables, name, faded_below):
     tables.help("all_finite", most=most)
     outputs = [f"{real} {out}_out[{ops[i].size}]" for out, i in program.outputs.items()]
     for out, i in program.outputs.items():
-        writer.loop(ops[i].size, lambda j, out=out, i=i: f"{out}_out[{j}] = {writer.at(i, j)};")
+        writer.assign(f"{out}_out", ops[i].size, partial(writer.at, i))
     finite = f"all_finite(y_out, {program.n_outputs})"
     status = f"return {finite} ? 0 : 2;"
     if "trust" in program.outputs:

@@ -210,10 +210,10 @@ def answers_in_c(program, dtype, X):
     except RuntimeError:
         return None
     model = CompiledModel(program, dtype, _FAST)
-    calls = {"y": (model._verb, 1), "point": ("point", 1), "std": (f"{model._verb}_std", 2)}
+    calls = {"y": model.predict, "point": model.point, "std": lambda row: model.predict_std(row)[1]}
     return {
-        name: np.array([model._row(row, verb)[place].copy() for row in X], dtype=float)
-        for name, (verb, place) in calls.items()
+        name: np.array([call(row) for row in X], dtype=float)
+        for name, call in calls.items()
         if name in program.outputs
     }
 

@@ -35,17 +35,16 @@ class ModelCard(dict[str, Any]):
     def __str__(self) -> str:
         lines = ["# Residual correction of an arm", ""]
         for key, value in self.items():
-            if key in ("updates", "findings"):
-                lines += ["", f"## {key}", ""]
-                lines += [f"- {_short(entry)}" for entry in value]
-                continue
-            if not isinstance(value, dict):
-                lines.append(f"- {_words(key)}: {_short(value)}")
-                continue
-            lines += ["", f"## {_words(key)}", ""]
             # The arm to 1e-9 mm and rad: its table is what the corrections belong to.
             digits = 17 if key == "arm" else 6
-            lines += [f"- {_words(name)}: {_short(fact, digits)}" for name, fact in value.items()]
+            if key in ("updates", "findings"):
+                facts = map(_short, value)
+            elif isinstance(value, dict):
+                facts = _named(value, digits)
+            else:
+                lines += [f"- {fact}" for fact in _named({key: value})]
+                continue
+            lines += ["", f"## {_words(key)}", "", *(f"- {fact}" for fact in facts)]
         return "\n".join(lines) + "\n"
 
 
@@ -56,14 +55,17 @@ def _words(key):
     return " ".join(words) + unit
 
 
+def _named(facts, digits=6):
+    return [f"{_words(name)}: {_short(fact, digits)}" for name, fact in facts.items()]
+
+
 def _short(value, digits=6):
     if isinstance(value, float):
         return repr(round(value, 9) + 0.0) if digits >= 17 else f"{value:.{digits}g}"
     if isinstance(value, list):
         return ", ".join(_short(entry, digits) for entry in value)
     if isinstance(value, dict):
-        facts = (f"{_words(name)}: {_short(fact, digits)}" for name, fact in value.items())
-        return "; ".join(facts)
+        return "; ".join(_named(value, digits))
     return "unknown" if value is None else escaped(value)
 
 
@@ -143,15 +145,13 @@ def describe(
     if X is None and (y is not None or groups is not None):
         raise ValueError("y and groups describe rows of X, which is None.")
     arm, unit = _arm(model)
-    first = next(leaves(model))[1]
+    n = next(leaves(model))[1].n_features_in_
     then = "".join(f", then {name}" for name, _ in extra_columns(model))
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=None,
         steps=[described(step) for _, step in leaves(model)],
-        input=f"{first.n_features_in_} columns"
-        if arm is None
-        else f"{arm.n_joints} joint angles in {unit}{then}",
+        input=f"{n} columns" if arm is None else f"{arm.n_joints} joint angles in {unit}{then}",
         output="residual of the probe in the base frame, mm: subtract it from the measured point"
         if arm is not None
         else "as fitted",

@@ -13,7 +13,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm.arm import MIN_LENGTH_MM
 from sklearn_raacmm.error_model import ArmResidualRegressor, Effect
 from sklearn_raacmm.export._networks import network
-from sklearn_raacmm.export._program import Builder, hash_program, pruned, run
+from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
 from sklearn_raacmm.export._steps import (
     KNOWN,
@@ -104,7 +104,7 @@ def build_program(model, std=False, fade="exact", poses=None):
         about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_columns(model)]}
     if chain.fade != "exact":
         about["fingerprint"] = hash_program(build_program(model))
-    return p.program(outputs, about)
+    return pruned(Program(tuple(p.ops), outputs, about), outputs)
 
 
 def _read(chain, steps, x):
@@ -383,8 +383,6 @@ def _sizes(chain, linear, table, vectors):
                 part = p("mul", part, p.constant(up[c]))
             torque = part if torque is None else p("add", torque, part)
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
-    if not extra:
-        return sizes
     values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
     pushed = np.flatnonzero(table["kind"] == Effect.PUSH)
     if len(pushed):

@@ -25,12 +25,11 @@ def network(p, step, x, std):
 
 def _one_network(p, net, x, std):
     """Prediction and variance (or None) of outputs that share centres."""
-    k, phi = len(net.centers), None
-    linear = net.polynomial[1:].T
+    phi, linear = None, net.polynomial[1:].T
     y = p("add", p.constant(net.polynomial[0]), 0.0)
     if np.any(linear):
         y = p.affine(x, linear, net.polynomial[0])
-    if k:
+    if len(net.centers):
         # Centred as predict does it: the rounding is the same.
         shift = net.centers.mean(axis=0)
         phi = p(

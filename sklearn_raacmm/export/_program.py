@@ -107,9 +107,6 @@ class Builder:
         """The sum of a value's numbers."""
         return self("dots", x, np.ones(self.size(x)))
 
-    def program(self, outputs, about):
-        return pruned(Program(tuple(self.ops), outputs, about), outputs)
-
 
 def pruned(program, names):
     """The program of some outputs: only what these need, in the same order."""

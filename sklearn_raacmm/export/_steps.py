@@ -79,10 +79,9 @@ def described(step):
     """What a step is, in a few words for people."""
     name = type(step).__name__
     if isinstance(step, RBFNetRegressor):
-        parts = step.networks_
-        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in parts]
-        if len(parts) > 1:
-            named = [", ".join(map(str, part.outputs)) for part in parts]
+        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in step.networks_]
+        if len(texts) > 1:
+            named = (", ".join(map(str, part.outputs)) for part in step.networks_)
             texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]
         return f"{name}: {'; '.join(texts)}"
     if isinstance(step, PoseFeatures):
@@ -113,10 +112,9 @@ def typical_rows(model, n, seed=0):
             rows[:, of_scaler] = step.inverse_transform(rows[:, of_scaler])
             break
         if isinstance(step, RBFNetRegressor):
-            centers = np.concatenate([part.centers for part in step.networks_])
+            centers = step.centers_
             if len(centers):
-                pairs = rng.integers(0, len(centers), (2, n))
-                inside = centers[pairs].mean(axis=0)
+                inside = centers[rng.integers(0, len(centers), (2, n))].mean(axis=0)
                 rows[:, : inside.shape[1]] = inside
         if isinstance(step, CylindricalResidualTarget) and step._drops_direction:
             turns = rng.uniform(-np.pi, np.pi, n)

@@ -110,10 +110,8 @@ class State(NamedTuple):
     @property
     def gains(self) -> np.ndarray:
         """Rise of the log evidence by each pair, beside all others, (k,)."""
-        if not len(self.pairs):
-            return np.empty(0)
         m = len(self.coef) - 2 * len(self.pairs)
-        half = self.half[m:].reshape(len(self.pairs), 2, -1)
+        half = self.half[m:].reshape(-1, 2, max(len(self.half), 1))
         covariance = half @ half.swapaxes(1, 2)
         coef = self.coef[m:].reshape(-1, 2)
         fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)

@@ -3,8 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
+from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network
 from sklearn_raacmm.network._rbf_net import RBFNetRegressor
 
-__all__ = ["KERNELS", "Network", "RBFNetRegressor", "kernel_matrix"]
+__all__ = ["KERNELS", "Network", "RBFNetRegressor"]

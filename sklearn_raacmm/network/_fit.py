@@ -76,7 +76,7 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
             length_scale=width,
             isotropic=width is None and estimator.length_scale == "isotropic",
             alpha=None if alpha is None else alpha[of] / sample.unit,
-            may_be_linear=estimator.degree == "auto" and width is None and alpha is None,
+            may_be_linear=estimator.degree == "auto",
             random_state=rng,
         )
         value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())

@@ -22,25 +22,23 @@ SILENT, DOUBT = 0.05, 1.0
 class Polynomial(NamedTuple):
     """Columns of a polynomial: 1 and features, centred and scaled to be well conditioned."""
 
-    used: np.ndarray | None  # features of the linear part; None for no polynomial at all
+    n_constants: int  # 1, or 0 for no polynomial at all
+    used: np.ndarray  # features of the linear part
     center: np.ndarray  # (d,)
     scale: np.ndarray  # (d,)
 
     def columns(self, X):
         """Its p columns at rows (n, d)."""
-        if self.used is None:
-            return np.empty((len(X), 0))
         linear = (X[:, self.used] - self.center[self.used]) / self.scale[self.used]
-        return np.column_stack([np.ones(len(X)), linear])
+        return np.column_stack([np.ones((len(X), self.n_constants)), linear])
 
     @property
     def coefficients(self):
         """From coefficients of its columns to those of (1, x), (p, 1 + d)."""
         d = len(self.center)
-        if self.used is None:
-            return np.empty((0, d + 1))
         linear = np.eye(d)[self.used] / self.scale[self.used, None]
-        return np.vstack([np.eye(1, d + 1), np.column_stack([-linear @ self.center, linear])])
+        constant = np.eye(self.n_constants, d + 1)
+        return np.vstack([constant, np.column_stack([-linear @ self.center, linear])])
 
 
 def polynomial_of(X, weights, degree, ridged=False):
@@ -56,7 +54,7 @@ def polynomial_of(X, weights, degree, ridged=False):
             R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
             size = np.abs(R.diagonal())
             used = np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
-    return Polynomial(None if degree < 0 else used, center, scale)
+    return Polynomial(int(degree >= 0), used, center, scale)
 
 
 def ridge_rows(n_tail, ridge):
@@ -123,13 +121,11 @@ def _stacked(upper, lower, n_triangular):
 
 
 def stack_triangles(upper, lower):
-    """The triangular factor of two blocks of rows from those of each."""
+    """The triangular factor of two blocks of rows from those of each, triangular both."""
     k = upper.shape[1]
     if len(upper) < k or not k:
         return triangular_factor(np.vstack([upper, lower]))
-    triangular = not np.any(np.tril(lower, -1))
-    upper, lower = np.array(upper, order="F"), np.array(lower, order="F")
-    return _stacked(upper, lower, len(lower) if triangular else 0)
+    return _stacked(np.array(upper, order="F"), np.array(lower, order="F"), len(lower))
 
 
 def nested_least_squares(R, n_tail, penalty_root, alphas, within):

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from scipy.linalg import LinAlgError, lapack
+from scipy.linalg import cholesky, lapack
 
 from sklearn_raacmm.network._kernels import (
     KERNELS,
@@ -138,19 +138,18 @@ class Network:
         return rows
 
     @cached_property
+    @one_blas_thread
     def _roots(self):
         """A and B of every ridge."""
         find = self._roots_of_process if self.all_rows else self._roots_of_centers
         return {alpha: find(alpha) for alpha in np.unique(self.alpha)}
 
-    @one_blas_thread
     def _roots_of_centers(self, alpha):
         centers, p = self._scaled_centers[1], len(self.tail_map)
         root = psd_root(kernel_matrix(centers, centers, self.kernel))
         R = penalise(self.design_triangle(), p, root, alpha)[1]
         return self.prior_root, lapack.dtrtri(R)[0].T if R.size else R.T
 
-    @one_blas_thread
     def _roots_of_process(self, alpha):
         root, p = np.sqrt(self.weights)[:, None], len(self.tail_map)
         factor = covariance_factor(
@@ -200,9 +199,8 @@ class Network:
             outside[diagonal] = np.maximum(1 - np.square(inside).sum(axis=1), 0.0)
             of_weights = solved @ solved.T
             of_weights[diagonal] += float(with_noise)
-            for i in of:
-                found[:, :, i] = self.signal_variance[i] * outside
-                found[:, :, i] += self.noise_variance[i] * of_weights
+            found[:, :, of] = np.multiply.outer(outside, self.signal_variance[of])
+            found[:, :, of] += np.multiply.outer(of_weights, self.noise_variance[of])
         return found
 
     def sample(
@@ -303,7 +301,4 @@ def covariance_factor(Z, kernel, weights, alpha, codes=None, ratio=0.0):
         C *= root[:, None]
         C *= root
     C[np.diag_indices(n)] += alpha
-    factor, failed = lapack.dpotrf(C, lower=1, clean=1, overwrite_a=1)
-    if failed:
-        raise LinAlgError("kernel matrix is not positive definite to working precision")
-    return factor
+    return cholesky(C, lower=True, overwrite_a=True, check_finite=False)

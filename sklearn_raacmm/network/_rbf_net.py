@@ -36,7 +36,17 @@ _SOMETIMES = ("log_marginal_likelihood_value_", "row_weight_")
 
 def _each_output(find: Callable[[Network], np.ndarray]) -> Any:
     """An attribute: what a function of each network gives, in the order of the outputs."""
-    return property(lambda self: self._shaped([find(network) for network in self.networks_]))
+    return property(lambda self: self._shaped([find(network) for network in self.networks_]).T)
+
+
+def _each_network(name: str) -> Any:
+    """An attribute of the only network, or an array of those of each output's."""
+
+    def find(self):
+        found = [getattr(network, name) for network in self.networks_]
+        return np.array(found) if found[1:] else found[0]
+
+    return property(find)
 
 
 class RBFNetRegressor(VersionedRegressor):
@@ -348,7 +358,7 @@ class RBFNetRegressor(VersionedRegressor):
         check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
-        X = self._checked_rows(X)
+        X = check_features(self, X, dtype=np.float64, reset=False)
         packed = vars(self).get("_packed")
         if packed is None or packed[0] is not self.networks_:
             packed = self._packed = self.networks_, pack(self.networks_)
@@ -404,7 +414,7 @@ class RBFNetRegressor(VersionedRegressor):
         >>> model.sample_y([[1.0], [2.0]], n_samples=3).shape
         (2, 3)
         """
-        X = self._checked_rows(X)
+        X = check_features(self, X, dtype=np.float64, reset=False)
         n_samples = check_scalar(n_samples, "n_samples", Integral, min_val=1)
         rng = check_random_state(random_state)
         parts = [network.sample(X, n_samples, rng, with_noise) for network in self.networks_]
@@ -429,11 +439,8 @@ class RBFNetRegressor(VersionedRegressor):
             If the model is not fitted; if X has another number of features than in fit, or holds
             NaN or infinity.
         """
-        X = self._checked_rows(X)
+        X = check_features(self, X, dtype=np.float64, reset=False)
         return self._shaped([network.gradient(X) for network in self.networks_], axis=1)
-
-    def _checked_rows(self, X) -> np.ndarray:
-        return check_features(self, X, dtype=np.float64, reset=False)
 
     def _shaped(self, parts, axis=-1):
         """Values of the networks' outputs, in the order of the targets' columns, as y had them."""
@@ -441,19 +448,8 @@ class RBFNetRegressor(VersionedRegressor):
         values = np.take(np.concatenate(parts, axis=axis), order, axis=axis)
         return values.take(0, axis=axis) if self._flat else values
 
-    def _by_network(self, name):
-        """A number of the only network, or of each output's."""
-        if len(self.networks_) == 1:
-            return getattr(self.networks_[0], name)
-        return np.array([getattr(network, name) for network in self.networks_])
-
-    @property
-    def kernel_(self) -> Any:
-        return self._by_network("kernel")
-
-    @property
-    def length_scale_(self) -> np.ndarray:
-        return self._by_network("length_scale")
+    kernel_: Any = _each_network("kernel")
+    length_scale_: np.ndarray = _each_network("length_scale")
 
     @property
     def centers_(self) -> np.ndarray:
@@ -464,6 +460,7 @@ class RBFNetRegressor(VersionedRegressor):
         coef = block_diag(*(network.coef for network in self.networks_))
         return self._shaped([coef]).T
 
+    linear_coef_: np.ndarray = _each_output(lambda network: network.polynomial[1:])
     intercept_: np.ndarray = _each_output(lambda network: network.polynomial[0])
     alpha_: np.ndarray = _each_output(lambda network: network.alpha * network.weight_unit)
     noise_variance_: np.ndarray = _each_output(lambda network: network.noise_variance)
@@ -471,10 +468,6 @@ class RBFNetRegressor(VersionedRegressor):
     group_std_: np.ndarray = _each_output(
         lambda network: np.sqrt(network.ratio * network.noise_variance)
     )
-
-    @property
-    def linear_coef_(self) -> np.ndarray:
-        return self._shaped([network.polynomial[1:] for network in self.networks_]).T
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what `predict` keeps from one call to the next.

@@ -63,8 +63,6 @@ def distinct_rows(blocks, n_features, codes, rng):
 
 def _refuse_tiny(name, array):
     """Refuse columns of numbers so small that their squares underflow."""
-    if not array.size:
-        return
     size = np.maximum(array.max(axis=0), -array.min(axis=0))
     tiny = (size > 0) & (size < 1 / LARGEST**2)
     if np.any(tiny):
@@ -76,20 +74,12 @@ def _refuse_tiny(name, array):
 
 def check_parameters(estimator, X, n_outputs):
     """Widths (d,) and ridges (q,); None where they are to be found."""
-    alpha = estimator.alpha
-    if isinstance(alpha, str):
-        alpha = None
-    else:
-        alpha = floats("alpha", alpha)
-        if alpha.ndim > 1 or (alpha.ndim == 1 and len(alpha) != n_outputs):
-            raise ValueError(
-                f"alpha has shape {alpha.shape}; it must be a number or have one entry for each of "
-                f"the {n_outputs} outputs."
-            )
-        if not np.all((alpha >= 0) & np.isfinite(alpha)):
-            raise ValueError(f"alpha must be finite and not negative; got {estimator.alpha!r:.60}.")
-        alpha = np.broadcast_to(alpha, n_outputs).copy()
-    width = _check_length_scale(estimator.length_scale, X, alpha)
+    alpha = _of_each("alpha", estimator.alpha, n_outputs, "outputs")
+    if alpha is not None and not np.all((alpha >= 0) & np.isfinite(alpha)):
+        raise ValueError(f"alpha must be finite and not negative; got {estimator.alpha!r:.60}.")
+    width = _of_each("length_scale", estimator.length_scale, X.shape[1], "features")
+    if width is not None:
+        _check_widths(estimator.length_scale, width, X, alpha)
     if estimator.n_centers == "auto" and alpha is not None and not np.all(alpha > 0):
         raise ValueError(
             'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
@@ -98,21 +88,25 @@ def check_parameters(estimator, X, n_outputs):
     return width, alpha
 
 
-def _check_length_scale(length_scale, X, alpha):
-    """Width of every feature (d,); None where they are to be found."""
-    if isinstance(length_scale, str):
+def _of_each(name, value, n, what):
+    """A number, or one for each of n, as an array (n,); None where it is to be found."""
+    if isinstance(value, str):
         return None
-    width, d = floats("length_scale", length_scale), X.shape[1]
-    if width.shape not in ((), (d,)):
+    value = floats(name, value)
+    if value.shape not in ((), (n,)):
         raise ValueError(
-            f"length_scale has shape {width.shape}; it must be a number or have one entry for each "
-            f"of the {d} features."
+            f"{name} has shape {value.shape}; it must be a number or have one entry for each of "
+            f"the {n} {what}."
         )
+    return np.broadcast_to(value, n).copy()
+
+
+def _check_widths(length_scale, width, X, alpha):
+    """Refuse widths (d,), given as `length_scale`, that double precision does not resolve."""
     if not np.all(width >= 1 / LARGEST):
         raise ValueError(
             f"length_scale must be positive, at least {1 / LARGEST:g}; got {length_scale!r:.60}."
         )
-    width = np.broadcast_to(width, d).copy()
     ranges = np.ptp(X, axis=0)
     i = np.argmax(ranges / width)
     most = ranges[i] / width[i]
@@ -126,4 +120,3 @@ def _check_length_scale(length_scale, X, alpha):
             f"length_scale is more than {_MAX_WIDTH:g} times the range of every feature: with "
             "alpha=0 double precision does not tell the radial functions from a constant."
         )
-    return width

@@ -70,8 +70,7 @@ class Rows(NamedTuple):
     def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
-        return self._replace(**arrays, codes=codes)
+        return self._make([*(array[kept] for array in self[:6]), codes])
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
@@ -248,11 +247,9 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
         about += within[kept]
     within = np.column_stack([summed(column) for column in about.T])
     if count is None:
-        observed = np.ones(n)
         several = np.flatnonzero((np.bincount(inverse, minlength=n) > 1)[inverse])
-        if len(several):
-            pairs = np.unique(np.column_stack([inverse[several], Y[several]]), axis=0)[:, 0]
-            observed = np.maximum(np.bincount(pairs.astype(np.intp), minlength=n), 1.0)
+        pairs = np.unique(np.column_stack([inverse[several], Y[several]]), axis=0)[:, 0]
+        observed = np.maximum(np.bincount(pairs.astype(np.intp), minlength=n), 1.0)
     else:
         alike = np.all(within == 0.0, axis=1)
         observed = np.where(alike, 1.0, summed(count[kept]))

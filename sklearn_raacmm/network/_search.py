@@ -150,8 +150,7 @@ def search(
     # log(1 + d) more: with 20 features and 10 rows 91 % of new observations are inside the 95 %
     # intervals with it, 80 % without.
     n_found = task.n_widths + np.log1p(d * (length_scale is None)) + task.constants + task.n_alphas
-    if task.n_widths:
-        task, theta = _leave_out_flat(task, kernel, theta, many)
+    task, theta = _leave_out_flat(task, kernel, theta, many)
     if len(data.X) > len(many.X) and parameters(task, kernel, theta, many) > ROUGH * len(many.X):
         more = data.some(data.draw(FINE_ROWS, random_state))
         theta = minimise(task, theta, more, kernel, FINE_STEPS)
