@@ -146,8 +146,9 @@ def _days(label, text):
         if len(days) > 2 or days != sorted(days):
             raise ValueError
     except ValueError:
-        needed = "a day such as 2026-11-23, or two, 2026-11-20/2026-11-23"
-        raise TableError(f"{label}: {needed}, got {text!r}.") from None
+        raise TableError(
+            f"{label}: a day such as 2026-11-23, or two, 2026-11-20/2026-11-23, got {text!r}."
+        ) from None
     return [day.isoformat() for day in days] or [""]
 
 

@@ -101,8 +101,10 @@ def take(arm, code):
     word, *joints = code.split("-")
     numbers = [str(i + 1) for i in range(arm.n_joints)]
     if word != "reversed" or not joints or not set(joints) <= set(numbers):
-        needed = f"reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4"
-        raise TableError(f"--take needs {needed}, or other-convention, got {code!r}.")
+        raise TableError(
+            f"--take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, or "
+            f"other-convention, got {code!r}."
+        )
     return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(numbers, joints), -1, 1))
 
 

@@ -182,8 +182,10 @@ def _numbers(table, column):
         try:
             times.append(datetime.fromisoformat(text).timestamp())
         except ValueError:
-            what = f"{text!r} is neither a number nor a time such as 2024-05-31 12:30:00"
-            raise TableError(f"row {row}, column {column!r}: {what}.") from None
+            raise TableError(
+                f"row {row}, column {column!r}: {text!r} is neither a number nor a time such as "
+                "2024-05-31 12:30:00."
+            ) from None
     return np.array(times)
 
 
@@ -232,9 +234,10 @@ def parse_length(text):
         first, second, length, sd = (part.strip() for part in text.split(":"))
         return first, second, parse_number(length), parse_number(sd)
     except ValueError:
-        needed = "two positions, their distance and its standard deviation in mm"
-        such = "such as A:B:500.012:0.005"
-        raise TableError(f"--length needs {needed}, {such}, got {text!r}.") from None
+        raise TableError(
+            "--length needs two positions, their distance and its standard deviation in mm, such "
+            f"as A:B:500.012:0.005, got {text!r}."
+        ) from None
 
 
 def read_lengths(path, sd=None):

@@ -92,8 +92,10 @@ def update(options):
     most = ", ".join(parts[:4]) or "nothing"
     print(f"Changed most, in per cent of its usual size: {most}.")
     rms = _rms(now - was)
-    change = f"mean deviation {before:.3f} -> {after:.3f} mm"
-    print(f"The correction has changed by {rms:.3f} mm (rms) at these poses; {change}.")
+    print(
+        f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
+        f"{before:.3f} -> {after:.3f} mm."
+    )
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": rms, "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
@@ -183,8 +185,10 @@ def _check_model(saved, today, measured, rate, options):
         print("The base was found from these same poses: what it takes up shows no change.")
     if not found.holds:
         little = "" if changed else " That is too little to act on."
-        size = f"{found.size_mm:.3f} mm at the probe (p = {found.p_value:.2g})"
-        print(f"Suspect: {found.suspect}, {size}, where {found.usual_mm:.3f} mm is usual.{little}")
+        print(
+            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
+            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
+        )
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")

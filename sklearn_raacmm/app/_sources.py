@@ -72,8 +72,9 @@ def check_installed(*names):
     """Refuse work that needs, perhaps in its last step, packages that are missing."""
     missing = [name for name in names if find_spec(name) is None]
     if missing:
-        needed = " and ".join(missing)
-        raise TableError(f"{needed} must be installed: pip install {' '.join(missing)}.")
+        raise TableError(
+            f"{' and '.join(missing)} must be installed: pip install {' '.join(missing)}."
+        )
 
 
 def parse_number(text):

@@ -233,7 +233,9 @@ def _with_points(layout, table, source):
                 how = f"matched by the column {name}"
                 break
     if len(order) != len(table.angles):
-        counts = f"{source} holds {len(points)} points, {layout.path} {len(table.angles)} rows"
-        raise TableError(f"{counts}, and no column of names says which belong together.")
+        raise TableError(
+            f"{source} holds {len(points)} points, {layout.path} {len(table.angles)} rows, "
+            "and no column of names says which belong together."
+        )
     table.notes.append(f"Points of {source}, {how}.")
     return replace(table, points=points[order])

@@ -94,8 +94,9 @@ class HarmonicDisplay:
         """
         check_model(estimator)
         if not isinstance(estimator, ArmResidualRegressor):
-            kind = type(estimator).__name__
-            raise TypeError(f"Harmonics are drawn of an ArmResidualRegressor, got {kind}.")
+            raise TypeError(
+                f"Harmonics are drawn of an ArmResidualRegressor, got {type(estimator).__name__}."
+            )
         return cls(harmonics=estimator.harmonics_, n_joints=estimator.arm_.n_joints).plot(axes)
 
     def plot(self, axes: Any = None) -> Self:
@@ -112,7 +113,8 @@ class HarmonicDisplay:
             The display, with `axes_` and `figure_`.
         """
         n = self.n_joints
-        axes = axes_grid(axes, (n, 3), figsize=(10, 1.0 + 1.1 * n), sharex=True, sharey="col")
+        size = (10, 1.0 + 1.1 * n)
+        axes = axes_grid(axes, (n, 3), figsize=size, sharex=True, sharey="col")
         for joint, (left, middle, right) in enumerate(axes, start=1):
             mine = self.harmonics["joint"] == joint
             some = self.harmonics[mine]

@@ -147,6 +147,8 @@ def _check_lengths(name, lengths) -> np.ndarray:
         raise ValueError(f"{name} has shape {lengths.shape}; one value per length is needed.")
     bad = lengths <= 0
     if bad.any():
-        what = f"{bad.sum()} of {len(bad)} values that are not positive lengths"
-        raise ValueError(f"{name} holds {what} (the first: {lengths[bad][0]}).")
+        raise ValueError(
+            f"{name} holds {bad.sum()} of {len(bad)} values that are not positive lengths "
+            f"(the first: {lengths[bad][0]})."
+        )
     return lengths
