@@ -12,12 +12,16 @@ from sklearn_raacmm.error_model import ArmResidualRegressor
 
 _DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
 
+# Orders above this are those of gears, which show at their ratio and small multiples of it.
+_COMMON_ORDER, _MULTIPLES = 72, np.array([1, 2, 3, 4])
+
 
 class HarmonicDisplay:
     """Amplitude, phase and evidence of every harmonic found, joint by joint.
 
-    Make one with :meth:`from_estimator`. Bars are one standard deviation either way. A gear shows
-    at multiples of its ratio.
+    Make one with :meth:`from_estimator`. Bars are one standard deviation either way. Where orders
+    above 72 are multiples of one number, on this joint or on several, the joint's label names it:
+    most likely the ratio of its gear.
 
     Parameters
     ----------
@@ -32,6 +36,8 @@ class HarmonicDisplay:
         Standard deviations of the amplitudes, arc seconds.
     phase_sd : ndarray of shape (n_harmonics,)
         Standard deviations of the phases, degrees.
+    gear_ratios : ndarray of shape (n_joints,)
+        Likely gear ratio of each joint, 0 where the orders show none.
     axes_ : ndarray of matplotlib Axes of shape (n_joints, 3)
         A row for each joint; amplitudes, phases and log Bayes factors.
     figure_ : matplotlib Figure
@@ -66,6 +72,9 @@ class HarmonicDisplay:
         self.n_joints = n_joints
         names = ("cos", "sin", "cos_sd", "sin_sd")
         cos, sin, cos_sd, sin_sd = (harmonics[f"{name}_arcsec"] for name in names)
+        self.gear_ratios: np.ndarray = _likely_gear_ratios(
+            harmonics["joint"], harmonics["order"], harmonics["log_bayes_factor"], n_joints
+        )
         size = np.hypot(cos, sin)
         self.amplitude_sd: np.ndarray = np.hypot(cos * cos_sd, sin * sin_sd) / size
         self.phase_sd: np.ndarray = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
@@ -118,7 +127,8 @@ class HarmonicDisplay:
         for joint, (left, middle, right) in enumerate(axes, start=1):
             mine = self.harmonics["joint"] == joint
             some = self.harmonics[mine]
-            left.set_ylabel(f"joint {joint}")
+            ratio = self.gear_ratios[joint - 1]
+            left.set_ylabel(f"joint {joint}" + (f"\ngear {ratio}?" if ratio else ""))
             for ax in (left, middle, right):
                 ax.grid(axis="y", color="0.9")
                 ax.set_axisbelow(True)
@@ -146,3 +156,21 @@ class HarmonicDisplay:
             ax.set_xlim(left=0)
         self.axes_, self.figure_ = axes, axes[0, 0].figure
         return self
+
+
+def _likely_gear_ratios(joint, order, evidence, n_joints):
+    """Gear ratio of each joint, 0 where none is likely, from joints, orders and log Bayes factors.
+
+    The order above 72 for which the evidence of its multiples on all joints is largest, given that
+    it has a multiple on this joint and one more anywhere.
+    """
+    ratios = np.zeros(n_joints, dtype=int)
+    most = np.zeros(n_joints)
+    for ratio in np.unique(order[order > _COMMON_ORDER]):
+        members = np.isin(order, ratio * _MULTIPLES)
+        support = evidence[members].sum()
+        if np.count_nonzero(members) > 1:
+            own = np.unique(joint[members].astype(int)) - 1
+            better = own[support > most[own]]
+            ratios[better], most[better] = ratio, support
+    return ratios

@@ -263,3 +263,18 @@ def test_harmonics_are_drawn_joint_by_joint():
     assert display.n_joints == 6
     with pytest.raises(TypeError, match="got LinearRegression"):
         HarmonicDisplay.from_estimator(LinearRegression().fit(theta, y))
+
+
+def test_gear_ratios_are_named_where_orders_are_multiples():
+    """As a UR10 shows them; a lone high order names nothing."""
+    found = [(1, 1, 9), (1, 128, 40), (2, 256, 30), (3, 128, 20), (4, 2, 50), (5, 99, 60)]
+    found += [(6, 100, 8), (6, 200, 9), (2, 100, 5)]
+    names = ["joint", "order", "amplitude_arcsec", "phase_deg", "log_bayes_factor"]
+    names += [f"{part}_arcsec" for part in ("cos", "sin", "cos_sd", "sin_sd")]
+    table = np.ones(len(found), dtype=[(name, float) for name in names])
+    table["joint"], table["order"], table["log_bayes_factor"] = np.transpose(found)
+    display = HarmonicDisplay(harmonics=table, n_joints=6).plot()
+    assert display.gear_ratios.tolist() == [128, 128, 128, 0, 0, 100]
+    labels = [ax.get_ylabel() for ax in display.axes_[:, 0]]
+    assert labels[0] == "joint 1\ngear 128?"
+    assert labels[4] == "joint 5"
