@@ -49,15 +49,13 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     of_rows, _, doubt = model.linear_model_.predict_with_doubt(poses.angles)
     as_given = False
     if poses.codes is not None:
-        rows = np.flatnonzero(poses.weights > 0)
-        own = poses.residuals[rows], poses.codes[rows], linear.arm, poses.angles[rows, :n_joints]
-        expected = model.fading_.share(doubt)[rows, None] * of_rows[rows]
-        as_given, found = of_own_points(*own, rows, known=expected)
+        own = poses.residuals, poses.codes, linear.arm, poses.angles[:, :n_joints]
+        expected = model.fading_.share(doubt)[:, None] * of_rows
+        as_given, found = of_own_points(*own, np.arange(len(of_rows)), known=expected)
         if found:
             yield from found
             return
-    known = replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE
-    used = np.flatnonzero((poses.weights > 0) & known)
+    used = np.flatnonzero(replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE)
     if len(used) < _LEAST_ROWS:
         return
     poses = poses.at(used)
