@@ -134,8 +134,8 @@ def print_notes(notes):
         warnings.warn(note, stacklevel=2)
 
 
-def find_rows(options, arm, labelled=True):
-    """Layout of the table that the options name."""
+def find_rows(options, arm, labelled=True, needed=True):
+    """Layout of the table that the options name; labels may be missing where none are needed."""
     points = getattr(options, "points", None)
     labels = getattr(options, "tool", None), getattr(options, "block", None)
     if points and not Path(points).is_file():
@@ -154,6 +154,7 @@ def find_rows(options, arm, labelled=True):
         position=options.position if labelled else None,
         angle_unit=options.unit,
         labelled=labelled,
+        needed=needed,
         joint_names=arm.names,
         counts_per_turn=counts,
         sheet=options.sheet,

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.calibration._calibrate import calibrate
+from sklearn_raacmm.calibration._calibrate import calibrate, find_places
 from sklearn_raacmm.calibration._checks import check_length
 from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.calibration._lengths import are_wrong
@@ -19,5 +19,6 @@ __all__ = [
     "are_wrong",
     "calibrate",
     "check_length",
+    "find_places",
     "lengths_of_places",
 ]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles
@@ -23,11 +24,13 @@ from sklearn_raacmm.calibration._checks import (
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
 from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
+from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, Problem, in_brackets
 from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
-from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.utils import (
+    Finding,
     listed,
     one_blas_thread,
     one_warning,
@@ -94,7 +97,8 @@ def calibrate(
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
     groups : array-like of shape (n_samples,), default=None
-        Label of the fixed point of each sample. Needed unless `points` is given.
+        Label of the fixed point of each sample. Without it and without `points` the places are
+        found that the arm's own points are at, and taken if "places-found" is accepted.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -188,6 +192,8 @@ def calibrate(
     asked = None if correction is None else check_correction(correction, angles, angle_unit)
     # Within one turn, lest a warning of far angles be repeated by what follows.
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+    if groups is None and points is None:
+        groups = find_places(arm, angles)
     problem = check_problem(angles, groups, points, lengths, tools, stations)
     poses, angles, problem = one_row_a_pose(angles, problem)
     for finding in wrong_units(arm, angles, problem):
@@ -220,6 +226,34 @@ def calibrate(
     for finding in outliers(result):
         finding.report()
     return result
+
+
+def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
+    """Labels of the places that the arm's own points are at, (n,) from 1, of rows without any.
+
+    Of a row and the next nearly all are of one place, which shows the probe. Rows that are alone
+    belong to the nearest place.
+    """
+    poses = find_poses(angles)
+    few, n = poses.mean_angles(angles), len(poses.first)
+    if n < 2:
+        return np.ones(len(angles))
+    pairs = Problem(np.arange(n) // 2, None, [])
+    points = Fit(arm, few, pairs, "cauchy", ["probe"]).run().points()
+    some = np.linspace(0, n - 1, min(n, MOST_ROWS)).astype(int)
+    places: Any = places_of(points[some])
+    several = np.bincount(places)[places] > 1
+    if not several.any():
+        raise ValueError("give groups, the label of each row, or points that were measured.")
+    nearest = places[several][KDTree(points[some][several]).query(points)[1]]
+    _, first, codes = np.unique(nearest, return_index=True, return_inverse=True)
+    labels = 1 + np.argsort(np.argsort(first))[codes][poses.pose]
+    rows = np.bincount(labels)[1:]
+    said = "There are no labels of positions. The arm's own points are at"
+    text = f"{said} {len(rows)} places, of {rows.min()} to {rows.max()} rows each."
+    advice = "If these are not the positions, give the label of each row."
+    Finding("places-found", text, advice, "repair").report()
+    return labels
 
 
 def _settle(fit, correction, asked):

@@ -18,7 +18,7 @@ from sklearn_raacmm.utils import Finding, group_means, row_numbers
 # the right places (``tests/calibration/test_labels.py``).
 APART_MM = 40.0
 # Rows of which all distances are looked at: of 3000 they take 36 MB.
-_MOST_ROWS = 3000
+MOST_ROWS = 3000
 # Nats by which a row that is not at its own place has to be likelier at another one: fewer than
 # `PRICE`, as by chance few slips end at another place.
 _PRICE_OF_ROW = 3.0
@@ -32,7 +32,7 @@ def places_of(points: np.ndarray, apart_mm: float = APART_MM) -> np.ndarray | No
 
     Clusters of complete linkage. None for more points than can be looked at.
     """
-    if not 2 <= len(points) <= _MOST_ROWS:
+    if not 2 <= len(points) <= MOST_ROWS:
         return None
     return np.asarray(fcluster(linkage(points, "complete"), apart_mm, "distance")) - 1
 

@@ -122,7 +122,7 @@ class Finding:
         if self.weight == "repair" and self.code in accepted:
             return replace(self, weight="doubt").report()
         if self.weight == "repair" and refuses:
-            advice = f'{self.advice} If it is none, accept="{self.code}" goes on.'
+            advice = f'{self.advice} Otherwise accept="{self.code}" goes on.'
             raise FindingError(replace(self, advice=advice, weight="refuse"))
         if self.weight == "refuse":
             raise FindingError(self)

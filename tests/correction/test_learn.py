@@ -348,7 +348,7 @@ def test_progress_and_processes_change_nothing(test_data, learned):
     ("change", "message"),
     [
         ({"positions": list(19 * "A" + "a" + 120 * "B")}, "'a' has a single row, row 19"),
-        ({"positions": None}, "give positions, the label of each row, or points of a tracker."),
+        ({"positions": None}, 'own points are at 7 places, of 20 to 20 .*accept="places-found"'),
         ({"rows": slice(40)}, "at least 3 positions are needed to leave some out, got 2"),
         ({"points": np.zeros((3, 3))}, r"points must have shape \(140, 3\)"),
         ({"lengths": [(0, 99, 400, 0.1)]}, "the group 99, which has no samples; groups are 0, 1, "),
