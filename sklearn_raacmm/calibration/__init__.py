@@ -5,7 +5,8 @@
 
 from sklearn_raacmm.calibration._calibrate import calibrate, find_places
 from sklearn_raacmm.calibration._checks import check_length
-from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH
+from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
+from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._problem import REGISTERED_PLACE_MM

@@ -23,7 +23,7 @@ from sklearn_raacmm.calibration._checks import (
     wrong_units,
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
-from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._fit import WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, Problem, in_brackets
@@ -205,7 +205,7 @@ def calibrate(
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
     fit = Fit(arm, angles, problem, loss, free, priors)
     given = fit.run(np.zeros_like(fit.is_free)).distances().mean()
-    before = fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm"))).distances().mean()
+    before = fit.run(fit.is_free & (fit.kind == "probe_mm")).distances().mean()
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
     fit.run()
@@ -214,7 +214,7 @@ def calibrate(
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
     result = _result(fit, given, before, groups)
-    for finding in findings_of_fit(fit, result, bare, lengths, poses):
+    for finding in findings_of_fit(fit, result, bare, poses):
         finding.report()
     rows = [np.flatnonzero(poses.pose == i).tolist() for i in result.outliers]
     result = replace(
@@ -289,7 +289,7 @@ def _result(fit, given, before, groups):
         names=tuple(names),
         nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
         values=values,
-        prior_sd={KINDS[i]: float(fit.prior_sd[fit.kind == i][0]) for i in np.unique(fit.kind)},
+        prior_sd={kind: float(sd) for kind, sd in zip(fit.kind, fit.prior_sd, strict=True)},
         n_coordinates=max(problem.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
@@ -319,7 +319,13 @@ def _identified(fit, names):
     wide[: len(fit.nominal)] = fit.prior_sd
     unit = np.where(angle, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
     seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
-    sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
+    sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
+    covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
+    sd[mask] = np.sqrt(np.diag(covariance))
+    scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
+    scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
+    prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
+    scale_is_open = prior > 0 and scale_sd > _IDENTIFIED * prior
     if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
         sd[mask], scale_sd = np.nan, np.nan
     is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
@@ -330,17 +336,3 @@ def _identified(fit, names):
         "n_free": len(free_names),
         "scale_sd": scale_sd,
     }
-
-
-def _standard_deviations(fit, mask):
-    """Of all parameters x and of their common scale, and whether the scale is the prior's."""
-    sd = np.zeros(len(mask))
-    if not mask.any():
-        return sd, 0.0, False
-    covariance = fit.covariance(mask)
-    sd[mask] = np.sqrt(np.diag(covariance))
-    is_free = mask[: len(fit.nominal)]
-    scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
-    scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
-    prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
-    return sd, scale_sd, prior > 0 and scale_sd > _IDENTIFIED * prior
