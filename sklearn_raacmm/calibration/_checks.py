@@ -132,8 +132,7 @@ def one_row_a_pose(angles, problem):
     for finding in poses.findings():
         finding.report()
     names = ("index", "points", "correction", "tools", "stations")
-    parts = {name: poses.mean(getattr(problem, name)) for name in names}
-    problem = replace(problem, **parts)
+    problem = replace(problem, **{name: poses.mean(getattr(problem, name)) for name in names})
     if problem.points is None and problem.n_informative == 0:
         raise ValueError("each group has one pose: none can scatter.")
     return poses, poses.mean_angles(angles), problem

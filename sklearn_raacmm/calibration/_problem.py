@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,8 +41,6 @@ class Problem:
     stations: np.ndarray | None = None
     tool_labels: tuple = ()  # what the numbers stand for
     station_labels: tuple = ()
-    n_tools: int = field(init=False)
-    n_stations: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.n_tools = 1 if self.tools is None else int(self.tools.max()) + 1
