@@ -48,6 +48,7 @@ _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
+_NO_LABELS = "give groups, the label of each row, or points that were measured."
 _PRIOR = [
     param_checks.Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both"),
     param_checks.StrOptions({"auto"}),
@@ -237,14 +238,14 @@ def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
     poses = find_poses(angles)
     few, n = poses.mean_angles(angles), len(poses.first)
     if n < 2:
-        return np.ones(len(angles))
+        raise ValueError(_NO_LABELS)
     pairs = Problem(np.arange(n) // 2, None, [])
     points = Fit(arm, few, pairs, "cauchy", ["probe"]).run().points()
     some = np.linspace(0, n - 1, min(n, MOST_ROWS)).astype(int)
     places: Any = places_of(points[some])
     several = np.bincount(places)[places] > 1
     if not several.any():
-        raise ValueError("give groups, the label of each row, or points that were measured.")
+        raise ValueError(_NO_LABELS)
     nearest = places[several][KDTree(points[some][several]).query(points)[1]]
     _, first, codes = np.unique(nearest, return_index=True, return_inverse=True)
     labels = 1 + np.argsort(np.argsort(first))[codes][poses.pose]

@@ -54,9 +54,9 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     problem = Problem(index, None, lengths, **labels)
     if problem.n_informative == 0:
         raise ValueError(f"each of the {len(positions)} groups has one point: none can scatter.")
-    tied = {i for entry in lengths for i in entry[:2]}
-    lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
-    if lonely:
+    tied = [i for entry in lengths for i in entry[:2]]
+    lonely = np.setdiff1d(np.flatnonzero(np.bincount(index) == 1), tied)
+    if len(lonely):
         names = tuple(positions[i] for i in lonely)
         text = f"{len(lonely)} groups have one point and say nothing, such as {names[0]}."
         Finding("lonely-position", text, positions=names).report()

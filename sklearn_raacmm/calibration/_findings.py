@@ -54,14 +54,13 @@ def findings_of_fit(fit, result, bare, poses):
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
-    before = fit.nominal_arm, result.scatter_before_mm
     for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
         found = list(part)
         yield from found
         if any(finding.weight == "repair" for finding in found):
             return  # of a fit with such labels or lengths all else means nothing
     sd = result.standard_deviations[: len(fit.names)]
-    yield from list(_no_such_arm(*before, scatter)) or _wrong_table(fit, sd, scatter)
+    yield from list(_no_such_arm(fit, result, scatter)) or _wrong_table(fit, sd, scatter)
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
@@ -75,8 +74,7 @@ def _lengths(fit, result):
     """Known lengths that disagree, unless cones and table make no sense without them either."""
     if fit.problem.lengths:
         cones = fit.of(lengths=[])
-        alone = cones.distances().mean()
-        if not [*_no_such_arm(fit.nominal_arm, result.scatter_before_mm, alone)]:
+        if not [*_no_such_arm(fit, result, cones.distances().mean())]:
             yield from wrong_lengths(fit, cones, encode_groups(result.groups)[0])
 
 
@@ -99,9 +97,9 @@ def _few_rows(problem, rank, n_free):
     yield Finding("few-rows", text, advice)
 
 
-def _no_such_arm(arm, before, after):
-    """A fit that has settled makes no sense."""
-    reach = arm.reach_mm
+def _no_such_arm(fit, result, after):
+    """A fit that has settled, and leaves a scatter of so many mm, makes no sense."""
+    reach, before = fit.nominal_arm.reach_mm, result.scatter_before_mm
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         text = f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm"
         advice = (

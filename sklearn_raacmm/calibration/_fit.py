@@ -307,8 +307,8 @@ class Fit:
             whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
         return residuals, whole, None, None
 
-    def _data_rows(self, x, mask):
-        """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
+    def _residuals_and_jacobian(self, x, mask):
+        """Weighted residuals of data, known lengths and prior, and their Jacobian."""
         residuals, jac, centres, centres_jac = self.data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
@@ -320,10 +320,6 @@ class Fit:
             distance = max(np.linalg.norm(gap), 1e-12)
             rows.append([(distance - length) / sd])
             jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
-        return rows, jacs
-
-    def _residuals_and_jacobian(self, x, mask):
-        rows, jacs = self._data_rows(x, mask)
         is_free = mask[: len(self.nominal)]
         prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
         departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
@@ -331,7 +327,8 @@ class Fit:
 
     def data_jacobian(self, mask):
         """Derivatives of the weighted data, in standard deviations, by the free parameters."""
-        return np.concatenate(self._data_rows(self.x, mask)[1])
+        jac = self._residuals_and_jacobian(self.x, mask)[1]
+        return jac[: len(jac) - mask[: len(self.nominal)].sum()]
 
     def points(self):
         """Corrected points (n, 3) in mm, in the arm's base frame."""

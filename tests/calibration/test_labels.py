@@ -46,8 +46,6 @@ def test_rows_alone_belong_to_the_nearest_place():
     assert groups[-1] in groups[:-1]
     with pytest.raises(ValueError, match="give groups, the label of each row"):
         calibrate(TEST.nominal_arm, TEST.data[::16])
-    with pytest.raises(ValueError, match="1 groups has one point"):
-        calibrate(TEST.nominal_arm, TEST.data[:1])
 
 
 def test_no_two_points_of_a_place_are_farther_apart():
