@@ -9,12 +9,10 @@ from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
-from sklearn_raacmm.calibration._problem import REGISTERED_PLACE_MM
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
     "MUCH_SCATTER_MM",
-    "REGISTERED_PLACE_MM",
     "SHARE_OF_REACH",
     "CalibrationResult",
     "are_wrong",

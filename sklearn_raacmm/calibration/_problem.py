@@ -24,9 +24,6 @@ _LONG_SHARE = 0.25
 # What counts as knowing nothing of the place of base and probe, mm at the probe. Any larger number
 # gives the same: nine freedoms that a few poses determine.
 UNKNOWN_PLACE_MM = 1000.0
-# How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
-REGISTERED_PLACE_MM = 5.0
 
 
 @dataclass

@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from datetime import date as calendar
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -112,7 +113,8 @@ def update_correction(
     'harmonics of joint 3'
     """
     poses = NewPoses(model, X, y, groups)
-    linear, updated = model.linear_model_, deepcopy(model)
+    linear: Any = model.linear_model_
+    updated: Any = deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()

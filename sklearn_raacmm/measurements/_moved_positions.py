@@ -68,7 +68,8 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
     usual = np.maximum(np.median(spread, axis=1, keepdims=True), _LEAST_NOISE_MM**2)
     found = []
     for every_pose, one, of_all in looked_at:
-        cuts, parts = [], [(0, one, of_all)]
+        cuts: list[int] = []
+        parts: Any = [(0, one, of_all)]
         while parts:
             low, part, squares = parts.pop()
             for cut in likeliest(_nats(squares, usual, len(left)))[:1]:
