@@ -214,17 +214,15 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    result = _result(fit, given, before, groups)
-    for finding in findings_of_fit(fit, result, bare, poses):
-        finding.report()
-    rows = [np.flatnonzero(poses.pose == i).tolist() for i in result.outliers]
+    of_poses = _result(fit, given, before, groups)
+    rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
     result = replace(
-        result,
-        residuals_mm=result.residuals_mm[poses.pose],
-        sample_weight=result.sample_weight[poses.pose],
+        of_poses,
+        residuals_mm=of_poses.residuals_mm[poses.pose],
+        sample_weight=of_poses.sample_weight[poses.pose],
         outliers=tuple(chain(*rows)),
     )
-    for finding in outliers(result):
+    for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
         finding.report()
     return result
 
