@@ -370,7 +370,7 @@ class Columns:
 
     # -- labels -----------------------------------------------------------------------------
 
-    def find_position(self, wanted, taken):
+    def find_position(self, wanted, taken, needed=True):
         """Column of the label of the position; `taken` are columns of other things."""
         if wanted is not None:
             return self.column(wanted, "--position")
@@ -378,6 +378,8 @@ class Columns:
         if len(found) == 1:
             self.notes.append(f"Labels of the positions: {self.header[found[0]]}.")
             return found[0]
+        if not found and not needed:
+            return None
         raise TableError(
             f"{self.path}: which column holds the label of the position? Say it with --position "
             f"NAME; the columns are {self}."

@@ -62,7 +62,7 @@ def learn(options):
     arm = load_arm(options.arm, options.base, options.tip)
     for code in options.take or ():
         arm = take(arm, code)
-    layout = find_rows(options, arm)
+    layout = find_rows(options, arm, needed=False)
     table = layout.read()
     print_notes(table.notes)
     measured = table.angles, table.positions, table.points, known_lengths(options)
@@ -84,6 +84,8 @@ def learn(options):
             blocks=read_labels(table, options, "block"),
             accept=options.accept or (),
         )
+    if table.positions is None:  # the places that were found and accepted, if no tracker's points
+        table = replace(table, positions=result.calibration.groups)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     report = write_report(result, facts=facts, row_numbers=table.rows)

@@ -135,8 +135,8 @@ def print_notes(notes):
         warnings.warn(note, stacklevel=2)
 
 
-def find_rows(options, arm, labelled=True):
-    """Layout of the table that the options name."""
+def find_rows(options, arm, labelled=True, needed=True):
+    """Layout of the table that the options name; labels may be missing where none are needed."""
     given: dict[str, Any] = {name: getattr(options, name, None) for name in _OF_LAYOUT}
     if given["points"] and not Path(given["points"]).is_file():
         given["points"] = given["points"].split(",")
@@ -147,7 +147,7 @@ def find_rows(options, arm, labelled=True):
         given["counts_per_turn"] = [parse_number(n) for n in given["counts_per_turn"].split(",")]
     labels = getattr(options, "tool", None), getattr(options, "block", None)
     others = [*find_cause_columns(options).values(), *filter(None, labels)]
-    given |= {"labelled": labelled, "joint_names": arm.names, "others": others}
+    given |= {"labelled": labelled, "needed": needed, "joint_names": arm.names, "others": others}
     return Layout(options.table, arm.n_joints, **given)
 
 

@@ -129,7 +129,7 @@ class Layout(Columns):
 
     def __init__(
         self, path, n_joints, *, angles=None, position=None, points=None, angle_unit=None,
-        labelled=True, joint_names=(), counts_per_turn=None, sheet=None, others=(),
+        labelled=True, joint_names=(), counts_per_turn=None, sheet=None, others=(), needed=True,
     ):  # fmt: skip
         super().__init__(path, n_joints, sheet)
         self.angle_columns = self.find_angles(angles, joint_names)
@@ -140,7 +140,7 @@ class Layout(Columns):
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
-            self.position_column = self.find_position(position, taken)
+            self.position_column = self.find_position(position, taken, needed)
         self.turns = np.ones(1)
         if counts_per_turn is not None:
             self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
@@ -160,7 +160,7 @@ class Layout(Columns):
         table = self._table(list(self.rows(self.angle_columns)))
         if self.points_file:
             return _with_points(self, table, self.points_file)
-        if self.labelled:
+        if self.labelled and table.positions is not None:
             _refuse_lonely_labels(self.path, table)
         return table
 

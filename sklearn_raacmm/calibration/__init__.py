@@ -3,21 +3,21 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.calibration._calibrate import calibrate
+from sklearn_raacmm.calibration._calibrate import calibrate, find_places
 from sklearn_raacmm.calibration._checks import check_length
-from sklearn_raacmm.calibration._findings import MUCH_SCATTER_MM, SHARE_OF_REACH
+from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
+from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
-from sklearn_raacmm.calibration._problem import REGISTERED_PLACE_MM
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
     "MUCH_SCATTER_MM",
-    "REGISTERED_PLACE_MM",
     "SHARE_OF_REACH",
     "CalibrationResult",
     "are_wrong",
     "calibrate",
     "check_length",
+    "find_places",
     "lengths_of_places",
 ]

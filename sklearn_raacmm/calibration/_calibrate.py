@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles
@@ -22,12 +23,14 @@ from sklearn_raacmm.calibration._checks import (
     wrong_units,
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
-from sklearn_raacmm.calibration._fit import KINDS, WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._fit import WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
+from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, Problem, in_brackets
 from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
-from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.measurements import find_poses, within_turn
 from sklearn_raacmm.utils import (
+    Finding,
     listed,
     one_blas_thread,
     one_warning,
@@ -45,6 +48,7 @@ _BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
 _BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
+_NO_LABELS = "give groups, the label of each row, or points that were measured."
 _PRIOR = [
     param_checks.Interval(Real, _LEAST_PRIOR, _LARGEST_PRIOR, closed="both"),
     param_checks.StrOptions({"auto"}),
@@ -94,7 +98,8 @@ def calibrate(
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
     groups : array-like of shape (n_samples,), default=None
-        Label of the fixed point of each sample. Needed unless `points` is given.
+        Label of the fixed point of each sample. Without it and without `points` the places are
+        found that the arm's own points are at, and taken if "places-found" is accepted.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -188,6 +193,8 @@ def calibrate(
     asked = None if correction is None else check_correction(correction, angles, angle_unit)
     # Within one turn, lest a warning of far angles be repeated by what follows.
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+    if groups is None and points is None:
+        groups = find_places(arm, angles)
     problem = check_problem(angles, groups, points, lengths, tools, stations)
     poses, angles, problem = one_row_a_pose(angles, problem)
     for finding in wrong_units(arm, angles, problem):
@@ -199,7 +206,7 @@ def calibrate(
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
     fit = Fit(arm, angles, problem, loss, free, priors)
     given = fit.run(np.zeros_like(fit.is_free)).distances().mean()
-    before = fit.run(fit.is_free & (fit.kind == KINDS.index("probe_mm"))).distances().mean()
+    before = fit.run(fit.is_free & (fit.kind == "probe_mm")).distances().mean()
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
     fit.run()
@@ -207,19 +214,45 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    result = _result(fit, given, before, groups)
-    for finding in findings_of_fit(fit, result, bare, lengths, poses):
-        finding.report()
-    rows = [np.flatnonzero(poses.pose == i).tolist() for i in result.outliers]
+    of_poses = _result(fit, given, before, groups)
+    rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
     result = replace(
-        result,
-        residuals_mm=result.residuals_mm[poses.pose],
-        sample_weight=result.sample_weight[poses.pose],
+        of_poses,
+        residuals_mm=of_poses.residuals_mm[poses.pose],
+        sample_weight=of_poses.sample_weight[poses.pose],
         outliers=tuple(chain(*rows)),
     )
-    for finding in outliers(result):
+    for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
         finding.report()
     return result
+
+
+def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
+    """Labels of the places that the arm's own points are at, (n,) from 1, of rows without any.
+
+    Of a row and the next nearly all are of one place, which shows the probe. Rows that are alone
+    belong to the nearest place.
+    """
+    poses = find_poses(angles)
+    few, n = poses.mean_angles(angles), len(poses.first)
+    if n < 2:
+        raise ValueError(_NO_LABELS)
+    pairs = Problem(np.arange(n) // 2, None, [])
+    points = Fit(arm, few, pairs, "cauchy", ["probe"]).run().points()
+    some = np.linspace(0, n - 1, min(n, MOST_ROWS)).astype(int)
+    places: Any = places_of(points[some])
+    several = np.bincount(places)[places] > 1
+    if not several.any():
+        raise ValueError(_NO_LABELS)
+    nearest = places[several][KDTree(points[some][several]).query(points)[1]]
+    _, first, codes = np.unique(nearest, return_index=True, return_inverse=True)
+    labels = 1 + np.argsort(np.argsort(first))[codes][poses.pose]
+    rows = np.bincount(labels)[1:]
+    said = "There are no labels of positions. The arm's own points are at"
+    text = f"{said} {len(rows)} places, of {rows.min()} to {rows.max()} rows each."
+    advice = "If these are not the positions, give the label of each row."
+    Finding("places-found", text, advice, "repair").report()
+    return labels
 
 
 def _settle(fit, correction, asked):
@@ -255,7 +288,7 @@ def _result(fit, given, before, groups):
         names=tuple(names),
         nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
         values=values,
-        prior_sd={KINDS[i]: float(fit.prior_sd[fit.kind == i][0]) for i in np.unique(fit.kind)},
+        prior_sd={kind: float(sd) for kind, sd in zip(fit.kind, fit.prior_sd, strict=True)},
         n_coordinates=max(problem.n_coordinates, 0),
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
@@ -285,7 +318,13 @@ def _identified(fit, names):
     wide[: len(fit.nominal)] = fit.prior_sd
     unit = np.where(angle, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
     seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
-    sd, scale_sd, scale_is_open = _standard_deviations(fit, mask)
+    sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
+    covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
+    sd[mask] = np.sqrt(np.diag(covariance))
+    scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
+    scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
+    prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
+    scale_is_open = prior > 0 and scale_sd > _IDENTIFIED * prior
     if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
         sd[mask], scale_sd = np.nan, np.nan
     is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
@@ -296,17 +335,3 @@ def _identified(fit, names):
         "n_free": len(free_names),
         "scale_sd": scale_sd,
     }
-
-
-def _standard_deviations(fit, mask):
-    """Of all parameters x and of their common scale, and whether the scale is the prior's."""
-    sd = np.zeros(len(mask))
-    if not mask.any():
-        return sd, 0.0, False
-    covariance = fit.covariance(mask)
-    sd[mask] = np.sqrt(np.diag(covariance))
-    is_free = mask[: len(fit.nominal)]
-    scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
-    scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
-    prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
-    return sd, scale_sd, prior > 0 and scale_sd > _IDENTIFIED * prior

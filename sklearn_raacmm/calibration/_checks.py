@@ -54,9 +54,9 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     problem = Problem(index, None, lengths, **labels)
     if problem.n_informative == 0:
         raise ValueError(f"each of the {len(positions)} groups has one point: none can scatter.")
-    tied = {i for entry in lengths for i in entry[:2]}
-    lonely = [i for i, c in enumerate(np.bincount(index)) if c == 1 and i not in tied]
-    if lonely:
+    tied = [i for entry in lengths for i in entry[:2]]
+    lonely = np.setdiff1d(np.flatnonzero(np.bincount(index) == 1), tied)
+    if len(lonely):
         names = tuple(positions[i] for i in lonely)
         text = f"{len(lonely)} groups have one point and say nothing, such as {names[0]}."
         Finding("lonely-position", text, positions=names).report()
@@ -132,8 +132,7 @@ def one_row_a_pose(angles, problem):
     for finding in poses.findings():
         finding.report()
     names = ("index", "points", "correction", "tools", "stations")
-    parts = {name: poses.mean(getattr(problem, name)) for name in names}
-    problem = replace(problem, **parts)
+    problem = replace(problem, **{name: poses.mean(getattr(problem, name)) for name in names})
     if problem.points is None and problem.n_informative == 0:
         raise ValueError("each group has one pose: none can scatter.")
     return poses, poses.mean_angles(angles), problem

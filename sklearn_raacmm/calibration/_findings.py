@@ -8,16 +8,10 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian
-from sklearn_raacmm.calibration._fit import KINDS, MAX_ROUNDS
-from sklearn_raacmm.calibration._labels import (
-    no_readings,
-    places_of,
-    renamed,
-    same_places,
-    wrong_labels,
-)
+from sklearn_raacmm.calibration._fit import MAX_ROUNDS
+from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
-from sklearn_raacmm.calibration._problem import LONG_MM, points_and_jacobian
+from sklearn_raacmm.calibration._problem import FOUND
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up
 from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
@@ -30,9 +24,6 @@ _SDS_OFF = 5.0
 _HARM = 2.0
 # What no calibration of an arm comes to: a scatter, as a part of the reach.
 SHARE_OF_REACH = 0.02
-# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
-# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
-MUCH_SCATTER_MM = 1.0
 _MOST_NAMED = 4
 _MEANING = {
     "a": "the length of link",
@@ -51,14 +42,11 @@ _TYPED_MM, _SEEN = 100.0, 0.5
 _TRIED, _OPEN = 100, 0.1
 # Points that scatter by more than a part of that promise nothing.
 _FAR = 5.0
-# Limits of outliers, in standard deviations of a coordinate, where no tail is longer than a normal
-# one's: of 100 rows 4.3, of 1000 4.9.
-_LIMIT_SDS = 4.5
 # Share of rows far off that slips do not come to. A choice.
 _MOST_OUTLIERS = 0.1
 
 
-def findings_of_fit(fit, result, bare, lengths, poses):
+def findings_of_fit(fit, result, bare, poses):
     """All findings, but that of outliers; `bare` is the fit without the correction, or None."""
     if not fit.converged:
         scatter = result.scatter_after_mm
@@ -66,65 +54,28 @@ def findings_of_fit(fit, result, bare, lengths, poses):
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
-    before = fit.nominal_arm, result.scatter_before_mm
-    for part in (_labels(fit, result, poses, scatter), _lengths(fit, result)):
+    for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
         found = list(part)
         yield from found
         if any(finding.weight == "repair" for finding in found):
             return  # of a fit with such labels or lengths all else means nothing
-    n = len(fit.names)
-    values, sd = fit.x[:n], result.standard_deviations[:n]
-    of_table = wrong_table(fit.names, fit.nominal, values, sd, _far(fit, sd), lengths, scatter)
-    yield from list(_no_such_arm(*before, scatter)) or of_table
+    sd = result.standard_deviations[: len(fit.names)]
+    yield from list(_no_such_arm(fit, result, scatter)) or _wrong_table(fit, sd, scatter)
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
         yield from moved_positions(left, fit.angles, groups, poses.first)
-    yield from _set_up_moved(fit, poses)
+    yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)
-
-
-def _labels(fit, result, poses, scatter):
-    """Labels that do not fit where the probe was, and one place under two."""
-    problem, numbers = fit.problem, poses.first
-    if problem.points is not None:
-        return
-    labels, points = encode_groups(result.groups)[0], fit.points()
-    far = np.isin(np.arange(len(numbers)), result.outliers)
-    right = _right_labels(fit) if scatter > MUCH_SCATTER_MM else None
-    limit = result.outlier_limit_mm / _LIMIT_SDS
-    yield from wrong_labels(points, problem.index, right, labels, numbers, far, limit)
-    yield from no_readings(fit.angles, far, numbers)
-    yield from same_places(fit.centres(), labels, fit.sigma)
 
 
 def _lengths(fit, result):
     """Known lengths that disagree, unless cones and table make no sense without them either."""
     if fit.problem.lengths:
         cones = fit.of(lengths=[])
-        alone = cones.distances().mean()
-        if not [*_no_such_arm(fit.nominal_arm, result.scatter_before_mm, alone)]:
+        if not [*_no_such_arm(fit, result, cones.distances().mean())]:
             yield from wrong_lengths(fit, cones, encode_groups(result.groups)[0])
-
-
-def _right_labels(fit):
-    """Labels by the places of the nominal arm's points, then twice of the calibrated ones.
-
-    None where rows scatter by no less with them, or most have another one.
-    """
-    index, sigma = fit.problem.index, fit.sigma
-    # The probe may not be known: as most of the labels have it.
-    codes: Any = places_of(fit.of(free=["probe"], loss="cauchy").points())
-    for _ in range(2):
-        if codes is None or 2 * np.sum(renamed(codes, index) != index) > len(index):
-            return None
-        fit = fit.of(index=codes, lengths=[])
-        codes = places_of(fit.points())
-    right = renamed(codes, index)
-    n_wrong = np.sum(right != index)
-    gain = 3 * len(index) * np.log(sigma / fit.sigma) - n_wrong * np.log(index.max() + 1.0)
-    return right if n_wrong < len(index) / 2 and gain > 0 else None
 
 
 def _few_rows(problem, rank, n_free):
@@ -146,9 +97,9 @@ def _few_rows(problem, rank, n_free):
     yield Finding("few-rows", text, advice)
 
 
-def _no_such_arm(arm, before, after):
-    """A fit that has settled makes no sense."""
-    reach = arm.reach_mm
+def _no_such_arm(fit, result, after):
+    """A fit that has settled, and leaves a scatter of so many mm, makes no sense."""
+    reach, before = fit.nominal_arm.reach_mm, result.scatter_before_mm
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
         text = f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm"
         advice = (
@@ -167,28 +118,28 @@ def _far(fit, sd):
     + 1 degrees of freedom, whose tail is below that of the typing error by so many nats.
     """
     length, angle, _ = fit.priors
-    limits = {"probe_mm": np.inf}
-    limits["angle_rad"] = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
     far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
-    far = np.array([limits.get(KINDS[i], far_mm) for i in fit.kind])
-    of_lengths = [KINDS.index(kind) for kind in ("length_mm", "short_length_mm")]
-    seen = np.flatnonzero(np.isin(fit.kind, of_lengths) & fit.is_free & (sd < _SEEN * fit.prior_sd))
+    far_rad = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
+    far = np.where(fit.kind == "angle_rad", far_rad, far_mm)
+    far[fit.kind == "probe_mm"] = np.inf
+    is_seen = fit.is_free & (sd < _SEEN * fit.prior_sd)
+    seen = np.flatnonzero(is_seen & np.isin(fit.kind, ["length_mm", "short_length_mm"]))
     if length == "auto" and len(seen) > 1:
-        square = np.square(fit.x[seen] - fit.nominal[seen])
-        n = len(seen)
-        size = np.sqrt((LONG_MM[0] ** 2 + square.sum() - square) / n)
+        square, n = np.square(fit.x[seen] - fit.nominal[seen]), len(seen)
+        size = np.sqrt((FOUND["length_mm"][0] ** 2 + square.sum() - square) / n)
         wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * PRICE / (n + 1))
         far[seen] = np.minimum(far[seen], size * np.sqrt(n * (wider - 1)))
     far[~fit.is_free] = np.inf
     return far
 
 
-def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
+def _wrong_table(fit, sd, scatter):
     """A table that the data contradict: an offset forgotten, a link mistyped.
 
-    Arrays (n_parameters,), mm and rad: before, after and its standard deviation, and how far apart
-    they may be. Known lengths may be what is wrong.
+    `sd` (n_parameters,) are the standard deviations of what was fitted, mm and rad. Known lengths
+    may be what is wrong.
     """
+    names, nominal, values, far = fit.names, fit.nominal, fit.x[: len(sd)], _far(fit, sd)
     departure = np.abs(values - nominal)
     # Parameters that only others determine wander: an offset along the last axis and the probe.
     is_wrong = (departure > far) & ~(departure < _SDS_OFF * sd)
@@ -205,10 +156,10 @@ def wrong_table(names, nominal, values, sd, far, lengths, scatter_mm=0.0):
             f"the table says {factor * nominal[i]:.6g}{unit}"
         )
     advice = "If it is built so, take the calibrated arm as the new table (arm.json)"
-    advice += "; if not, look at the known lengths and their unit." if lengths else "."
-    if scatter_mm > MUCH_SCATTER_MM:
+    advice += "; if not, look at the known lengths and their unit." if fit.problem.lengths else "."
+    if scatter > MUCH_SCATTER_MM:
         advice = (
-            f"But with it the points scatter by {scatter_mm:.1f} mm: search_table finds joints "
+            f"But with it the points scatter by {scatter:.1f} mm: search_table finds joints "
             "that are reversed or exchanged."
         )
     text = f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}."
@@ -225,19 +176,6 @@ def _harm(corrected, bare):
         advice = "Is it of this arm, and is the table that of the arm that it was learnt with?"
         text = f"{text} {bare.mean():.4g} mm: do not use it here."
         yield Finding("harmful-correction", text, advice, size_mm=size)
-
-
-def _set_up_moved(fit, poses):
-    """The tracker, the base or the tool moved during the measurement."""
-    problem = fit.problem
-    if problem.points is None or problem.n_stations > 1 or problem.n_tools > 1:
-        return
-    x = fit.x[: len(fit.is_free)]
-    points, columns = points_and_jacobian(fit.nominal_arm, fit.angles, x, problem)
-    turns, columns = fit.arm().frames(fit.angles)[:, -1, :3, :3], columns[:, :, fit.is_free]
-    ridge = np.square(fit.sigma / fit.prior_sd[fit.is_free])
-    parts = fit.residuals(), columns, ridge, points, turns, fit.weights, poses.first
-    yield from moved_set_up(*parts)
 
 
 def _poses_alike(fit):

@@ -5,6 +5,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,13 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.arm import FIELDS
+from sklearn_raacmm.arm import FIELDS, parameter_jacobian
 from sklearn_raacmm.calibration._problem import (
-    ANGLES_RAD,
-    LONG_MM,
-    SHORT_MM,
+    FOUND,
     UNKNOWN_PLACE_MM,
     are_long,
     in_brackets,
     pack,
-    points_and_jacobian,
     rows_of,
     unpack,
 )
@@ -36,10 +34,6 @@ WEIGHTS = {
     "huber": lambda u: 2.5 / np.maximum(u, 2.5),
     "cauchy": lambda u: 1 / (1 + (u / 4) ** 2),
 }
-# Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
-# how many parameters that were seen the guess is worth, and its bounds.
-KINDS = ("length_mm", "angle_rad", "probe_mm", "short_length_mm")
-_FOUND = (LONG_MM, ANGLES_RAD, None, SHORT_MM)
 _MIN_SIGMA_MM = 1e-7  # noise-free simulated data must not divide by zero
 MAX_ROUNDS = 20
 # Rounds in which prior standard deviations are found; two digits of them are enough.
@@ -84,7 +78,7 @@ class Fit:
         self.x = nominal.copy()
         self.converged = False
         self.evaluated: Any = None
-        points, jac = self._points_and_jacobian(self.x)
+        points, jac = self.points_and_jacobian(self.x)
         places = []  # first guess of every base
         for s in range(problem.n_stations):
             rows = rows_of(problem.stations, s)
@@ -110,19 +104,20 @@ class Fit:
         tools = in_brackets(problem.tool_labels, problem.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
-        kind = np.array([int(name.startswith(ANGLES)) for name in self.names])
-        lengths = kind == 0
-        kind[lengths] = np.where(are_long(self.nominal[: len(kind)][lengths]), 0, 3)
+        lengths = np.array([not name.startswith(ANGLES) for name in self.names])
+        kind = np.full(len(lengths), "angle_rad", dtype=object)
+        long = are_long(pack(arm)[:-3][lengths])
+        kind[lengths] = np.where(long, "length_mm", "short_length_mm")
         is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
         n_probes = 3 * len(tools)
         self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
-        self.kind = np.r_[kind, np.full(n_probes, 2)]
+        self.kind = np.r_[kind, ["probe_mm"] * n_probes]
         self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
-        priors = (*self.priors, self.priors[0])
-        self.found: dict[int, Any] = {i: _FOUND[i] for i, sd in enumerate(priors) if sd == "auto"}
-        sds = [self.found[i][0] if i in self.found else sd for i, sd in enumerate(priors)]
-        self.prior_sd = np.array(sds, dtype=float)[self.kind]
+        priors = dict(zip(FOUND, (*self.priors, self.priors[0]), strict=True))
+        self.found = {kind: FOUND[kind] for kind, sd in priors.items() if sd == "auto"}
+        sds = priors | {kind: guess for kind, (guess, *_) in self.found.items()}
+        self.prior_sd = np.array([sds[kind] for kind in self.kind], dtype=float)
 
     def base_columns(self, station):
         """Columns of a station's base: rotation, then shift."""
@@ -176,8 +171,8 @@ class Fit:
         self._weigh(self._spread(covariance, rows, jac))
         settled = True
         departure = self.x[: len(is_free)] - self.nominal
-        for i, (guess, counts, least, most) in self.found.items() if find_priors else ():
-            members = is_free & (self.kind == i)
+        for kind, (guess, counts, least, most) in self.found.items() if find_priors else ():
+            members = is_free & (self.kind == kind)
             if members.any():
                 seen, square = np.sum(1 - share[members]), np.sum(departure[members] ** 2)
                 sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
@@ -254,13 +249,28 @@ class Fit:
         turn = Rotation.from_rotvec(x[self.base_columns(station)[:3]]).as_matrix()
         return turn @ self.rotations[station]
 
-    def _points_and_jacobian(self, x):
-        """Corrected points (n, 3) and their derivatives by table and probes; the last are kept."""
-        arm_x = x[: len(self.nominal)]
-        if self.evaluated is None or not np.array_equal(self.evaluated[0], arm_x):
-            found = points_and_jacobian(self.nominal_arm, self.angles, arm_x, self.problem)
-            self.evaluated = arm_x.copy(), *found
-        return self.evaluated[1:]
+    def points_and_jacobian(self, x):
+        """Corrected points (n, 3) in the base frame, and their derivatives (n, 3, n_parameters).
+
+        By table and probes, mm and rad; the last are kept.
+        """
+        x, arm, problem = x[: len(self.nominal)], self.nominal_arm, self.problem
+        if self.evaluated is not None and np.array_equal(self.evaluated[0], x):
+            return self.evaluated[1:]
+        n_table, n = 4 * arm.n_joints, len(self.angles)
+        # On trial: an `Arm` would check its fields at every step.
+        trial = SimpleNamespace(convention=arm.convention, joint_signs=arm.joint_signs)
+        points, jac = np.empty((n, 3)), np.zeros((n, 3, len(x)))
+        for tool in range(problem.n_tools):
+            rows, start = rows_of(problem.tools, tool), n_table + 3 * tool
+            vars(trial).update(unpack(x, arm.n_joints, tool))
+            points[rows], own = parameter_jacobian(trial, self.angles[rows])
+            jac[rows, :, :n_table] = own[:, :, :n_table]
+            jac[rows, :, start : start + 3] = own[:, :, n_table:]
+        if problem.correction is not None:
+            points -= problem.correction
+        self.evaluated = x.copy(), points, jac
+        return points, jac
 
     def data_residuals(self, x, mask) -> Any:
         """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points.
@@ -268,7 +278,7 @@ class Fit:
         Derivatives by the turn of a base are those by a small turn after it.
         """
         problem, n = self.problem, len(self.nominal)
-        points, jac = self._points_and_jacobian(x)
+        points, jac = self.points_and_jacobian(x)
         jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
             both = np.concatenate([points[:, :, None], jac], axis=2)
@@ -297,8 +307,8 @@ class Fit:
             whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
         return residuals, whole, None, None
 
-    def _data_rows(self, x, mask):
-        """Weighted residuals of data and known lengths, and their Jacobian, without the prior."""
+    def _residuals_and_jacobian(self, x, mask):
+        """Weighted residuals of data, known lengths and prior, and their Jacobian."""
         residuals, jac, centres, centres_jac = self.data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
@@ -310,10 +320,6 @@ class Fit:
             distance = max(np.linalg.norm(gap), 1e-12)
             rows.append([(distance - length) / sd])
             jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
-        return rows, jacs
-
-    def _residuals_and_jacobian(self, x, mask):
-        rows, jacs = self._data_rows(x, mask)
         is_free = mask[: len(self.nominal)]
         prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
         departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
@@ -321,11 +327,12 @@ class Fit:
 
     def data_jacobian(self, mask):
         """Derivatives of the weighted data, in standard deviations, by the free parameters."""
-        return np.concatenate(self._data_rows(self.x, mask)[1])
+        jac = self._residuals_and_jacobian(self.x, mask)[1]
+        return jac[: len(jac) - mask[: len(self.nominal)].sum()]
 
     def points(self):
         """Corrected points (n, 3) in mm, in the arm's base frame."""
-        return self._points_and_jacobian(self.x)[0].copy()
+        return self.points_and_jacobian(self.x)[0].copy()
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""

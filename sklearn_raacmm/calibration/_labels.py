@@ -12,18 +12,24 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
 from sklearn_raacmm.measurements import PRICE
-from sklearn_raacmm.utils import Finding, group_means, row_numbers
+from sklearn_raacmm.utils import Finding, encode_groups, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
 # the right places (``tests/calibration/test_labels.py``).
 APART_MM = 40.0
 # Rows of which all distances are looked at: of 3000 they take 36 MB.
-_MOST_ROWS = 3000
+MOST_ROWS = 3000
 # Nats by which a row that is not at its own place has to be likelier at another one: fewer than
 # `PRICE`, as by chance few slips end at another place.
 _PRICE_OF_ROW = 3.0
 # Rows or places that a sentence names.
 _NAMED = 4
+# Scatter after calibration beyond which the arm's table is probably wrong: measuring arms have
+# hundredths of a mm, the real robots of the tests 0.2 to 0.4.
+MUCH_SCATTER_MM = 1.0
+# Limits of outliers, in standard deviations of a coordinate, where no tail is longer than a normal
+# one's: of 100 rows 4.3, of 1000 4.9.
+_LIMIT_SDS = 4.5
 _ONE_VALUE = 1e-9  # rad: joints that all have the same value
 
 
@@ -32,12 +38,12 @@ def places_of(points: np.ndarray, apart_mm: float = APART_MM) -> np.ndarray | No
 
     Clusters of complete linkage. None for more points than can be looked at.
     """
-    if not 2 <= len(points) <= _MOST_ROWS:
+    if not 2 <= len(points) <= MOST_ROWS:
         return None
     return np.asarray(fcluster(linkage(points, "complete"), apart_mm, "distance")) - 1
 
 
-def renamed(places: np.ndarray, codes: np.ndarray) -> np.ndarray:
+def _renamed(places, codes):
     """Places (n,) by the codes that most of their rows have been given; -1 for places without."""
     shared = np.zeros((places.max() + 1, codes.max() + 1))
     np.add.at(shared, (places, codes), 1)
@@ -74,17 +80,49 @@ def _one_place_mm(centres, sigma, price, n_tried):
     return sigma * np.sqrt(2 * max(nats, 0.0))
 
 
-def wrong_labels(
-    points: Any, codes: Any, right: Any, labels: Any, numbers: Any, far: Any, sigma: float
-) -> Iterator[Finding]:
+def label_findings(fit: Any, result: Any, numbers: Any) -> Iterator[Finding]:
+    """Labels that do not fit where the probe was, and one place under two.
+
+    `numbers` (n,) are what the rows are called.
+    """
+    if fit.problem.points is None:
+        labels = encode_groups(result.groups)[0]
+        far = np.isin(np.arange(len(numbers)), result.outliers)
+        right = _right_labels(fit) if result.typical_scatter_mm > MUCH_SCATTER_MM else None
+        sigma = result.outlier_limit_mm / _LIMIT_SDS
+        yield from _wrong_labels(fit, right, labels, numbers, far, sigma)
+        yield from _no_readings(fit.angles, far, numbers)
+        yield from _same_places(fit.centres(), labels, fit.sigma)
+
+
+def _right_labels(fit):
+    """Labels by the places of the nominal arm's points, then twice of the calibrated ones.
+
+    None where rows scatter by no less with them, or most have another one.
+    """
+    index, sigma = fit.problem.index, fit.sigma
+    # The probe may not be known: as most of the labels have it.
+    codes: Any = places_of(fit.of(free=["probe"], loss="cauchy").points())
+    for _ in range(2):
+        if codes is None or 2 * np.sum(_renamed(codes, index) != index) > len(index):
+            return None
+        fit = fit.of(index=codes, lengths=[])
+        codes = places_of(fit.points())
+    right = _renamed(codes, index)
+    n_wrong = np.sum(right != index)
+    gain = 3 * len(index) * np.log(sigma / fit.sigma) - n_wrong * np.log(index.max() + 1.0)
+    return right if n_wrong < len(index) / 2 and gain > 0 else None
+
+
+def _wrong_labels(fit, right, labels, numbers, far, sigma):
     """The finding that some rows are at other places than their labels say.
 
-    `codes` and `right` (n,) index the `labels`, as given and by geometry; -1 is no place that has a
-    label. Where `right` is None, rows that are `far` (n,) may be at another place, of `points` (n,
-    3) that scatter by `sigma`, mm. `numbers` (n,) are what the rows are called.
+    `right` (n,) index the `labels` by geometry; -1 is no place that has a label. Where it is None,
+    rows that are `far` (n,) may be at another place, of points that scatter by `sigma`, mm.
     """
+    codes = fit.problem.index
     many = right is not None
-    right = right if many else _other_labels(points, codes, far, sigma)
+    right = right if many else _other_labels(fit.points(), codes, far, sigma)
     rows = np.flatnonzero(codes != right)
     if not len(rows):
         return
@@ -113,7 +151,7 @@ def wrong_labels(
     )
 
 
-def no_readings(angles: np.ndarray, far: np.ndarray, numbers: np.ndarray) -> Iterator[Finding]:
+def _no_readings(angles, far, numbers):
     """The finding that rows that are `far` (n,) from their place hold one value in every joint."""
     rows = np.flatnonzero(far & (np.ptp(angles, axis=1) < _ONE_VALUE))
     if len(rows):
@@ -123,7 +161,7 @@ def no_readings(angles: np.ndarray, far: np.ndarray, numbers: np.ndarray) -> Ite
         yield Finding("no-reading", text, advice, rows=row_numbers(numbers[rows]))
 
 
-def same_places(centres: np.ndarray, labels: Any, sigma: float) -> Iterator[Finding]:
+def _same_places(centres, labels, sigma):
     """Findings of one place under several labels, by the mean points of positions (n, 3), mm."""
     n = len(centres)
     if n < 3 or not sigma > 0:

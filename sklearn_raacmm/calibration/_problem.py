@@ -3,29 +3,27 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import dataclass, field
-from types import SimpleNamespace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, parameter_jacobian
+from sklearn_raacmm.arm import FIELDS
 
-# What `calibrate` starts from: standard deviation, how many parameters it is worth, and its bounds.
-# Of long lengths, of short ones, and of angles (``benchmarks/bench_lengths.py scale``).
-LONG_MM, SHORT_MM, ANGLES_RAD = (
-    (0.4, 1.0, 0.01, 10.0),
-    (0.3, 4.0, 0.01, 100.0),
-    (0.003, 4.0, 1e-4, 0.02),
-)
+# Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
+# how many parameters that were seen the guess is worth, and its bounds
+# (``benchmarks/bench_lengths.py scale``).
+FOUND: dict[str, Any] = {
+    "length_mm": (0.4, 1.0, 0.01, 10.0),
+    "angle_rad": (0.003, 4.0, 1e-4, 0.02),
+    "probe_mm": None,
+    "short_length_mm": (0.3, 4.0, 0.01, 100.0),
+}
 # A long length has at least this part of the longest.
 _LONG_SHARE = 0.25
 # What counts as knowing nothing of the place of base and probe, mm at the probe. Any larger number
 # gives the same: nine freedoms that a few poses determine.
 UNKNOWN_PLACE_MM = 1000.0
-# How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
-REGISTERED_PLACE_MM = 5.0
 
 
 @dataclass
@@ -40,8 +38,6 @@ class Problem:
     stations: np.ndarray | None = None
     tool_labels: tuple = ()  # what the numbers stand for
     station_labels: tuple = ()
-    n_tools: int = field(init=False)
-    n_stations: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.n_tools = 1 if self.tools is None else int(self.tools.max()) + 1
@@ -73,24 +69,6 @@ def unpack(x, n_joints, tool=0) -> dict[str, Any]:
     start = 4 * n_joints
     parts = [*np.split(x[:start], 4), x[start + 3 * tool :][:3]]
     return dict(zip(FIELDS, parts, strict=True))
-
-
-def points_and_jacobian(arm, angles, x, problem):
-    """Corrected points (n, 3) in the base frame, and their derivatives (n, 3, len(x)).
-
-    By table and probes, mm and rad.
-    """
-    n_table = 4 * len(arm.a)
-    # On trial: an `Arm` would check its fields at every step.
-    trial = SimpleNamespace(convention=arm.convention, joint_signs=arm.joint_signs)
-    points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(x)))
-    for tool in range(problem.n_tools):
-        rows, start = rows_of(problem.tools, tool), n_table + 3 * tool
-        vars(trial).update(unpack(x, len(arm.a), tool))
-        points[rows], own = parameter_jacobian(trial, angles[rows])
-        jac[rows, :, :n_table] = own[:, :, :n_table]
-        jac[rows, :, start : start + 3] = own[:, :, n_table:]
-    return (points if problem.correction is None else points - problem.correction), jac
 
 
 def in_brackets(labels, n):

@@ -24,26 +24,25 @@ _LEAST_MM = 0.005
 _RIDGE = 1e-4
 
 
-def moved_set_up(
-    left: Any, columns: Any, ridge: Any, points: Any, turns: Any, weights: Any, numbers: Any
-) -> Iterator[Finding]:
+def moved_set_up(fit: Any, numbers: Any) -> Iterator[Finding]:
     r"""A tracker, a base or a tool that moved during the measurement, in one finding.
 
     A calibration of all rows takes up what it can of the move. Behind every row in turn the rest is
-    given a base, or a probe, of its own: with H the normal matrix of the columns C and E those of
-    the new set-up the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r` and
-    :math:`S = E'E - E'C H^{-1} C'E`.
-
-    `left` (n, 3) is what calibration leaves of measured points, mm, `columns` (n, 3, p) their
-    derivatives by what was fitted beside the base, `ridge` (p,) what the priors add to the normal
-    matrix. `points` (n, 3) are the arm's, mm, `turns` (n, 3, 3) the orientations of the last link,
-    with which a tool moves. `numbers` (n,) are what the rows are called.
+    given a base, or a probe, of its own: with H the normal matrix of the columns C of what was
+    fitted and E those of the new set-up the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r`
+    and :math:`S = E'E - E'C H^{-1} C'E`. `numbers` (n,) are what the rows are called.
     """
-    n = len(left)
-    if n < 3 * _LEAST_ROWS:
+    n, problem = len(fit.angles), fit.problem
+    several = problem.points is None or problem.n_stations > 1 or problem.n_tools > 1
+    if several or n < 3 * _LEAST_ROWS:
         return
+    points, columns = fit.points_and_jacobian(fit.x)
+    columns, left = columns[:, :, fit.is_free], fit.residuals()
+    ridge = np.square(fit.sigma / fit.prior_sd[fit.is_free])  # of the priors, in the normal matrix
+    # A tool moves with the last link.
+    turns = fit.arm().frames(fit.angles)[:, -1, :3, :3]
     effects = {"stations": base_motions(points, np.abs(points).max()), "tools": turns}
-    root = np.sqrt(weights)[:, None, None]
+    root = np.sqrt(fit.weights)[:, None, None]
     columns = root * np.concatenate([columns, effects["stations"]], axis=2)
     ridge, left = np.r_[ridge, np.zeros(6)], root[:, :, 0] * left
     found = {what: _best_split(left, columns, ridge, root * effects[what]) for what in effects}

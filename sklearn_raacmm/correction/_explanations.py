@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import islice
 from typing import Any
 
@@ -49,79 +50,69 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     of_rows, _, doubt = model.linear_model_.predict_with_doubt(poses.angles)
     as_given = False
     if poses.codes is not None:
-        rows = np.flatnonzero(poses.weights > 0)
-        own = poses.residuals[rows], poses.codes[rows], linear.arm, poses.angles[rows, :n_joints]
-        expected = model.fading_.share(doubt)[rows, None] * of_rows[rows]
-        as_given, found = of_own_points(*own, rows, known=expected)
+        own = poses.residuals, poses.codes, linear.arm, poses.angles[:, :n_joints]
+        expected = model.fading_.share(doubt)[:, None] * of_rows
+        as_given, found = of_own_points(*own, np.arange(len(of_rows)), known=expected)
         if found:
             yield from found
             return
-    known = replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE
-    used = np.flatnonzero((poses.weights > 0) & known)
+    used = np.flatnonzero(replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE)
     if len(used) < _LEAST_ROWS:
         return
     poses = poses.at(used)
-    data = _Rows(linear, poses)
-    if _rms(data.given) < LEAST_NOISE_MM:  # rounding explains it
+    expected = linear.predict(poses.angles)[0]
+    given = poses.residuals - expected
+    if _rms(given) < LEAST_NOISE_MM:  # rounding explains it
         return
+
+    @cache  # most explanations share it
+    def spread_of(rows, table):
+        return _Spread(linear, poses.at(np.frombuffer(rows, dtype=int)), table)
+
     every = explanations(
-        poses.residuals, data.expected, poses.angles, n_joints, poses.codes,
-        lambda angles: linear.predict(angles)[0], data.expected,
+        poses.residuals, expected, poses.angles, n_joints, poses.codes,
+        lambda angles: linear.predict(angles)[0], expected,
     )  # fmt: skip
     few = linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
     tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
     fair = [one for one in tried if not (few and one.code == "other-table")]
-    likely = likeliest((data.gain(one), one) for one in fair)
+    gains = [_gain(one, given, expected, spread_of) for one in fair]
+    likely = likeliest(zip(gains, fair, strict=True))
     if not likely:
         return
     best, *near = likely
-    before, after = (_rms(left) for left in (data.given[best.rows], best.left))
+    before, after = (_rms(left) for left in (given[best.rows], best.left))
     others = {one.code: one.said(used) for one in near[::-1] if one.code != best.code}
     yield best.finding(
         f"The new residuals leave {before:.3g} mm about the model, and {after:.3g} mm if "
-        f"{best.said(used)} (likelier by {data.gain(best):.0f} nats)"
+        f"{best.said(used)} (likelier by {max(gains):.0f} nats)"
         f"{', or if '.join(['', *others.values()])}.",
         used,
         before,
     )
 
 
-class _Rows:
-    """New poses that count, what the model expects of them, and likelihoods of what is left."""
+def _gain(one, given, expected, spread_of):
+    """Log likelihood of an explanation less that of the same rows as they are `given`, nats.
 
-    def __init__(self, linear, poses):
-        self.linear, self.poses = linear, poses
-        self.expected = linear.predict(poses.angles)[0]
-        self.given = poses.residuals - self.expected
-        self.spreads = {}
-
-    def gain(self, one):
-        """Log likelihood of an explanation less that of the same rows as they are given, nats.
-
-        Less, too, the logarithm of how many of its kind are tried.
-        """
-        some = np.linspace(0, len(one.rows) - 1, min(_ROWS, len(one.rows))).astype(int)
-        rows, other_table = one.rows[some], one.code == "other-table"
-        spread = self._spread(rows, _ANOTHER_TABLE * other_table)
-        taus = _ANOTHER if one.code == "another-arm" else _TAUS
-        noise = 0.0
-        if one.code == "rows-unrelated":  # they scatter by what the model expects of these, too
-            size = np.square(spread.whiten(self.expected[rows].ravel())).sum()
-            noise = 0.5 * np.log1p(size / spread.freedom)
-        explained = spread.log_likelihood(one.left[some], taus, noise)
-        explained += spread.freedom * np.log(one.factor)
-        tables = (0.0, _CALIBRATED) if other_table else (0.0,)
-        own = rows if one.of is None else one.of[some]  # the same residuals at their own angles
-        given = self.given[own]
-        as_given = max(self._spread(own, table).log_likelihood(given) for table in tables)
-        return explained - as_given - np.log(one.n_tried)
-
-    def _spread(self, rows, table):
-        """Covariance of what is left at some rows; most explanations share it."""
-        key = (rows.tobytes(), table)
-        if key not in self.spreads:
-            self.spreads[key] = _Spread(self.linear, self.poses.at(rows), table)
-        return self.spreads[key]
+    Less, too, the logarithm of how many of its kind are tried. `spread_of` says the covariance of
+    what is left at some rows, `expected` (n, 3) what the model expects there, mm.
+    """
+    some = np.linspace(0, len(one.rows) - 1, min(_ROWS, len(one.rows))).astype(int)
+    rows, other_table = one.rows[some], one.code == "other-table"
+    spread = spread_of(rows.tobytes(), _ANOTHER_TABLE * other_table)
+    taus = _ANOTHER if one.code == "another-arm" else _TAUS
+    noise = 0.0
+    if one.code == "rows-unrelated":  # they scatter by what the model expects of these, too
+        size = np.square(spread.whiten(expected[rows].ravel())).sum()
+        noise = 0.5 * np.log1p(size / spread.freedom)
+    explained = spread.log_likelihood(one.left[some], taus, noise)
+    explained += spread.freedom * np.log(one.factor)
+    tables = (0.0, _CALIBRATED) if other_table else (0.0,)
+    own = rows if one.of is None else one.of[some]  # the same residuals at their own angles
+    spreads = (spread_of(own.tobytes(), table) for table in tables)
+    as_given = max(spread.log_likelihood(given[own]) for spread in spreads)
+    return explained - as_given - np.log(one.n_tried)
 
 
 class _Spread:

@@ -66,7 +66,7 @@ def learn_correction(
         Joint angles.
     positions : array-like of shape (n_samples,), default=None
         Label of the position at which the probe was held. None, with `points`: regions of
-        neighbouring points take their place.
+        neighbouring points take their place; without, the places that :func:`calibrate` finds.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()

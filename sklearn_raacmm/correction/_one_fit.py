@@ -17,7 +17,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
-from sklearn_raacmm.calibration import are_wrong, calibrate, check_length
+from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_places
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
@@ -48,7 +48,7 @@ class Data:
         angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
         lengths = listed("lengths", lengths)
         if positions is None and points is None:
-            raise ValueError("give positions, the label of each row, or points of a tracker.")
+            positions = find_places(arm, angles)
         if points is not None:
             points = floats("points", points, 3)
             if len(points) != len(angles):

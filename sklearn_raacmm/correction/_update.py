@@ -6,14 +6,14 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from datetime import date as calendar
-from functools import partial
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, NewPoses, changed_model, judged_fading
 from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, call_collecting, one_blas_thread, validate_params
+from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -25,6 +25,7 @@ _STRANGE = 10.0
     {"date": [str, calendar, None], "accept": ["array-like", str]},
     prefer_skip_nested_validation=True,
 )
+@one_warning
 def update_correction(
     model: ArmResidualRegressor,
     X: ArrayLike,
@@ -111,15 +112,9 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    updated, found = call_collecting(partial(_updated, model, (X, y, groups), date), accept)
-    updated.findings_ = tuple(found)
-    return updated
-
-
-def _updated(model, new, date):
-    """A copy of the model, brought up to date if the new poses show enough."""
-    poses = NewPoses(model, *new)
-    linear, updated = model.linear_model_, deepcopy(model)
+    poses = NewPoses(model, X, y, groups)
+    linear: Any = model.linear_model_
+    updated: Any = deepcopy(model)
     if poses.too_few:
         said = f"{poses.too_few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()

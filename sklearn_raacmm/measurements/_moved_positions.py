@@ -59,32 +59,32 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
         return []
     away = [_from_those_about(one.left) for one in whole]
     limit = _OUTLIER * max(np.median(np.concatenate(away)), _LEAST_NOISE_MM)
-    poses = [one[far <= limit] for one, far in zip(whole, away, strict=True)]
-    squares = [_squares(one) for one in poses if len(one) >= 2 * _LEAST]
-    if not squares:
+    pairs = [(one, one[far <= limit]) for one, far in zip(whole, away, strict=True)]
+    looked_at = [(*pair, _squares(pair[1])) for pair in pairs if len(pair[1]) >= 2 * _LEAST]
+    if not looked_at:
         return []
     # As large as noise in most of the windows: steps are in few of them.
-    spread = np.concatenate([rest / n_free for _, n_free, rest, _ in squares], axis=1)
+    spread = np.concatenate([rest / n_free for *_, (_, n_free, rest, _) in looked_at], axis=1)
     usual = np.maximum(np.median(spread, axis=1, keepdims=True), _LEAST_NOISE_MM**2)
     found = []
-    for every_pose, one in zip(whole, poses, strict=True):
-        cuts, parts = [], [(0, len(one))]
+    for every_pose, one, of_all in looked_at:
+        cuts: list[int] = []
+        parts: Any = [(0, one, of_all)]
         while parts:
-            low, high = parts.pop()
-            if high - low < 2 * _LEAST:
-                continue
-            likely = likeliest(_nats(one[low:high], usual, len(left)))
-            if likely:
-                cuts.append(low + likely[0])
-                parts += [(low, cuts[-1]), (cuts[-1], high)]
+            low, part, squares = parts.pop()
+            for cut in likeliest(_nats(squares, usual, len(left)))[:1]:
+                cuts.append(low + cut)
+                halves = (low, part[:cut]), (low + cut, part[cut:])
+                parts += [
+                    (*half, _squares(half[1])) for half in halves if len(half[1]) >= 2 * _LEAST
+                ]
         steps = []
         divided: Any = np.split(one, sorted(cuts))
         for before, after in pairwise(divided):
             step = after.left[:_MOST].mean(axis=0) - before.left[-_MOST:].mean(axis=0)
             rows = int(before.last[-1]), int(after.first[0])
             steps.append(Step(int(one.codes[0]), *rows, float(np.linalg.norm(step))))
-        largest = max((step.size_mm for step in steps), default=0.0)
-        if steps and _in_order(every_pose, one.first[cuts[0]], largest):
+        if steps and _in_order(every_pose, one.first[cuts[0]], max(s.size_mm for s in steps)):
             found += steps
     return found
 
@@ -166,13 +166,13 @@ def _squares(one):
     return [np.concatenate(part, axis=-1) for part in zip(*found, strict=True)]
 
 
-def _nats(one, usual, n_tried):
-    """By how much every step is likelier than none, nats, and the pose behind it.
+def _nats(squares, usual, n_tried):
+    """By how much every step of `_squares` is likelier than none, nats, and the pose behind it.
 
     The noise is found with it and without it, of the window beside so many poses of the `usual`
     variance, mm^2.
     """
-    behind, n_free, rest, taken = _squares(one)
+    behind, n_free, rest, taken = squares
     nats = (n_free + _USUAL) / 2 * np.log1p(taken / (rest + _USUAL * usual)) - np.log(n_tried)
     return zip(nats.min(axis=0).tolist(), behind.tolist(), strict=True)
 

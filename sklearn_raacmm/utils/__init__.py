@@ -28,6 +28,7 @@ from sklearn_raacmm.utils._estimators import (
     one_blas_thread,
     param_checks,
     validate_params,
+    whole_fit,
 )
 from sklearn_raacmm.utils._files import check_places, digest_of, write_whole
 from sklearn_raacmm.utils._findings import (
@@ -44,7 +45,6 @@ from sklearn_raacmm.utils._findings import (
     row_numbers,
     stage,
     warn_user,
-    whole_fit,
 )
 from sklearn_raacmm.utils._rows import (
     TUKEY_CUT,

@@ -4,7 +4,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from sklearn.utils import _param_validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
-from sklearn_raacmm.utils._findings import warn_user
+from sklearn_raacmm.utils._findings import one_warning, warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _KEY = "_sklearn_raacmm_version"
@@ -64,6 +65,33 @@ def one_blas_thread(function: Function) -> Function:
     is also faster.
     """
     return _threadpool_controller_decorator(limits=1, user_api="blas")(function)
+
+
+def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Function]:
+    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
+
+    The parameters are checked before, by scikit-learn; those of inner estimators again unless
+    `prefer_skip_nested_validation`.
+    The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
+    assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
+    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
+    """
+
+    def decorate(fit: Function) -> Function:
+        complete = one_warning(fit)
+
+        @base._fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
+        @wraps(fit)
+        def wrapper(self, *args, **kwargs):
+            aside = object.__new__(type(self))
+            aside.__dict__ = vars(self) | {"findings_": ()}
+            complete(aside, *args, **kwargs)
+            self.__dict__ = aside.__dict__
+            return self
+
+        return cast(Function, wrapper)
+
+    return decorate
 
 
 class InconsistentPackageVersionWarning(InconsistentVersionWarning):

@@ -22,13 +22,15 @@ from typing import Any, Literal, TypeVar, cast
 
 import joblib
 import sklearn
-from sklearn.base import _fit_context
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _LOGGER = logging.getLogger("sklearn_raacmm")
 
 # Where findings are collected instead of warned of; None outside of `collected_findings`.
 _COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
+# Codes that a call accepts, and whether it refuses what has to be repaired: no part of a call does.
+_NOTHING: tuple[tuple[str, ...], bool] = ((), False)
+_ACCEPTED: ContextVar[Any] = ContextVar("accepted findings", default=_NOTHING)
 # Numbers of the rows in the user's file; None: rows are counted from 0.
 _ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
 # Rows that a finding lists.
@@ -116,7 +118,12 @@ class Finding:
 
     def report(self) -> None:
         """Refuse the data, collect the finding, or warn of it; of a note nobody is warned."""
-        collected = _COLLECTED.get()
+        collected, (accepted, refuses) = _COLLECTED.get(), _ACCEPTED.get()
+        if self.weight == "repair" and self.code in accepted:
+            return replace(self, weight="doubt").report()
+        if self.weight == "repair" and refuses:
+            advice = f'{self.advice} Otherwise accept="{self.code}" goes on.'
+            raise FindingError(replace(self, advice=advice, weight="refuse"))
         if self.weight == "refuse":
             raise FindingError(self)
         if collected is not None:
@@ -182,52 +189,46 @@ def call_collecting(
 ) -> tuple[Any, list[Finding]]:
     """Call a function: its result, and what was found within, each warned of once at the end.
 
-    A finding of weight "repair" whose code is in `accept` becomes a doubt; of any other the result
-    is not handed over, unless this is a part of another call, or `accept` is None.
+    A finding of weight "repair" whose code is in `accept` becomes a doubt; any other ends the call,
+    unless this is a part of another one, or `accept` is None.
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
-    accepted = [accept] if isinstance(accept, str) else list(accept or ())
-    refuses = accept is not None
+    codes = [accept] if isinstance(accept, str) else accept or ()
+    accepted = (*_ACCEPTED.get()[0], *codes), accept is not None and _COLLECTED.get() is None
 
     def inside():
         found: list[Finding] = []
+        _ACCEPTED.set(accepted)
         try:
             with collected_findings() as found:
                 result = function()
         except ValueError as error:
+            _ACCEPTED.set(_NOTHING)
             # One of them may be the reason; that which is raised is not said twice.
             for finding in found:
                 if finding is not getattr(error, "finding", None):
                     finding.report()
             raise
-        for i, finding in enumerate(found):
-            if finding.weight == "repair" and finding.code in accepted:
-                found[i] = replace(finding, weight="doubt")
         for finding in sorted(found, key=lambda one: one.weight == "repair"):
-            if refuses and finding.weight == "repair" and _COLLECTED.get() is None:
-                advice = f'{finding.advice} If it is none, accept="{finding.code}" goes on.'
-                finding = replace(finding, advice=advice, weight="refuse")
             finding.report()
         return result, found
 
     return copy_context().run(inside)
 
 
-def _accepted(function, kwargs):
-    """What is accepted of a call, taken out of its arguments; None of functions that take none."""
-    return kwargs.pop("accept", ()) if "accept" in signature(function).parameters else None
-
-
 def one_warning(function: Function) -> Function:
     """Make a function that warns of each finding once, however many of its parts make it.
 
-    A result that keeps `findings` has them all.
+    A result that keeps `findings`, or a model that is handed over, has them all.
     """
+    takes = "accept" in signature(function).parameters
 
     @wraps(function)
     def wrapper(*args, **kwargs):
-        accept = _accepted(function, kwargs)
+        accept = kwargs.pop("accept", ()) if takes else None
         result, found = call_collecting(partial(function, *args, **kwargs), accept)
+        if hasattr(result, "findings_"):
+            result.findings_ = tuple(found)
         return replace(result, findings=tuple(found)) if hasattr(result, "findings") else result
 
     return cast(Function, wrapper)
@@ -239,33 +240,6 @@ def ignored_findings() -> Iterator[None]:
     with collected_findings(), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
-
-
-def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Function]:
-    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
-
-    The parameters are checked before, by scikit-learn; those of inner estimators again unless
-    `prefer_skip_nested_validation`.
-    The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
-    assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
-    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
-    """
-
-    def decorate(fit: Function) -> Function:
-        @_fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
-        @wraps(fit)
-        def wrapper(self, *args, **kwargs):
-            aside = object.__new__(type(self))
-            aside.__dict__ = dict(vars(self))
-            accept = _accepted(fit, kwargs)
-            _, findings = call_collecting(partial(fit, aside, *args, **kwargs), accept)
-            aside.findings_ = tuple(findings)
-            self.__dict__ = aside.__dict__
-            return self
-
-        return cast(Function, wrapper)
-
-    return decorate
 
 
 @contextmanager

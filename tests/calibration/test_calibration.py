@@ -289,7 +289,7 @@ def test_ur10(ur10):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"groups": None}, "either groups, or points"),
+        ({"groups": None}, "give groups, the label of each row, or points"),
         ({"points": np.zeros((6, 3))}, "either groups, or points"),
         ({"groups": np.arange(6)}, "each of the 6 groups has one point"),
         ({"groups": None, "points": np.zeros((6, 3)), "lengths": [(0, 1, 2, 3)]}, "no use for"),

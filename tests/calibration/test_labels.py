@@ -9,7 +9,7 @@ from sklearn.metrics import adjusted_rand_score
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.calibration._labels import places_of
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.utils import FindingWarning, collected_findings
+from sklearn_raacmm.utils import FindingError, FindingWarning, collected_findings
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated
 PANDA = Arm.from_name("panda", probe=(0, 0, 138))
@@ -24,14 +24,28 @@ def found(arm, angles, groups):
 
 @pytest.mark.parametrize("name", ["panda_2", "panda_3"])
 def test_places_of_real_arms_are_the_sockets(panda, name):
-    """Of the nominal arm with its probe fitted, then calibrated without labels."""
-    data = panda(name)
+    """Without labels and without a probe: as many as there are, in the order of the rows."""
+    data, flange = panda(name), PANDA.replace(probe=(0, 0, 0))
+    with pytest.raises(FindingError, match=f"at {len(set(data.groups))} places, of"):
+        calibrate(flange, data.angles)
     with collected_findings():  # two sockets of panda_2 did move
-        probe = calibrate(PANDA, data.angles, data.groups, free=["probe"]).arm.probe
-        first = places_of(PANDA.replace(probe=probe).forward(data.angles))
-        arm = calibrate(PANDA, data.angles, first).arm
-    assert adjusted_rand_score(data.groups, first) == 1
-    assert adjusted_rand_score(data.groups, places_of(arm.forward(data.angles))) == 1
+        result = calibrate(flange, data.angles, accept="places-found")
+    (found,) = [finding for finding in result.findings if finding.code == "places-found"]
+    assert found.weight == "doubt"
+    assert adjusted_rand_score(data.groups, result.groups) == 1
+    assert result.groups[0] == 1
+    assert adjusted_rand_score(data.groups, places_of(result.arm.forward(data.angles))) == 1
+
+
+def test_rows_alone_belong_to_the_nearest_place():
+    angles = np.vstack([TEST.data, TEST.data[:1] + 0.2])
+    with collected_findings() as found:
+        groups = calibrate(TEST.nominal_arm, np.repeat(angles, 30, axis=0)).groups[::30]
+    assert "places-found" in {finding.code for finding in found}
+    assert adjusted_rand_score(TEST.groups, groups[:-1]) == 1
+    assert groups[-1] in groups[:-1]
+    with pytest.raises(ValueError, match="give groups, the label of each row"):
+        calibrate(TEST.nominal_arm, TEST.data[::16])
 
 
 def test_no_two_points_of_a_place_are_farther_apart():

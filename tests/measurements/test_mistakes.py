@@ -37,7 +37,7 @@ TRACKER = Rotation.from_rotvec([0.4, -0.7, 1.1]).apply(TRUE) + [2500, -900, 400]
 TRACKER += np.random.default_rng(0).normal(0, 0.01, TRACKER.shape)
 HALF = np.arange(N) >= N // 2
 # What calibrates and fits many times, by what other functions of the table are made of.
-TAKE_LONG = ("learn_tracker", "cross_validate_cones", "update_tracker", "calibrate_tracker")
+TAKE_LONG = ("learn_tracker", "update_tracker", "calibrate_tracker")
 LONG = pytest.mark.exhaustive
 SMALL = ArmResidualRegressor(ARM, orders=2)
 
@@ -96,7 +96,6 @@ FUNCTIONS = {
     "calibrate_tracker": lambda d: calibrate(d.arm, d.angles, points=d.points, angle_unit=d.unit, **d.more),
     "learn_cones": lambda d: learn_correction(d.arm, d.angles, d.groups, lengths=d.lengths, model=d.model, cv=3, angle_unit=d.unit),
     "learn_tracker": lambda d: learn_correction(d.arm, d.angles, d.groups, d.points, model=d.model, cv=3),
-    "cross_validate_cones": lambda d: learn_correction(d.arm, d.angles, d.groups, model=d.model, cv=3).scores,
     "fit_cones": fit,
     "fit_tracker": fit,
     "chain": fit_chain,
@@ -304,6 +303,7 @@ MISTAKES = [
     ("calibrate_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
     ("calibrate_cones", "a table in metres", lambda: base(arm=table(1e-3)), "unit-of-table"),
     ("calibrate_cones", "all lengths 2 % too long", lambda: base(arm=table(1.02)), BECAUSE + "cones show no scale"),
+    ("calibrate_cones", "no labels", lambda: base(groups=None), "places-found"),
     ("calibrate_cones", "labels five rows late", shifted_labels, "wrong-label"),
     ("calibrate_cones", "two labels exchanged", lambda: exchanged(12, 52), "wrong-label"),
     ("calibrate_cones", "one label mistyped as another", lambda: base(groups=np.r_[3, TEST.groups[1:]]), "wrong-label"),
@@ -413,8 +413,7 @@ MISTAKES = [
     ("learn_tracker", "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
     ("learn_tracker", "the tracker moved by 5 mm", lambda: moved_tracker(5), "moved-station"),
     ("learn_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
-    ("cross_validate_cones", "the third cone moved by 6 mm", moved_cone, "moved-position"),
-    ("cross_validate_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
+    ("learn_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
 ]  # fmt: skip
 
 
@@ -457,14 +456,7 @@ def test_each_mistake_is_named_by_its_function(name, make, expected):
 
 
 CLEAN = dict.fromkeys(
-    [
-        "calibrate_cones",
-        "calibrate_tracker",
-        "learn_cones",
-        "learn_tracker",
-        "cross_validate_cones",
-    ],
-    base,
+    ["calibrate_cones", "calibrate_tracker", "learn_cones", "learn_tracker"], base
 )
 CLEAN |= dict.fromkeys(
     ["fit_cones", "chain", "pipeline", "update_cones", "transfer"], lambda: of(OF)

@@ -121,8 +121,8 @@ def test_likelihood_of_a_step_against_two_normal_densities():
     angles, left = rng.uniform(-2, 2, (7, 6)), np.zeros((7, 3))
     left[:, 0] = rng.normal(0, NOISE, 7) + 0.03 * (np.arange(7) >= 4)
     (poses,) = _moved_positions._sorted_poses(left, angles, np.zeros(7, dtype=int))
-    usual = np.full((2, 1), NOISE**2)
-    found = {k: nats for nats, k in _moved_positions._nats(poses, usual, 1)}
+    squares, usual = _moved_positions._squares(poses), np.full((2, 1), NOISE**2)
+    found = {k: nats for nats, k in _moved_positions._nats(squares, usual, 1)}
     apart = np.square(poses.place[:, None] - poses.place).sum(axis=2)
     expected = []
     for size, fades in _moved_positions._MISFITS:
