@@ -6,7 +6,6 @@
 import warnings
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, Literal, Self, overload
 
@@ -34,7 +33,6 @@ from sklearn_raacmm.utils import (
     Floats,
     Pair,
     check_flags,
-    listed,
     many_without_weight,
     one_blas_thread,
     param_checks,
@@ -252,7 +250,6 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
             Rows in which the arm stood still are merged to one pose.
         """
-        lengths = listed("lengths", lengths)
         rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
@@ -261,8 +258,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
-        terms = Terms(offered, gravity, kinematics, wobble, extra)
+        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
         with_field = isinstance(self.orders, Integral)
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
@@ -283,7 +279,6 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 of_share = left_out, with_constants, positions, fading.most
                 model = with_honest_intervals(model, *of_share)
         self.fading_ = fading
-        model = replace(model, n_positions=float(positions.max() + 1))
         self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]

@@ -256,7 +256,7 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
     n_positions, weights, codes = len(np.unique(positions)), rows.weights, rows.codes
     if left_out is None or n_positions < LEAST_POSITIONS:
         wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
-        return replace(model, noise_scale=wider, std_scale=wider)
+        return replace(model, noise_scale=wider, std_scale=wider, n_positions=float(n_positions))
     correction, _, spread = left_out
     errors = centred(rows.y - share * correction, codes, weights)
     noise = model.noise_sd * model.noise_ratio(rows.X)
@@ -265,8 +265,10 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
         noise *= np.sqrt(1 - taken)[:, None]
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())
     usual = 0.0 if codes is None else _USUAL_LOG_B
-    scales = interval_scales(errors, noise, spread, weights, worth, usual)
-    return replace(model, noise_scale=scales[0], std_scale=scales[1])
+    noise_scale, std_scale = interval_scales(errors, noise, spread, weights, worth, usual)
+    return replace(
+        model, noise_scale=noise_scale, std_scale=std_scale, n_positions=float(n_positions)
+    )
 
 
 def interval_scales(

@@ -228,18 +228,15 @@ class LinearModel:
 
         What a single-point test shows is widened by `std_scale`, what it does not is not.
         """
-        half = self._root(with_unseen)
+        half = self.std_scale * self.gauge_free_half
+        if with_unseen:
+            half = half + self._unseen_half()
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.columns(angles[rows])
             every = columns.reshape(3 * len(columns), len(half)) @ half
             out[rows] = every.reshape(len(columns), 3, half.shape[1])
         return out.reshape(-1, half.shape[1])
-
-    def _root(self, with_unseen):
-        """Root (n_columns, r) of the widened covariance of the coefficients: see `root_at`."""
-        seen = self.std_scale * self.gauge_free_half
-        return seen + self._unseen_half() if with_unseen else seen
 
     def _unseen_half(self):
         """What positions with offsets do not show, as columns to add to `gauge_free_half`.
