@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from copy import copy
 from numbers import Integral, Real
+from operator import attrgetter
 from typing import Any, Literal, Self, overload
 
 import numpy as np
@@ -300,25 +301,14 @@ class ArmResidualRegressor(PointCorrectionMixin):
     def column_harmonics_(self) -> Any:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
-    @property
-    def coef_(self) -> Any:
-        return self.linear_model_.coef
-
-    @property
-    def prior_sd_(self) -> Any:
-        return self.linear_model_.prior_sd
+    coef_: Any = property(attrgetter("linear_model_.coef"))
+    prior_sd_: Any = property(attrgetter("linear_model_.prior_sd"))
+    n_determined_: Any = property(attrgetter("linear_model_.n_determined"))
+    offsets_: Any = property(attrgetter("linear_model_.offsets"))
 
     @property
     def noise_sd_(self) -> float:
         return self.linear_model_.noise_sd
-
-    @property
-    def n_determined_(self) -> Any:
-        return self.linear_model_.n_determined
-
-    @property
-    def offsets_(self) -> Any:
-        return self.linear_model_.offsets
 
     @property
     def helps_(self) -> bool:
@@ -424,7 +414,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
         # Without a correction the errors are at least those that the residuals had.
         least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
         if return_std:
-            std = model.widened(std, X if with_noise else None)
+            std = model.std_scale * std
+            if with_noise:
+                noise = model.noise_scale * model.noise_sd * model.noise_ratio(X)
+                std = np.hypot(std, noise)
         return (mean, np.maximum(std, least)) if return_std else mean
 
     def _points_of(self, X):

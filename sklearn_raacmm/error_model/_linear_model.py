@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_raacmm.arm import Arm, points_of
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     BASE_MOTIONS,
@@ -165,8 +165,8 @@ class LinearModel:
     def predict(self, angles: np.ndarray, return_std: bool = False) -> tuple[np.ndarray, Any]:
         """Posterior of the correction: mean (n, 3) and standard deviation (n, 3) or None, mm.
 
-        The standard deviation is without noise, and of what the test can show: :meth:`widened`
-        makes intervals of it that hold.
+        The standard deviation is without noise, and of what the test can show: `std_scale` makes
+        intervals of it that hold.
         """
         return self.predict_with_doubt(angles, return_std, return_doubt=False)[:2]
 
@@ -196,16 +196,6 @@ class LinearModel:
         if np.array_equal(self.fading_half, self.gauge_free_half):
             return self._std_root
         return _triangle(self.fading_half, len(self.terms.harmonics))
-
-    def widened(self, std: np.ndarray, noisy: np.ndarray | None = None) -> np.ndarray:
-        """Standard deviations whose intervals hold at positions that were left out of the fit.
-
-        With the noise at the poses `noisy`, or of the model alone.
-        """
-        noise: Any = 0.0
-        if noisy is not None:
-            noise = self.noise_scale * self.noise_sd * self.noise_ratio(noisy)
-        return np.hypot(self.std_scale * std, noise)
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
@@ -323,8 +313,7 @@ class LinearModel:
 
     def distance_std(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Posterior standard deviation (n,) in mm of a corrected length between two poses each."""
-        n = self.arm.n_joints
-        line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
+        line = self.layout.points(second) - self.layout.points(first)
         line = line / np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-300)
         between = self.root_at(second) - self.root_at(first)
         return np.linalg.norm(

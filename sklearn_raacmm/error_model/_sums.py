@@ -35,7 +35,7 @@ from scipy.sparse import csr_array
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
-from sklearn_raacmm.utils import chunk_size, chunks, group_means
+from sklearn_raacmm.utils import chunks, group_means
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
@@ -199,7 +199,7 @@ def _parts_of_positions(codes):
     """
     first = np.flatnonzero(np.diff(codes, prepend=-1))
     ends, parts, begin = np.append(first[1:], len(codes)), [], 0
-    limit = chunk_size(_CHUNK)
+    limit = chunks(len(codes), _CHUNK)[0].stop
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
         if last or ends[i + 1] - first[begin] > limit:
