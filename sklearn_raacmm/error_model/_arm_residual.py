@@ -268,7 +268,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
-        left_out = leave_out(fitted, positions, rows.weights)
+        left_out = leave_out(fitted, positions)
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
