@@ -231,33 +231,43 @@ def parsed(name, n_joints):
 
 def columns_of(arm: Arm, terms: Terms) -> "Columns":
     """Columns of an arm, which are made once."""
-    pairs = np.ascontiguousarray(terms.harmonics, dtype=int)
-    return _columns(arm, pairs.tobytes(), *terms[1:])
+    return _alone(arm, *terms[1:]).with_harmonics(terms.harmonics)
 
 
-@lru_cache(maxsize=128)
-def _columns(arm, harmonics, *causes):
-    """Columns by the bytes of their harmonics and the other fields of `Terms`."""
-    return Columns(arm, Terms(np.frombuffer(harmonics, dtype=int).reshape(-1, 2), *causes))
+@lru_cache(maxsize=64)
+def _alone(arm, *causes):
+    """Columns without harmonics; `causes` are the other fields of `Terms`."""
+    return Columns(arm, Terms(np.empty((0, 2), dtype=int), *causes))
+
+
+@lru_cache(maxsize=64)
+def _with_harmonics(alone, harmonics):
+    """Columns with harmonics, of which `harmonics` are the bytes."""
+    pairs = np.frombuffer(harmonics, dtype=int).reshape(-1, 2)
+    return Columns(alone.arm, alone.terms._replace(harmonics=pairs), alone)
 
 
 class Columns:
     """The columns of a model, in mm per unit coefficient: see `columns_of`.
 
     A cosine and a sine for each harmonic come first, `n_waves` in all, then the `others`, of which
-    `names` and `family` (m,) are those of `Column`.
+    `names` and `family` (m,) are those of `Column`; `alone` are the latter without harmonics.
     Rows are angles (n, n_joints) in rad; then the extra columns that the terms name; then the probe
     of each row in the last frame, mm, where it is not the arm's.
     """
 
-    def __init__(self, arm: Arm, terms: Terms) -> None:
+    def __init__(self, arm: Arm, terms: Terms, alone: Any = None) -> None:
         self.arm: Arm = arm
         self.terms: Terms = terms
         self.n_waves: int = 2 * len(terms.harmonics)
-        wanted = terms.gravity, terms.kinematics, terms.wobble
-        of_causes = compress((_gravity, _kinematics, _wobble), wanted)
-        own = [column for columns in of_causes for column in columns(arm)]
-        self.others: tuple[Column, ...] = (*own, *_of_extra(arm, terms.extra))
+        self.alone: Columns = self if alone is None else alone
+        if alone is None:
+            wanted = terms.gravity, terms.kinematics, terms.wobble
+            of_causes = compress((_gravity, _kinematics, _wobble), wanted)
+            own = [column for columns in of_causes for column in columns(arm)]
+            self.others: tuple[Column, ...] = (*own, *_of_extra(arm, terms.extra))
+        else:
+            self.others = alone.others
         self.names: list[str] = [column.name for column in self.others]
         self.family: np.ndarray = np.array([c.family for c in self.others], dtype=int)
         # Unit vector against gravity in the base frame: the arm's, or what the data have found.
@@ -265,12 +275,7 @@ class Columns:
 
     def with_harmonics(self, pairs: np.ndarray) -> "Columns":
         """The same others with other harmonics (n_pairs, 2)."""
-        return columns_of(self.arm, self.terms._replace(harmonics=pairs))
-
-    @property
-    def alone(self) -> "Columns":
-        """The others without harmonics."""
-        return self.with_harmonics(np.empty((0, 2)))
+        return _with_harmonics(self.alone, np.ascontiguousarray(pairs, dtype=int).tobytes())
 
     @cached_property
     def table(self) -> np.ndarray:
