@@ -259,7 +259,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
         offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
-        terms = Terms(offered, *(name in self.causes for name in CAUSES), extra)
+        gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
+        terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
