@@ -141,30 +141,20 @@ class Arm:
         values = self.__getstate__().values()
         return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
 
-    @cached_property
-    def _hash(self):
-        return hash(self._key)
-
     def __eq__(self, other: object) -> bool:
-        if self is other or not isinstance(other, Arm):
-            return self is other or NotImplemented
-        return self._key == other._key
+        return self._key == other._key if isinstance(other, Arm) else NotImplemented
 
     def __hash__(self) -> int:
-        return self._hash
+        return hash(self._key)
 
     def __deepcopy__(self, memo: Any) -> Self:
         return self
-
-    def __reduce__(self) -> Any:
-        # Through the constructor: arrays restored by pickle would be writable.
-        return _rebuild, (self.__getstate__(),)
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __setstate__(self, state: Any) -> None:
-        # The same for formats that restore an object by its state, as skops does.
+        # Through the constructor: arrays restored by pickle would be writable.
         type(self).__init__(self, **state)
 
     def __repr__(self) -> str:
@@ -650,10 +640,6 @@ class Arm:
         return np.rad2deg(angles) if angle_unit == "deg" else angles
 
 
-def _rebuild(params):
-    return Arm(**params)
-
-
 def _write_text(text, path):
     """The text, written to a file where a path is given."""
     if path is not None:
@@ -667,21 +653,18 @@ def check_arm(arm: object) -> None:
         raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
 
 
-def arm_or_built_in(arm: Arm | None, owner: str) -> Arm:
-    """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM."""
-    if arm is not None:
-        check_arm(arm)
-        return arm
-    text = f"{owner} was given no arm and takes the built-in arm {_DEFAULT!r}, whose lengths are "
-    text += "not those of your arm."
-    advice = f'Pass arm=, or arm=Arm.from_name("{_DEFAULT}") if you mean that one.'
-    Finding("built-in-arm", text, advice).report()
-    return Arm.from_name(_DEFAULT)
-
-
 def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm:
-    """As `arm_or_built_in`; refuses X without a column for each joint and each name in `extra`."""
-    arm = arm_or_built_in(arm, owner)
+    """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM.
+
+    Refuses X without a column for each joint and each name in `extra`.
+    """
+    if arm is None:
+        text = f"{owner} was given no arm and takes the built-in arm {_DEFAULT!r}, whose lengths "
+        text += "are not those of your arm."
+        advice = f'Pass arm=, or arm=Arm.from_name("{_DEFAULT}") if you mean that one.'
+        Finding("built-in-arm", text, advice).report()
+        arm = Arm.from_name(_DEFAULT)
+    check_arm(arm)
     needed = f"the arm {arm!r} has {arm.n_joints} joints: one column of joint angles each is needed"
     if extra:
         needed = f"{arm.n_joints + len(extra)} are needed: the angles of {arm.n_joints} joints, "

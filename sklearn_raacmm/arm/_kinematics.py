@@ -15,9 +15,12 @@ FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 CHUNK_ROWS = 4096
 
 
-def dh_theta(arm: Any, angles: np.ndarray) -> np.ndarray:
-    """Angles (n_samples, n_joints) -> theta of the DH table (n_joints, n_samples)."""
-    return np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
+def _rows_of_table(arm, angles):
+    """Of each joint: cosines and sines of theta (n_joints, n_samples), a, d, cos and sin alpha."""
+    theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
+    # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
+    links = (part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha)))
+    return np.cos(theta), np.sin(theta), *links
 
 
 def carried(arm: Any, angles: np.ndarray, fixed: list[Any]) -> np.ndarray:
@@ -26,14 +29,10 @@ def carried(arm: Any, angles: np.ndarray, fixed: list[Any]) -> np.ndarray:
     `fixed` has the number of each point's frame and its three coordinates in it, mm. A point
     through 2 plane rotations a joint costs about a third of the products of 3x4 matrices.
     """
-    theta = dh_theta(arm, angles)
-    cos, sin = np.cos(theta), np.sin(theta)
+    cos, sin, a, d, cos_alpha, sin_alpha = _rows_of_table(arm, angles)
     if len(angles) == 1:
         # Python's numbers are ten times as fast as arrays of one number, and round alike.
         cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()
-    a, d, cos_alpha, sin_alpha = (
-        values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
-    )
     points = np.empty((len(fixed), 3, len(angles)))
     for point, (frame, (x, y, z)) in zip(points, fixed, strict=True):
         for i in reversed(range(frame)):
@@ -62,14 +61,10 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
     return points
 
 
-def frame_columns(arm: Any, theta: np.ndarray) -> np.ndarray:
+def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
-    cos, sin = np.cos(theta), np.sin(theta)
-    # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
-    a, d, cos_alpha, sin_alpha = (
-        values.tolist() for values in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))
-    )
-    out = np.zeros((len(a) + 1, 4, 3, theta.shape[1]))
+    cos, sin, a, d, cos_alpha, sin_alpha = _rows_of_table(arm, angles)
+    out = np.zeros((len(a) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
     x, y, z, origin = out[0]
     for i in range(len(a)):
@@ -91,7 +86,7 @@ def frame_poses(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames (n, n_joints + 1, 3, 4) at angles that have been checked: see `Arm.frames`."""
     frames = np.empty((len(angles), len(arm.a) + 1, 3, 4))
     for rows in chunks(len(angles), CHUNK_ROWS):
-        frames[rows] = frame_columns(arm, dh_theta(arm, angles[rows])).transpose(3, 0, 2, 1)
+        frames[rows] = frame_columns(arm, angles[rows]).transpose(3, 0, 2, 1)
     return frames
 
 
@@ -118,7 +113,7 @@ def axis_vectors(
     and so on, does to the probe, mm per rad, then the axes themselves, (n, 3, 6 n_frames); and
     the frames' origins and the probe, (n, 3, n_frames + 1) mm.
     """
-    frames = frame_columns(arm, dh_theta(arm, angles))
+    frames = frame_columns(arm, angles)
     probe = probe_from_frames(arm, frames, probes)
     axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
     lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
@@ -136,7 +131,7 @@ def parameter_jacobian(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.nda
     points = np.empty((len(angles), 3))
     jac = np.empty((len(angles), 3, 4 * n + 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
-        frames = frame_columns(arm, dh_theta(arm, angles[rows]))
+        frames = frame_columns(arm, angles[rows])
         probe = probe_from_frames(arm, frames)
         points[rows] = probe.T
         for i in range(n):

@@ -18,7 +18,7 @@ from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._one_fit import with_causes
+from sklearn_raacmm.correction._one_fit import given_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
@@ -494,7 +494,15 @@ class Correction:
 
     def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> np.ndarray:
         """What the model takes: angles in rad, (n, n_joints), then its causes."""
-        return with_causes(angles, self.causes, extra)
+        given = given_causes(extra, len(angles))
+        unknown = [name for name in given if name not in self.causes]
+        if unknown:
+            raise ValueError(
+                f"extra names {unknown[0]!r}, of which the model knows nothing; it was fitted with "
+                f"{', '.join(self.causes) or 'none'}."
+            )
+        columns = [np.broadcast_to(value, len(angles)) for value in (self.causes | given).values()]
+        return np.column_stack([angles, *columns])
 
     def columns(self, X: np.ndarray) -> np.ndarray:
         """What a corrected table gets, (n_samples, 10) in mm, of what `inputs` returns.

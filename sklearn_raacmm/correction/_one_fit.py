@@ -13,7 +13,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.cluster import KMeans
-from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
@@ -21,7 +20,7 @@ from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
-from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.residuals import last_step_of, position_residuals
 from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
@@ -198,10 +197,7 @@ class Data:
     def _fitted(self, model, calibration, rows, y, lengths) -> Any:
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
         fitted = self._model_for(model, calibration.arm)
-        # Of a pipeline, what its last step takes.
-        last, prefix = fitted, ""
-        while isinstance(last, Pipeline):
-            prefix, last = f"{prefix}{last.steps[-1][0]}__", last.steps[-1][1]
+        last, prefix = last_step_of(fitted)
         given = {"groups": self.positions[rows], "lengths": lengths}
         if self.tools is not None:
             if prefix or not has_fit_parameter(last, "probes"):
@@ -245,7 +241,7 @@ def _causes(extra, angles, codes):
 
     Time that the angles explain is refused: what it explains may be the place.
     """
-    given = _given(extra, len(angles))
+    given = given_causes(extra, len(angles))
     check_extra(tuple(given), angles.shape[1])
     if "time" in given and (explained := order_explained_by(angles, codes)) > _MOST_EXPLAINED:
         raise ValueError(
@@ -256,7 +252,7 @@ def _causes(extra, angles, codes):
     return tuple(given), np.reshape([*given.values()], (len(given), len(angles))).T
 
 
-def _given(extra, n_rows):
+def given_causes(extra: Any, n_rows: int) -> dict[str, np.ndarray]:
     """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
     if extra is not None and not isinstance(extra, Mapping):
         raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")
@@ -277,19 +273,3 @@ def usual_values(names, values):
         kind = name.split()[0]
         usual[name] = float({"time": column[-1], "direction": 0.0}.get(kind, column.mean()))
     return usual
-
-
-def with_causes(angles: Any, usual: dict[str, Any], extra: Any = None) -> Any:
-    """Angles (n, n_joints) in rad with the columns of the causes that a model has.
-
-    `usual` names these, with what counts where `extra` does not have them.
-    """
-    given = _given(extra, len(angles))
-    unknown = [name for name in given if name not in usual]
-    if unknown:
-        raise ValueError(
-            f"extra names {unknown[0]!r}, of which the model knows nothing; it was fitted with "
-            f"{', '.join(usual) or 'none'}."
-        )
-    columns = [np.broadcast_to(value, len(angles)) for value in (usual | given).values()]
-    return np.column_stack([angles, *columns])

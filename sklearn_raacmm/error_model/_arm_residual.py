@@ -6,8 +6,8 @@
 import warnings
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import replace
 from numbers import Integral, Real
+from operator import attrgetter
 from typing import Any, Literal, Self, overload
 
 import numpy as np
@@ -34,7 +34,6 @@ from sklearn_raacmm.utils import (
     Floats,
     Pair,
     check_flags,
-    listed,
     many_without_weight,
     one_blas_thread,
     param_checks,
@@ -252,7 +251,6 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
             Rows in which the arm stood still are merged to one pose.
         """
-        lengths = listed("lengths", lengths)
         rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes)
         positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
@@ -271,7 +269,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
-        left_out = leave_out(fitted, positions, rows.weights)
+        left_out = leave_out(fitted, positions)
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
@@ -283,7 +281,6 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 of_share = left_out, with_constants, positions, fading.most
                 model = with_honest_intervals(model, *of_share)
         self.fading_ = fading
-        model = replace(model, n_positions=float(positions.max() + 1))
         self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]
@@ -305,25 +302,14 @@ class ArmResidualRegressor(PointCorrectionMixin):
     def column_harmonics_(self) -> Any:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
-    @property
-    def coef_(self) -> Any:
-        return self.linear_model_.coef
-
-    @property
-    def prior_sd_(self) -> Any:
-        return self.linear_model_.prior_sd
+    coef_: Any = property(attrgetter("linear_model_.coef"))
+    prior_sd_: Any = property(attrgetter("linear_model_.prior_sd"))
+    n_determined_: Any = property(attrgetter("linear_model_.n_determined"))
+    offsets_: Any = property(attrgetter("linear_model_.offsets"))
 
     @property
     def noise_sd_(self) -> float:
         return self.linear_model_.noise_sd
-
-    @property
-    def n_determined_(self) -> Any:
-        return self.linear_model_.n_determined
-
-    @property
-    def offsets_(self) -> Any:
-        return self.linear_model_.offsets
 
     @property
     def helps_(self) -> bool:
@@ -429,7 +415,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
         # Without a correction the errors are at least those that the residuals had.
         least = 0.0 if self.helps_ else fading.size_mm / np.sqrt(3)
         if return_std:
-            std = model.widened(std, X if with_noise else None)
+            std = model.std_scale * std
+            if with_noise:
+                noise = model.noise_scale * model.noise_sd * model.noise_ratio(X)
+                std = np.hypot(std, noise)
         return (mean, np.maximum(std, least)) if return_std else mean
 
     def _points_of(self, X):

@@ -36,8 +36,6 @@ _LARGEST_REACHES = 10.0
 _NO_MEANS = 1e-9
 # Part of the range of a column in the fit by which values may lie beyond it without a word.
 _BEYOND = 0.5
-# For names that are read before the arm is known.
-_MOST_JOINTS = 10**6
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
@@ -46,7 +44,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     And the position of each row, (n,) from 0, given or found; None: each row is one.
     """
     X, y = check_data(estimator, X, y)
-    extra = check_extra(estimator.extra)
+    extra, lengths = tuple(estimator.extra), listed("lengths", lengths)
     arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
@@ -113,7 +111,6 @@ def _check_vectors(y, arm):
 
 def _check_lengths(lengths, codes, labels, kinematics):
     """Known lengths as (position, position, length, sd), positions by their index in `codes`."""
-    lengths = listed("lengths", lengths)
     if lengths and codes is None:
         raise ValueError(
             "lengths are for positions with offsets; residuals against a reference, or without "
@@ -166,27 +163,23 @@ def poses_of(rows, extra):
     return dwells, rows
 
 
-def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
-    """Names of the extra columns as a tuple: each is known, and none stands there twice."""
-    if isinstance(extra, str):
-        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")
-    names = tuple(extra)
+def check_extra(names: tuple[Any, ...], n_joints: int) -> None:
+    """Refuse names of extra columns that are not known, or stand there twice."""
     found = [parsed(name, n_joints) for name in names]
     for i, one in enumerate(found):
         if one in found[:i]:
             raise ValueError(f"extra names {names[i]!r} twice.")
-    return names
 
 
 def with_references(extra, values, weights):
-    """Names of the extra columns with what the training data (n, n_extra) say of them.
+    """Names of the extra columns with what rows of the training data (n, n_extra) say of them.
 
     Pairs of a name and numbers: the weighted mean, from which the model counts, the least and the
     largest value.
     """
-    used, found = weights > 0, []
-    for name, column in zip(extra, values[used].T, strict=True):
-        numbers = np.average(column, weights=weights[used]), column.min(), column.max()
+    found = []
+    for name, column in zip(extra, values.T, strict=True):
+        numbers = np.average(column, weights=weights), column.min(), column.max()
         found.append((name, tuple(map(float, numbers))))
     return tuple(found)
 
@@ -207,10 +200,7 @@ def check_values(extra, values):
 
     `extra` is as `with_references` has made it; `values` (n, n_extra).
     """
-    for (name, known), column in zip(extra, values.T, strict=True):
-        if len(known) < 3:  # the mean of many arms
-            continue
-        _, low, high = known
+    for (name, (_, low, high)), column in zip(extra, values.T, strict=True):
         margin = _BEYOND * (high - low)
         far = np.flatnonzero((column < low - margin) | (column > high + margin))
         if margin > 0 and len(far):

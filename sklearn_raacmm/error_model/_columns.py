@@ -259,7 +259,6 @@ class Columns:
     def __init__(self, arm: Arm, terms: Terms, alone: Any = None) -> None:
         self.arm: Arm = arm
         self.terms: Terms = terms
-        self.n_joints: int = len(arm.a)
         self.n_waves: int = 2 * len(terms.harmonics)
         self.alone: Columns = self if alone is None else alone
         if alone is None:
@@ -296,7 +295,7 @@ class Columns:
         """Force on the probe in the base frame by one of each extra column, (n_extra, 3)."""
         forces = np.zeros((len(self.terms.extra), 3))
         for force, (name, _) in zip(forces, self.terms.extra, strict=True):
-            kind, axis = parsed(name, self.n_joints)
+            kind, axis = parsed(name, self.arm.n_joints)
             if kind == "force":
                 force[axis] = 1.0
             elif kind == "payload":  # a weight pulls against the vertical
@@ -309,7 +308,7 @@ class Columns:
 
     def _parts(self, rows):
         """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
-        n, end = self.n_joints, self.n_joints + len(self.terms.extra)
+        n, end = self.arm.n_joints, self.arm.n_joints + len(self.terms.extra)
         return rows[:, :n], rows[:, n:end], rows[:, end:] if rows.shape[1] > end else None
 
     def points(self, rows: np.ndarray) -> np.ndarray:
@@ -320,7 +319,7 @@ class Columns:
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What each joint's angle does to the probe at rows, (n, 3, n_joints)."""
         angles, _, probes = self._parts(rows)
-        z = 3 * (np.arange(self.n_joints) + _first_frame(self.arm)) + 2
+        z = 3 * (np.arange(self.arm.n_joints) + _first_frame(self.arm)) + 2
         return axis_vectors(self.arm, angles, probes)[0][:, :, z]
 
     def at(self, rows: np.ndarray) -> np.ndarray:
@@ -371,7 +370,7 @@ class _Plan:
     """A column table, arranged for whole arrays."""
 
     def __init__(self, columns):
-        table, n_waves, n_axes = columns.table, columns.n_waves, 3 * (columns.n_joints + 1)
+        table, n_waves, n_axes = columns.table, columns.n_waves, 3 * (columns.arm.n_joints + 1)
         axis = 3 * table["frame"] + table["axis"]
         which = np.where(table["kind"] == SHIFT, n_axes, 0) + axis  # into the `axis_vectors`
         # Runs of columns (first, last, vector, unit): many waves that share one vector.

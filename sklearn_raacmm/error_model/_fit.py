@@ -527,14 +527,13 @@ def model_of(rows, columns, state):
     offered, half, line = columns.terms.harmonics, state.half[order], len(FAMILIES) - 2
     families = np.unique(columns.family).tolist()
     families += [line] * bool(len(offered)) + [line + 1] * state.with_field
-    offsets = rows.codes is not None and not rows.known
     model = LinearModel(
         layout=columns.with_harmonics(offered[state.pairs]),
         coef=state.coef[order],
         half=half,
         noise_variance=state.noise_variance,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
-        offsets=offsets,
+        offsets=rows.codes is not None and not rows.known,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
         gauge_free_half=half,

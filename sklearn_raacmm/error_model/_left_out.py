@@ -180,10 +180,10 @@ def warn_where_unknown(share, most):
 
 
 @stage("models without one block each")
-def leave_out(fitted, positions, weights):
+def leave_out(fitted, positions):
     """Errors at the rows of each block of neighbouring positions by a model of the others.
 
-    `positions` (n,) count from 0. Outliers keep their `weights` in the means of their positions.
+    `positions` (n,) count from 0. Outliers keep their weights in the means of their positions.
 
     Returns what models without the block of a row say of it: the correction (n, 3); the doubt (n,)
     that it fades by; its standard deviations (n, 3), where positions have offsets those of its
@@ -191,7 +191,7 @@ def leave_out(fitted, positions, weights):
     all weight is in one block.
     """
     model, state, rows, offered = fitted.model, fitted.state, fitted.rows, fitted.columns
-    blocks = _blocks(offered.points(rows.X), positions, weights)
+    blocks = _blocks(offered.points(rows.X), positions, rows.weights)
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
@@ -218,17 +218,17 @@ def leave_out(fitted, positions, weights):
         best = search_at(Problem(sums, structures), start)
         rest = model_of(used.at((blocks != block) & kept), columns, best)
         of = np.flatnonzero(blocks == block)
-        for values, mine in zip(found, _at_rows(rest, rows.at(of), weights[of]), strict=True):
+        for values, mine in zip(found, _at_rows(rest, rows.at(of)), strict=True):
             values[of] = mine
     return found
 
 
-def _at_rows(model, rows, weights):
+def _at_rows(model, rows):
     """What `leave_out` returns, at some rows by a model that has not seen them."""
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     if rows.codes is None:
         return mean, doubt, std
-    dots = centred(model.columns(rows.X), rows.codes, weights) @ model.half
+    dots = centred(model.columns(rows.X), rows.codes, rows.weights) @ model.half
     return mean, doubt, np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
 
 
@@ -256,7 +256,7 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
     n_positions, weights, codes = len(np.unique(positions)), rows.weights, rows.codes
     if left_out is None or n_positions < LEAST_POSITIONS:
         wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
-        return replace(model, noise_scale=wider, std_scale=wider)
+        return replace(model, noise_scale=wider, std_scale=wider, n_positions=float(n_positions))
     correction, _, spread = left_out
     errors = centred(rows.y - share * correction, codes, weights)
     noise = model.noise_sd * model.noise_ratio(rows.X)
@@ -265,8 +265,10 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
         noise *= np.sqrt(1 - taken)[:, None]
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())
     usual = 0.0 if codes is None else _USUAL_LOG_B
-    scales = interval_scales(errors, noise, spread, weights, worth, usual)
-    return replace(model, noise_scale=scales[0], std_scale=scales[1])
+    noise_scale, std_scale = interval_scales(errors, noise, spread, weights, worth, usual)
+    return replace(
+        model, noise_scale=noise_scale, std_scale=std_scale, n_positions=float(n_positions)
+    )
 
 
 def interval_scales(

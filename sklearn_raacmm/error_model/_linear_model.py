@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_raacmm.arm import Arm, points_of
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     BASE_MOTIONS,
@@ -165,8 +165,8 @@ class LinearModel:
     def predict(self, angles: np.ndarray, return_std: bool = False) -> tuple[np.ndarray, Any]:
         """Posterior of the correction: mean (n, 3) and standard deviation (n, 3) or None, mm.
 
-        The standard deviation is without noise, and of what the test can show: :meth:`widened`
-        makes intervals of it that hold.
+        The standard deviation is without noise, and of what the test can show: `std_scale` makes
+        intervals of it that hold.
         """
         return self.predict_with_doubt(angles, return_std, return_doubt=False)[:2]
 
@@ -197,16 +197,6 @@ class LinearModel:
             return self._std_root
         return _triangle(self.fading_half, len(self.terms.harmonics))
 
-    def widened(self, std: np.ndarray, noisy: np.ndarray | None = None) -> np.ndarray:
-        """Standard deviations whose intervals hold at positions that were left out of the fit.
-
-        With the noise at the poses `noisy`, or of the model alone.
-        """
-        noise: Any = 0.0
-        if noisy is not None:
-            noise = self.noise_scale * self.noise_sd * self.noise_ratio(noisy)
-        return np.hypot(self.std_scale * std, noise)
-
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
         n, share = self.arm.n_joints, self.noise_of_angles
@@ -228,18 +218,15 @@ class LinearModel:
 
         What a single-point test shows is widened by `std_scale`, what it does not is not.
         """
-        half = self._root(with_unseen)
+        half = self.std_scale * self.gauge_free_half
+        if with_unseen:
+            half = half + self._unseen_half()
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.columns(angles[rows])
             every = columns.reshape(3 * len(columns), len(half)) @ half
             out[rows] = every.reshape(len(columns), 3, half.shape[1])
         return out.reshape(-1, half.shape[1])
-
-    def _root(self, with_unseen):
-        """Root (n_columns, r) of the widened covariance of the coefficients: see `root_at`."""
-        seen = self.std_scale * self.gauge_free_half
-        return seen + self._unseen_half() if with_unseen else seen
 
     def _unseen_half(self):
         """What positions with offsets do not show, as columns to add to `gauge_free_half`.
@@ -326,8 +313,7 @@ class LinearModel:
 
     def distance_std(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Posterior standard deviation (n,) in mm of a corrected length between two poses each."""
-        n = self.arm.n_joints
-        line = points_of(self.arm, second[:, :n]) - points_of(self.arm, first[:, :n])
+        line = self.layout.points(second) - self.layout.points(first)
         line = line / np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-300)
         between = self.root_at(second) - self.root_at(first)
         return np.linalg.norm(

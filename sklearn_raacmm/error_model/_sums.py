@@ -35,7 +35,7 @@ from scipy.sparse import csr_array
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
-from sklearn_raacmm.utils import chunk_size, chunks, group_means
+from sklearn_raacmm.utils import chunks, group_means
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
@@ -105,7 +105,10 @@ def candidate_sums(rows, columns):
         parts = _parts_of_positions(codes[order])
         angles, y, weights = angles[order], y[order], weights[order]
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
-    spans = _joint_spans(offered)
+    spans = []  # joint, orders, and which of those offered they are
+    for joint in np.unique(offered[:, 0]).tolist():
+        pairs = np.flatnonzero(offered[:, 0] == joint)
+        spans.append((joint, offered[pairs, 1], pairs))
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
     with_turns = columns.with_harmonics(every_turn)
     turns = np.empty((*y.shape, n_joints))
@@ -196,22 +199,13 @@ def _parts_of_positions(codes):
     """
     first = np.flatnonzero(np.diff(codes, prepend=-1))
     ends, parts, begin = np.append(first[1:], len(codes)), [], 0
-    limit = chunk_size(_CHUNK)
+    limit = chunks(len(codes), _CHUNK)[0].stop
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
         if last or ends[i + 1] - first[begin] > limit:
             parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
             begin = i + 1
     return parts
-
-
-def _joint_spans(offered):
-    """(joint, orders, columns) for each joint with candidates."""
-    joints, starts = np.unique(offered[:, 0], return_index=True)
-    spans = map(slice, starts.tolist(), [*starts[1:].tolist(), len(offered)])
-    return [
-        (joint, offered[span, 1], span) for joint, span in zip(joints.tolist(), spans, strict=True)
-    ]
 
 
 def _weighted_deviations(columns, weights, starts, known):
@@ -246,7 +240,7 @@ def _own_blocks(turn, wave, weights, starts, known):
 
 def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
     """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
-    many = len(angles) >= _MANY_POSES
+    on_grid = [len(angles) >= _MANY_POSES and len(orders) >= _MANY_ORDERS for _, orders, _ in spans]
     found: Any = [0.0] * len(spans)
     (joints, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
     for rows, starts in parts:
@@ -263,11 +257,13 @@ def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
                 share = np.take(along, twice, axis=1) * wave
             else:
                 share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
-            spread = _spread if many and len(orders) >= _MANY_ORDERS else _plain
-            found[i] = found[i] + spread(theta[:, joint], orders).T @ share
-    return np.concatenate(
-        [_of_orders(total, orders) for total, (_, orders, _) in zip(found, spans, strict=True)]
-    ).T
+            if on_grid[i]:
+                found[i] = found[i] + _spread(theta[:, joint], orders).T @ share
+            else:
+                found[i] = found[i] + waves(theta[:, joint], orders).view(float).T @ share
+    for i in np.flatnonzero(on_grid):
+        found[i] = _of_orders(found[i], spans[i][1])
+    return np.concatenate(found).T
 
 
 def waves(theta, orders):
@@ -288,11 +284,6 @@ def waves(theta, orders):
     return out
 
 
-def _plain(theta, orders):
-    """Cosines and sines by turns, (n, 2 n_orders)."""
-    return waves(theta, orders).view(float)
-
-
 def _spread(theta, orders):
     """What each angle gives to the points of the grid around it, (n, n_points) sparse."""
     size, sharpness, _ = _grid(int(orders[-1]))
@@ -305,10 +296,8 @@ def _spread(theta, orders):
 
 
 def _of_orders(total, orders):
-    """Sums for the orders, (2 n_orders, m), of those with `_plain` or with `_spread`."""
-    size, _, factors = _grid(int(orders[-1]))
-    if len(total) != size:
-        return total
+    """Sums for the orders, (2 n_orders, m), of those on the grid with `_spread`."""
+    factors = _grid(int(orders[-1]))[2]
     found = rfft(np.ascontiguousarray(total.T), axis=1).take(orders, axis=1)
     return np.conj(found * factors[orders]).view(float).T
 

@@ -20,6 +20,7 @@ from sklearn_raacmm.residuals._pose_features import (
     elbow_angle,
     shoulder_wrist_distance,
 )
+from sklearn_raacmm.residuals._steps import last_step_of
 from sklearn_raacmm.residuals._target import CylindricalResidualTarget
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "cylindrical_to_cartesian",
     "elbow_angle",
     "found_positions",
+    "last_step_of",
     "position_residuals",
     "shoulder_wrist_distance",
 ]

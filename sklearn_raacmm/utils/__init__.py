@@ -52,7 +52,6 @@ from sklearn_raacmm.utils._rows import (
     are_deviations,
     centred,
     check_groups,
-    chunk_size,
     chunks,
     deviations_by_group,
     encode_groups,

@@ -48,19 +48,13 @@ _LEAST_OF_SLIPS, _ROUNDS = 4, 5
 _SLIP = 2.0
 
 
-def chunk_size(n_rows: int) -> int:
-    """Number of rows of a chunk: `n_rows`, at least 1, and no more than the tests allow."""
-    size = max(1, n_rows)
-    return size if LIMIT is None else min(size, LIMIT)
-
-
 def chunks(n_rows: int, size: int) -> list[slice]:
     """Slices of at most `size` rows that cover `n_rows` rows.
 
     Callers choose a size for which what they compute stays in the processor's cache.
     """
     # Not `sklearn.utils.gen_batches`: its checks take as long as the pose of one row.
-    step = chunk_size(size)
+    step = max(1, size if LIMIT is None else min(size, LIMIT))
     return [slice(start, min(start + step, n_rows)) for start in range(0, n_rows, step)]
 
 
@@ -123,12 +117,8 @@ def _labels(groups, name):
 
 def _missing(labels):
     """Which labels are missing."""
-    if labels.dtype.kind in "iub":
-        return np.zeros(len(labels), dtype=bool)
-    if labels.dtype.kind == "f":
-        return np.isnan(labels)
-    if labels.dtype.kind in "mM":
-        return np.isnat(labels)
+    if labels.dtype.kind in "iubfmM":
+        return labels != labels  # NaN and NaT are unlike themselves
     if labels.dtype.kind in "US":
         return labels == labels.dtype.type()
     return np.array(

@@ -85,7 +85,7 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
     rows = Rows(test.arm, test.data, y, weights, test.groups if single_point else None)
     terms = Terms(np.empty((0, 2), int), False, True, False)
     fitted = fit_linear_model(rows, columns_of(test.arm, terms), with_field=False)
-    correction, doubt, deviations = leave_out(fitted, test.groups, weights)
+    correction, doubt, deviations = leave_out(fitted, test.groups)
     model = fitted.model
     blocks = _blocks(test.arm.forward(test.data), test.groups, weights)
     assert len(np.unique(blocks)) == 10
