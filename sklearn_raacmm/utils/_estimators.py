@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 from sklearn import base
+from sklearn.base import _fit_context
 from sklearn.exceptions import InconsistentVersionWarning
 from sklearn.utils import _param_validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
@@ -80,7 +81,7 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
     def decorate(fit: Function) -> Function:
         complete = one_warning(fit)
 
-        @base._fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
+        @_fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
         @wraps(fit)
         def wrapper(self, *args, **kwargs):
             aside = object.__new__(type(self))
