@@ -674,7 +674,7 @@ def refused_in_correction():
     of_rows = partial(learn_correction, *DATA[:2])
     single = [*"AAAAAAAa", *"B" * 40]
     yield of_rows, "positions", [single], "'a' has a single row, row 7"
-    places = 'own points are at 6 places, of 8 to 8 rows each.*accept="places-found"'
+    places = 'own points are at 6 places, of 8 to 8 rows each.*accept "places-found"'
     yield of_rows, "positions", [None], places
     two = partial(learn_correction, TEST.nominal_arm, TEST.data[:16])
     too_few = "at least 3 positions are needed to leave some out, got 2"

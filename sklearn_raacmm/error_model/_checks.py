@@ -36,6 +36,8 @@ _LARGEST_REACHES = 10.0
 _NO_MEANS = 1e-9
 # Part of the range of a column in the fit by which values may lie beyond it without a word.
 _BEYOND = 0.5
+# For names that are read before the arm is known.
+_MOST_JOINTS = 10**6
 
 
 def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
@@ -44,7 +46,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     And the position of each row, (n,) from 0, given or found; None: each row is one.
     """
     X, y = check_data(estimator, X, y)
-    extra, lengths = tuple(estimator.extra), listed("lengths", lengths)
+    extra, lengths = check_extra(estimator.extra), listed("lengths", lengths)
     arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
@@ -163,12 +165,16 @@ def poses_of(rows, extra):
     return dwells, rows
 
 
-def check_extra(names: tuple[Any, ...], n_joints: int) -> None:
-    """Refuse names of extra columns that are not known, or stand there twice."""
+def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
+    """Names of the extra columns as a tuple: each is known, and none stands there twice."""
+    if isinstance(extra, str):
+        raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")
+    names = tuple(extra)
     found = [parsed(name, n_joints) for name in names]
     for i, one in enumerate(found):
         if one in found[:i]:
             raise ValueError(f"extra names {names[i]!r} twice.")
+    return names
 
 
 def with_references(extra, values, weights):

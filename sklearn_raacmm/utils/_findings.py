@@ -122,7 +122,8 @@ class Finding:
         if self.weight == "repair" and self.code in accepted:
             return replace(self, weight="doubt").report()
         if self.weight == "repair" and refuses:
-            advice = f'{self.advice} Otherwise accept="{self.code}" goes on.'
+            # In words that hold for `accept=` and for `--accept`.
+            advice = f'{self.advice} Otherwise accept "{self.code}" to go on.'
             raise FindingError(replace(self, advice=advice, weight="refuse"))
         if self.weight == "refuse":
             raise FindingError(self)

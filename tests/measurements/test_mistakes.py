@@ -475,7 +475,7 @@ def test_clean_data_raise_no_finding(name):
 def test_findings_travel_with_what_is_learnt():
     """What has to be repaired hands over nothing, unless it is accepted: then it is a doubt."""
     given = TEST.nominal_arm, moved_cone().angles, TEST.groups
-    with pytest.raises(FindingError, match='accept="moved-position" goes on') as refused:
+    with pytest.raises(FindingError, match='accept "moved-position" to go on') as refused:
         learn_correction(*given, model=SMALL, cv=3)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
