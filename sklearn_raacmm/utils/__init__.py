@@ -28,7 +28,7 @@ from sklearn_raacmm.utils._estimators import (
     one_blas_thread,
     param_checks,
     validate_params,
-    whole_fit,
+    warn_user,
 )
 from sklearn_raacmm.utils._files import check_places, digest_of, write_whole
 from sklearn_raacmm.utils._findings import (
@@ -44,7 +44,7 @@ from sklearn_raacmm.utils._findings import (
     one_warning,
     row_numbers,
     stage,
-    warn_user,
+    whole_fit,
 )
 from sklearn_raacmm.utils._rows import (
     TUKEY_CUT,

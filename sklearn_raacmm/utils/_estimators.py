@@ -1,13 +1,18 @@
-"""What all estimators share: scikit-learn's private names, its mixins with types, and versions."""
+"""What all share: scikit-learn's private names, its mixins with types, a warning, and versions."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import contextlib
+import os
+import sys
+import warnings
 from collections.abc import Callable
-from functools import wraps
-from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+import joblib
 import numpy as np
+import sklearn
 from numpy.typing import NDArray
 from sklearn import base
 from sklearn.base import _fit_context
@@ -16,12 +21,20 @@ from sklearn.utils import _param_validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
-from sklearn_raacmm.utils._findings import one_warning, warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _KEY = "_sklearn_raacmm_version"
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
+
+# Of a warning's way to the user: the package, what calls it in a pipeline or in several processes,
+# and what its decorators are made of.
+_FOLDERS = (
+    os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
+    *sklearn.__path__,
+    *joblib.__path__,
+)
+_SKIPPED = (*(folder + os.sep for folder in _FOLDERS), contextlib.__file__)
 
 if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
 
@@ -47,6 +60,7 @@ else:
     RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
 
 param_checks: Any = _param_validation
+fit_context: Any = _fit_context
 
 
 def validate_params(
@@ -68,31 +82,23 @@ def one_blas_thread(function: Function) -> Function:
     return _threadpool_controller_decorator(limits=1, user_api="blas")(function)
 
 
-def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Function]:
-    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
+def warn_user(message: str | Warning, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line that calls the package, however many of its functions are in between.
 
-    The parameters are checked before, by scikit-learn; those of inner estimators again unless
-    `prefer_skip_nested_validation`.
-    The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
-    assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
-    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
+    As ``warnings.warn(..., skip_file_prefixes=...)``, which Python 3.11 does not have. `category`
+    is that of a message that is text.
     """
-
-    def decorate(fit: Function) -> Function:
-        complete = one_warning(fit)
-
-        @_fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
-        @wraps(fit)
-        def wrapper(self, *args, **kwargs):
-            aside = object.__new__(type(self))
-            aside.__dict__ = vars(self) | {"findings_": ()}
-            complete(aside, *args, **kwargs)
-            self.__dict__ = aside.__dict__
-            return self
-
-        return cast(Function, wrapper)
-
-    return decorate
+    frame = sys._getframe(1)
+    while frame.f_code.co_filename.startswith(_SKIPPED) and frame.f_back is not None:
+        frame = frame.f_back
+    warnings.warn_explicit(
+        message,
+        category,
+        frame.f_code.co_filename,
+        frame.f_lineno,
+        frame.f_globals.get("__name__", "<unknown>"),
+        frame.f_globals.setdefault("__warningregistry__", {}),
+    )
 
 
 class InconsistentPackageVersionWarning(InconsistentVersionWarning):

@@ -6,10 +6,7 @@ A finding is made once, and is the same in every place that shows it.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import contextlib
 import logging
-import os
-import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,12 +15,10 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial, wraps
 from inspect import signature
 from time import perf_counter
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal, cast
 
-import joblib
-import sklearn
+from sklearn_raacmm.utils._estimators import Function, fit_context, warn_user
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 _LOGGER = logging.getLogger("sklearn_raacmm")
 
 # Where findings are collected instead of warned of; None outside of `collected_findings`.
@@ -35,33 +30,6 @@ _ACCEPTED: ContextVar[Any] = ContextVar("accepted findings", default=_NOTHING)
 _ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
 # Rows that a finding lists.
 _LISTED = 100
-# Of a warning's way to the user: the package, what calls it in a pipeline or in several processes,
-# and what its decorators are made of.
-_FOLDERS = (
-    os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
-    *sklearn.__path__,
-    *joblib.__path__,
-)
-_SKIPPED = (*(folder + os.sep for folder in _FOLDERS), contextlib.__file__)
-
-
-def warn_user(message: str | Warning, category: type[Warning] = UserWarning) -> None:
-    """Warn at the line that calls the package, however many of its functions are in between.
-
-    As ``warnings.warn(..., skip_file_prefixes=...)``, which Python 3.11 does not have. `category`
-    is that of a message that is text.
-    """
-    frame = sys._getframe(1)
-    while frame.f_code.co_filename.startswith(_SKIPPED) and frame.f_back is not None:
-        frame = frame.f_back
-    warnings.warn_explicit(
-        message,
-        category,
-        frame.f_code.co_filename,
-        frame.f_lineno,
-        frame.f_globals.get("__name__", "<unknown>"),
-        frame.f_globals.setdefault("__warningregistry__", {}),
-    )
 
 
 @dataclass(frozen=True)
@@ -233,6 +201,33 @@ def one_warning(function: Function) -> Function:
         return replace(result, findings=tuple(found)) if hasattr(result, "findings") else result
 
     return cast(Function, wrapper)
+
+
+def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Function]:
+    """Make a `fit` that leaves the estimator as it was until it is complete, and returns it.
+
+    The parameters are checked before, by scikit-learn; those of inner estimators again unless
+    `prefer_skip_nested_validation`.
+    The fit works on a shallow copy, and the estimator takes over all attributes of the copy in one
+    assignment. Whatever interrupts a refit, an exception or Ctrl-C, leaves the old model whole.
+    What is found in the data meanwhile is kept in `findings_`, and reported at the end.
+    """
+
+    def decorate(fit: Function) -> Function:
+        complete = one_warning(fit)
+
+        @fit_context(prefer_skip_nested_validation=prefer_skip_nested_validation)
+        @wraps(fit)
+        def wrapper(self, *args, **kwargs):
+            aside = object.__new__(type(self))
+            aside.__dict__ = vars(self) | {"findings_": ()}
+            complete(aside, *args, **kwargs)
+            self.__dict__ = aside.__dict__
+            return self
+
+        return cast(Function, wrapper)
+
+    return decorate
 
 
 @contextmanager
