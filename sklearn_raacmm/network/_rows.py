@@ -70,7 +70,8 @@ class Rows(NamedTuple):
     def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        return self._make([*(array[kept] for array in self[:6]), codes])
+        arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
+        return self._replace(**arrays, codes=codes)
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
         """The same rows with some of the outputs."""
