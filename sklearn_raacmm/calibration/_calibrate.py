@@ -99,7 +99,8 @@ def calibrate(
         Joint angles.
     groups : array-like of shape (n_samples,), default=None
         Label of the fixed point of each sample. Without it and without `points` the places are
-        found that the arm's own points are at, and taken if "places-found" is accepted.
+        found that the arm's own points are at, and taken as "1", "2" and so on, as they come, if
+        "places-found" is accepted.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -228,7 +229,7 @@ def calibrate(
 
 
 def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
-    """Labels of the places that the arm's own points are at, (n,) from 1, of rows without any.
+    """Labels "1", "2", ... (n,) by the places that the arm's own points are at.
 
     Of a row and the next nearly all are of one place, which shows the probe. Rows that are alone
     belong to the nearest place.
@@ -246,13 +247,15 @@ def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
         raise ValueError(_NO_LABELS)
     nearest = places[several][KDTree(points[some][several]).query(points)[1]]
     _, first, codes = np.unique(nearest, return_index=True, return_inverse=True)
-    labels = 1 + np.argsort(np.argsort(first))[codes][poses.pose]
-    rows = np.bincount(labels)[1:]
-    said = "There are no labels of positions. The arm's own points are at"
-    text = f"{said} {len(rows)} places, of {rows.min()} to {rows.max()} rows each."
+    places = np.argsort(np.argsort(first))[codes][poses.pose]  # from 0, as they come
+    rows = np.bincount(places)
+    text = (
+        f"There are no labels of positions. The arm's own points are at {len(rows)} places, of "
+        f"{rows.min()} to {rows.max()} rows each: 1 to {len(rows)}, as they come in the rows."
+    )
     advice = "If these are not the positions, give the label of each row."
     Finding("places-found", text, advice, "repair").report()
-    return labels
+    return (places + 1).astype(str)
 
 
 def _settle(fit, correction, asked):

@@ -291,15 +291,18 @@ def test_learn_against_a_tracker_without_labels(tmp_path, capsys, refused):
 
 
 def test_learn_takes_the_places_of_rows_without_labels(tmp_path, capsys, refused):
-    test = make_single_point(5, 12, random_state=0)
+    test = make_single_point(5, 12, bars=[500], random_state=0)
     test.nominal_arm.to_json(tmp_path / "arm.json")
     header = ",".join(f"q{i} [rad]" for i in range(1, 7))
     np.savetxt(tmp_path / "log.csv", test.data, "%.9f", ",", header=header, comments="")
     given = f"{tmp_path}/log.csv --arm {tmp_path}/arm.json --out {tmp_path}/out"
     words = ["learn", *given.split(), "--folds", "2"]
-    refused("points are at 5 places, of 12 to 12 rows each", *words)
+    refused("points are at 7 places, of 12 to 12 rows each: 1 to 7, as they come", *words)
+    words += ["--length", "6:7:500:0.01"]  # cones come first, then the two ends of the bar
     assert main([*words, "--accept", "places-found"]) == 0
-    assert "5 of 5 positions better" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "7 of 7 positions better" in printed
+    assert "Lengths are not known" not in printed
 
 
 def test_demo(monkeypatch, tmp_path, capsys):
