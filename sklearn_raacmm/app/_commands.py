@@ -7,7 +7,6 @@ import shlex
 import sys
 import warnings
 import webbrowser
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,17 +25,14 @@ from sklearn_raacmm.app._files import (
     known_lengths,
     load_arm,
     load_correction,
-    open_beside,
     print_notes,
     read_causes,
     read_labels,
-    write_corrected,
 )
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
-from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -45,8 +41,6 @@ from sklearn_raacmm.utils import FindingWarning, check_places, numbered_rows, wr
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP = 0, 3
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
-# Endings of files that no CSV may have.
-_NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 
 def learn(options):
@@ -106,31 +100,6 @@ def learn(options):
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
     return OK if result.helps else NO_HELP, result.facts
-
-
-def correct(options):
-    """Correct a table of any length."""
-    if options.out != "-":
-        if Path(options.out).suffix.lower() in _NO_CSV:
-            raise TableError(f"--out is written as CSV, and {options.out} says something else.")
-        check_places([options.out], [options.table, *correction_files(options.model)])
-    saved = load_correction(options.model)
-    print_notes([saved.verdict] * (not saved.helps))
-    if unknown := find_cause_columns(options).keys() - saved.causes.keys():
-        raise TableError(
-            f"--extra names {', '.join(map(repr, sorted(unknown)))}, and this correction takes "
-            f"{', '.join(saved.causes) or 'no cause'}: leave it away, or mend the name."
-        )
-    if not options.tool and (unnamed := find_unnamed_probe(saved)):
-        raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
-    layout = find_rows(options, saved.arm, labelled=False)
-    print_notes(layout.notes)
-    to_file = open_beside(options.out, layout.source.encoding)
-    with nullcontext(options.stdout) if options.out == "-" else to_file as file:
-        n_rows, largest = write_corrected(layout, saved, options, file, options.std)
-    check_angles(largest, saved.arm.n_joints, layout.angle_unit)
-    print(f"{n_rows} rows corrected, written to {options.out}")
-    return OK, {"rows": n_rows}
 
 
 def export(options):

@@ -33,7 +33,7 @@ WORDS = {
         "--operator",
     ),
     "correct": (
-        "_commands", "correct a table of any length",
+        "_correct", "correct a table of any length",
         "raacmm correct today.csv --model my_arm --out corrected.csv",
         f"table --model --out --std {_CAUSES} {_COLUMNS.replace(' --position', '')}",
     ),

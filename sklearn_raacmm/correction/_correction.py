@@ -461,8 +461,11 @@ class Correction:
         base: Any = self.base
         if base is not None:
             base = dict(zip(_BASE, (part.tolist() for part in base), strict=True))
-        contents = {"arm.json": self.arm.to_json(), "model.skops": dump_model(self.model)}
-        return write_folder(folder, self.facts | {"base": base}, contents | dict(others or {}))
+        others = dict(others or {})
+        if "model.skops" not in others:
+            others["model.skops"] = dump_model(self.model)
+        contents = {"arm.json": self.arm.to_json(), **others}
+        return write_folder(folder, self.facts | {"base": base}, contents)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> Self:

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
-from sklearn.cluster import KMeans
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
@@ -229,6 +228,8 @@ class Data:
 
 def _regions(points):
     """Labels of regions of neighbouring points, which take the place of positions."""
+    from sklearn.cluster import KMeans  # here: reading a correction spares the time of importing it
+
     n_regions = min(_MOST_REGIONS, max(_FEWEST_REGIONS, len(points) // _ROWS_OF_A_REGION))
     if len(np.unique(points, axis=0)) < n_regions:
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 from scipy.stats import norm, t
-from sklearn.cluster import KMeans
 
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
 from sklearn_raacmm.inference import Problem, combined, search_at
@@ -242,6 +241,8 @@ def _blocks(points, positions, weights):
         return None
     blocks = np.arange(len(means))
     if n_blocks < len(means):
+        from sklearn.cluster import KMeans  # here: predicting spares the time of importing it
+
         blocks = KMeans(n_blocks, n_init=4, random_state=0).fit_predict(means)
     return blocks[place.ravel()[positions]]
 
