@@ -22,8 +22,16 @@ from sklearn_raacmm.error_model._columns import (
     columns_of,
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.inference import Problem, State, Structures, beside_field, refit, search
+from sklearn_raacmm.error_model._sums import Rows, explicit_gram, less_constants, without_motions
+from sklearn_raacmm.inference import (
+    Problem,
+    State,
+    Structures,
+    beside_field,
+    refit,
+    search,
+    sums_of_gram,
+)
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
@@ -80,8 +88,10 @@ _SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
 # Steps of the other variances at each, and rounds with a fit at what was found
-# (``benchmarks/bench_few_poses.py --constants``).
-_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-4.0, 0.5, 0.5), 3, 2
+# (``benchmarks/bench_few_poses.py --constants``). The evidence has one top over the sizes, as that
+# of a variance has as a rule: where it has fallen by so many nats, larger constants are not tried.
+_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(0.0, -4.5, -0.5), 3, 2
+_FAR_BELOW = 20.0
 # Variance of means that are 0 but for rounding, in parts of that of the residuals. What it costs,
 # in nats, that means say nothing of the arm: of four to seven positions that a calibration has
 # drawn together it came to 18, of twelve and deviations from a median to 55 (same script).
@@ -380,23 +390,31 @@ def _known_of_constants(rows, positions, fitted):
     state = fitted.state._replace(noise_variance=fitted.state.noise_variance / weight)
     few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
 
-    def evidence(given):
-        return refit(given.sums(few), structures, state, lines, _CONSTANT_STEPS).log_evidence
-
     total = np.bincount(positions, rows.weights)
-    n = 3 * len(total)
-    found = {np.inf: evidence(rows)}
+    n, n_observations = 3 * len(total), 3.0 * rows.weights.sum()
+    gram, of_positions = explicit_gram(rows, few.at, positions)
+
+    def evidence(known):
+        left = less_constants(gram, of_positions, total, known)
+        n_left = n_observations if known else max(n_observations - n, 0.0)
+        sums = sums_of_gram(left, len(state.pairs), n_left)
+        sums = sums if known else without_motions(sums, few)
+        return refit(sums, structures, state, lines, _CONSTANT_STEPS).log_evidence
+
+    found = {np.inf: evidence(np.inf)}
     for known in _KNOWN.tolist():
         taken = 1.5 * np.log1p(total / known).sum() + 0.5 * np.log(n)
-        found[known] = evidence(rows._replace(codes=positions, known=known)) - taken
+        found[known] = evidence(known) - taken
+        if found[known] < max(found.values()) - _FAR_BELOW:
+            break
     squares = np.square(group_means(rows.y, positions, rows.weights)) * total[:, None]
     least = _LEAST_MEANS * np.average(np.square(rows.y).mean(axis=1), weights=rows.weights)
     variance = max(squares.mean(), least)
     taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
-    found[0.0] = evidence(rows._replace(codes=positions)) - taken - _PRICE_OF_DEVIATIONS
+    found[0.0] = evidence(0.0) - taken - _PRICE_OF_DEVIATIONS
     known = max(found, key=found.__getitem__)
     # Constants that are no larger than the noise are none.
-    return np.inf if known == _KNOWN[-1] else known * weight
+    return np.inf if known == _KNOWN[0] else known * weight
 
 
 @stage("linear error model")

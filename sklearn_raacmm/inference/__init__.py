@@ -13,6 +13,7 @@ from sklearn_raacmm.inference._linear import (
     combined,
     evidence_variance,
     refit,
+    sums_of_gram,
 )
 from sklearn_raacmm.inference._search import beside_field, search, search_at
 
@@ -29,4 +30,5 @@ __all__ = [
     "refit",
     "search",
     "search_at",
+    "sums_of_gram",
 ]

@@ -144,6 +144,22 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1]), None])
 
 
+def sums_of_gram(gram: np.ndarray, n_pairs: int, n_observations: float) -> Sums:
+    """`Sums` of one Gram matrix of the candidates, of the columns that are always in, and of y."""
+    n = 2 * n_pairs
+    waves, (first, second) = gram[:n, :n], np.arange(n).reshape(-1, 2).T
+    return Sums(
+        gram=gram[n:-1, n:-1],
+        moment=gram[n:-1, -1],
+        cross=gram[n:-1, :n],
+        own=np.array([waves[first, first], waves[second, second], waves[first, second]]),
+        candidate_moment=gram[:n, -1],
+        square=max(float(gram[-1, -1]), 0.0),
+        n_observations=n_observations,
+        rows=GramRows(lambda pairs: waves[columns_of(pairs)], n),
+    )
+
+
 def columns_of(pairs: ArrayLike) -> np.ndarray:
     """First and second columns of some candidates."""
     pairs = np.asarray(pairs, dtype=int)
