@@ -28,9 +28,11 @@ from sklearn_raacmm.inference import (
     State,
     Structures,
     beside_field,
+    combined,
     refit,
     search,
     sums_of_gram,
+    sums_of_pairs,
 )
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
@@ -72,6 +74,9 @@ HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 _ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
+# Where more than this share of the poses has new weights, all are summed up anew: of positions with
+# offsets the old and the new ones are, which costs twice as much.
+_MANY_CHANGED = 0.5
 # Poses whose columns are held at a time.
 _POSES = 256
 # Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
@@ -396,7 +401,7 @@ def _known_of_constants(rows, positions, fitted):
 
     def evidence(known):
         left = less_constants(gram, of_positions, total, known)
-        n_left = n_observations if known else max(n_observations - n, 0.0)
+        n_left = n_observations if known else n_observations - n
         sums = sums_of_gram(left, len(state.pairs), n_left)
         sums = sums if known else without_motions(sums, few)
         return refit(sums, structures, state, lines, _CONSTANT_STEPS).log_evidence
@@ -484,7 +489,7 @@ def _fit(rows, columns, structures) -> tuple[Any, Any]:
         state = search(Problem(sums, structures), state)
         state, factor, sums = _settled(rows, columns, structures, sums, state, factor)
         if structures.share is not None and not state.with_field:
-            beside = _beside_field(rows, columns, structures, sums, state, factor)
+            beside = _beside_field(columns, structures, sums, state)
             if beside is not None:
                 state, factor, sums = _settled(rows, columns, structures, sums, beside, factor)
         if np.all(factor == start):
@@ -492,14 +497,13 @@ def _fit(rows, columns, structures) -> tuple[Any, Any]:
     return state, factor
 
 
-def _beside_field(rows, columns, structures, sums, state, factor):
+def _beside_field(columns, structures, sums, state):
     """The choice beside the field, or None; sums of the field alone say whether it is searched."""
     problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
-    few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
-    some = rows.weighted(factor).sums(few)
+    _, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
     alone = state._replace(lines=lines, pairs=lines)
-    return beside_field(problem, state, Problem(some, of_field), alone)
+    return beside_field(problem, state, Problem(sums_of_pairs(sums, pairs), of_field), alone)
 
 
 def of_pairs(columns, structures, lines, pairs):
@@ -514,17 +518,40 @@ def _settled(rows, columns, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
+    some = sums_of_pairs(sums, pairs)
     for _ in range(_ROUNDS):
         left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
         old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
-        found = refit(rows.weighted(factor).sums(few), structures, state, lines, _REFIT_STEPS)
+        some = _reweighted(rows, few, some, old, factor)
+        found = refit(some, structures, state, lines, _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
     if np.any(factor != before):
-        sums = rows.weighted(factor).sums(columns)
+        sums = _reweighted(rows, columns, sums, before, factor)
     return state, factor, sums
+
+
+def _reweighted(rows, columns, sums, old, new):
+    """Sums at new factors of the weights, of those at old ones, by the poses that have changed.
+
+    Where positions have offsets all rows of a position change together.
+    """
+    changed = old != new
+    if rows.codes is not None:
+        changed = np.isin(rows.codes, rows.codes[changed])
+    if rows.lengths or changed.mean() > _MANY_CHANGED:
+        return rows.weighted(new).sums(columns)
+    part, old, new = rows.at(changed), old[changed], new[changed]
+    if rows.codes is None:
+        more = part._replace(weights=part.weights * (new - old)).sums(columns)
+        return combined((sums, more), (1, 1))
+    parts = [(sums, 1)]
+    for factor, sign in ((old, -1), (new, 1)):
+        if factor.any():
+            parts.append((part.weighted(factor).sums(columns), sign))
+    return combined(*zip(*parts, strict=True))
 
 
 def _expected(rows, columns, state):

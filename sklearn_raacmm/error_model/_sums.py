@@ -137,8 +137,8 @@ def candidate_sums(rows, columns):
         cross[:-1],
         own,
         cross[-1],
-        max(float(gram[-1, -1]), 0.0),
-        max(float(y.shape[1]) * (weights.sum() - n_taken), 0.0),
+        float(gram[-1, -1]),
+        float(y.shape[1] * (weights.sum() - n_taken)),
         GramRows(rows_of, 2 * len(offered)),
     )
 

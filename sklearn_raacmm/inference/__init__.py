@@ -14,6 +14,7 @@ from sklearn_raacmm.inference._linear import (
     evidence_variance,
     refit,
     sums_of_gram,
+    sums_of_pairs,
 )
 from sklearn_raacmm.inference._search import beside_field, search, search_at
 
@@ -31,4 +32,5 @@ __all__ = [
     "search",
     "search_at",
     "sums_of_gram",
+    "sums_of_pairs",
 ]

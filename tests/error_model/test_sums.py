@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
+from sklearn_raacmm.error_model._fit import _reweighted
 from sklearn_raacmm.error_model._sums import (
     Rows,
     _of_orders,
@@ -74,6 +75,30 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, many, m
     for _ in range(2):  # summed up, and remembered
         assert_allclose(found.rows(asked, [1, 2]), rows[columns], atol=1e-11 * rows.max())
     assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
+
+
+@pytest.mark.parametrize("codes", [None, np.arange(60) % 12])
+@pytest.mark.parametrize("known", [0.0, 0.3])
+def test_sums_at_new_weights_are_those_of_all_rows(codes, known):
+    """Rows that lose or regain all weight among them, some of them all rows of a position."""
+    rng = np.random.default_rng(5)
+    theta, y = draw_angles(ARM, 60), rng.normal(size=(60, 3))
+    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 60), codes, known=known)
+    columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 300)]), True, True, True))
+    factors = [np.ones(60) for _ in range(3)]
+    factors[0][7] = 0.0
+    factors[1][[0, 1]] = 0.0, 0.5
+    factors[2][[3, 15, 27, 39, 51]] = 0.0  # position 3
+    sums = rows.weighted(factors[0]).sums(columns)
+    for old, new in zip(factors, factors[1:], strict=False):
+        sums, expected = (
+            _reweighted(rows, columns, sums, old, new),
+            rows.weighted(new).sums(columns),
+        )
+        for found, wanted in zip(sums[:7], expected[:7], strict=True):
+            assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())
+        found, wanted = (part.rows([1, 0]) for part in (sums, expected))
+        assert_allclose(found, wanted, atol=1e-11 * wanted.max())
 
 
 @pytest.mark.parametrize("known", [0.0, 0.3, np.inf])

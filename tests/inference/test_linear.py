@@ -12,6 +12,7 @@ from sklearn_raacmm.inference import (
     Sums,
     search,
     sums_of_gram,
+    sums_of_pairs,
 )
 from sklearn_raacmm.inference._linear import columns_of
 
@@ -106,6 +107,20 @@ def test_sums_of_one_gram_matrix_are_those_of_its_columns(toys):
     for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
         assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
     assert_allclose(found.rows([7, 0]), expected.rows([7, 0]), atol=1e-12)
+
+
+def test_sums_of_some_pairs_are_those_of_their_columns(toys):
+    toy, pairs = toys.drawn(6), np.array([2, 5, 11])
+    rng = np.random.default_rng(1)
+    extra = Extra(rng.normal(size=(2, 28)), np.ones(2), np.ones(2), np.ones(2))
+    sums = toys.sums_of(toy.A, toy.H, toy.y)._replace(extra=extra)
+    some = toy.H[:, columns_of(pairs)]
+    found, expected = sums_of_pairs(sums, pairs), toys.sums_of(toy.A, some, toy.y)
+    for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
+        assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+    assert_allclose(found.rows([2, 0]), expected.rows([2, 0]), atol=1e-12)
+    always = np.arange(24, 28)
+    assert_array_equal(found.extra.rows, extra.rows[:, np.r_[columns_of(pairs), always]])
 
 
 def test_directions_of_rounding_are_no_information():
