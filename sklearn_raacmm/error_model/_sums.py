@@ -183,14 +183,14 @@ def without_motions(sums, columns):
     """
     if not columns.terms.kinematics:
         return sums
-    keep = _beside_motions(columns.alone)
+    keep = beside_motions(columns.alone)
     return sums._replace(
         gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
     )
 
 
 @lru_cache(maxsize=64)
-def _beside_motions(columns):
+def beside_motions(columns):
     """Projection (m, m) of coefficients to what is no motion of the base and no scale."""
     # What comes before the first joint in the modified convention moves the arm, too.
     before = ["a1", "alpha1", "beta1"] * (columns.arm.convention == "modified")

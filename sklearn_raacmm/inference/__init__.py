@@ -13,6 +13,7 @@ from sklearn_raacmm.inference._linear import (
     combined,
     evidence_variance,
     refit,
+    root_of,
     sums_of_gram,
     sums_of_pairs,
 )
@@ -29,6 +30,7 @@ __all__ = [
     "combined",
     "evidence_variance",
     "refit",
+    "root_of",
     "search",
     "search_at",
     "sums_of_gram",

@@ -1,5 +1,7 @@
 """Sums of many orders at once, against the columns written out."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -90,11 +92,9 @@ def test_sums_at_new_weights_are_those_of_all_rows(codes, known):
     factors[1][[0, 1]] = 0.0, 0.5
     factors[2][[3, 15, 27, 39, 51]] = 0.0  # position 3
     sums = rows.weighted(factors[0]).sums(columns)
-    for old, new in zip(factors, factors[1:], strict=False):
-        sums, expected = (
-            _reweighted(rows, columns, sums, old, new),
-            rows.weighted(new).sums(columns),
-        )
+    for old, new in pairwise(factors):
+        sums = _reweighted(rows, columns, sums, old, new)
+        expected = rows.weighted(new).sums(columns)
         for found, wanted in zip(sums[:7], expected[:7], strict=True):
             assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())
         found, wanted = (part.rows([1, 0]) for part in (sums, expected))
