@@ -347,7 +347,21 @@ class Columns:
     # -- joint angles -----------------------------------------------------------------------
 
     def find_angles(self, wanted, joint_names, taken=()):
-        """Columns of the joint angles in the order of the arm; `taken` hold other things."""
+        """Columns of the joint angles in the order of the arm, each another one; not those taken.
+
+        The columns `taken` hold other things.
+        """
+        found = self._find_angles(wanted, joint_names, taken)
+        names = [name.lower() for name in self.header]
+        for i in found:
+            if found.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
+                raise TableError(
+                    f"{self.path}: the column {self.header[i]!r} is named twice, and no two joints "
+                    f"have the same: say with --angles, by numbers, which to take of {self}."
+                )
+        return found
+
+    def _find_angles(self, wanted, joint_names, taken):
         if wanted is not None:
             if len(wanted) != self.n_joints:
                 columns = f"--angles names {len(wanted)} columns"

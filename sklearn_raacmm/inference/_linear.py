@@ -144,6 +144,37 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1]), None])
 
 
+def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
+    """The same sums with some of the candidates only."""
+    columns, n, extra = columns_of(pairs), sums.cross.shape[1], sums.extra
+    if extra is not None:
+        always = np.arange(n, extra.rows.shape[1])
+        extra = extra._replace(rows=extra.rows[:, np.r_[columns, always]])
+    return sums._replace(
+        cross=sums.cross[:, columns],
+        own=sums.own[:, pairs],
+        candidate_moment=sums.candidate_moment[columns],
+        rows=GramRows(lambda some: sums.rows(pairs[some], (), pairs), len(columns)),
+        extra=extra,
+    )
+
+
+def sums_of_gram(gram: np.ndarray, n_pairs: int, n_observations: float) -> Sums:
+    """`Sums` of one Gram matrix of the candidates, of the columns that are always in, and of y."""
+    n = 2 * n_pairs
+    waves, (first, second) = gram[:n, :n], np.arange(n).reshape(-1, 2).T
+    return Sums(
+        gram=gram[n:-1, n:-1],
+        moment=gram[n:-1, -1],
+        cross=gram[n:-1, :n],
+        own=np.array([waves[first, first], waves[second, second], waves[first, second]]),
+        candidate_moment=gram[:n, -1],
+        square=float(gram[-1, -1]),
+        n_observations=n_observations,
+        rows=GramRows(lambda pairs: waves[columns_of(pairs)], n),
+    )
+
+
 def columns_of(pairs: ArrayLike) -> np.ndarray:
     """First and second columns of some candidates."""
     pairs = np.asarray(pairs, dtype=int)

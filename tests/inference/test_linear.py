@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_raacmm.inference import Extra, GramRows, Problem, Structures, Sums, search
+from sklearn_raacmm.inference import (
+    Extra,
+    GramRows,
+    Problem,
+    Structures,
+    Sums,
+    search,
+    sums_of_gram,
+    sums_of_pairs,
+)
 from sklearn_raacmm.inference._linear import columns_of
 
 
@@ -89,6 +98,29 @@ def test_other_observations_are_rows_of_their_own_variance(toys):
     B /= scale[:, None]
     coef = np.linalg.solve(B.T @ B + np.diag(1 / found.prior), B.T @ (np.r_[toy.y, values] / scale))
     assert_allclose(found.coef, coef, rtol=1e-8)
+
+
+def test_sums_of_one_gram_matrix_are_those_of_its_columns(toys):
+    toy = toys.drawn(6)
+    both = np.column_stack([toy.H, toy.A, toy.y])
+    found, expected = sums_of_gram(both.T @ both, 12, 80.0), toys.sums_of(toy.A, toy.H, toy.y)
+    for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
+        assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+    assert_allclose(found.rows([7, 0]), expected.rows([7, 0]), atol=1e-12)
+
+
+def test_sums_of_some_pairs_are_those_of_their_columns(toys):
+    toy, pairs = toys.drawn(6), np.array([2, 5, 11])
+    rng = np.random.default_rng(1)
+    extra = Extra(rng.normal(size=(2, 28)), np.ones(2), np.ones(2), np.ones(2))
+    sums = toys.sums_of(toy.A, toy.H, toy.y)._replace(extra=extra)
+    some = toy.H[:, columns_of(pairs)]
+    found, expected = sums_of_pairs(sums, pairs), toys.sums_of(toy.A, some, toy.y)
+    for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
+        assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+    assert_allclose(found.rows([2, 0]), expected.rows([2, 0]), atol=1e-12)
+    always = np.arange(24, 28)
+    assert_array_equal(found.extra.rows, extra.rows[:, np.r_[columns_of(pairs), always]])
 
 
 def test_directions_of_rounding_are_no_information():
