@@ -17,6 +17,7 @@ from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
 from sklearn_raacmm.correction._scores import scores_of, share_of
+from sklearn_raacmm.correction._shifted_rows import shifted_rows
 from sklearn_raacmm.correction._table_search import ask_for_the_hand, search_table, taken
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
@@ -235,6 +236,10 @@ def _calibrated(data, angles, angle_unit, accept):
         if finding.code == "wrong-label" and finding.weight == "repair":
             raise FindingError(finding)
     with numbered_rows(row_numbers(data.rows)):
+        if data.points is not None:
+            finding = shifted_rows(data.arm, data.angles, data.points)
+            if finding is not None:
+                finding.report()
         change = search_table(data.arm, *data.as_given(angles), angle_unit=angle_unit)
     if change or scatter > SHARE_OF_REACH * reach:  # they belong to another table
         raise ValueError(

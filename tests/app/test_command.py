@@ -9,6 +9,7 @@ import csv
 import functools
 import json
 import re
+import sys
 
 import numpy as np
 import pandas as pd
@@ -338,7 +339,7 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize("words", ["learn log.csv --arm ur10", "plan --arm ur10", "accept no.xlsx"])
 def test_missing_extras_are_said_before_the_work(monkeypatch, tmp_path, capsys, words):
     for name in ("jinja2", "skops"):
-        monkeypatch.setitem(_commands.sys.modules, name, None)
+        monkeypatch.setitem(sys.modules, name, None)
     (tmp_path / "log.csv").write_text("cone,q1\n")
     monkeypatch.chdir(tmp_path)
     assert main([*words.split(), "--out", "out"]) == 2
