@@ -58,9 +58,6 @@ _LOW_ORDERS = 8
 _NEW_ORDERS = 2
 # A fifth of the new poses is left out at a time. A choice, not measured.
 _N_FOLDS = 5
-# Poses in the range of the new ones that are tried for how much a change leaves open there: a
-# number for speed.
-_TRIED = 200
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # ``benchmarks/bench_after_the_lab.py transfer`` judges: it does not choose.
@@ -178,8 +175,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
         n_positions=float(len(np.unique(poses.positions))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
-        tried = poses_in_range(angles[weights > 0], linear.arm.n_joints)
-        free = model.constrained(tried, np.ones(len(tried)), np.arange(len(tried)))
+        free = model.constrained(angles[weights > 0])
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
         "date": day(date),
@@ -247,20 +243,6 @@ def _informed(half, columns, place, weights):
     root = np.sqrt(weights)[:, None, None]
     seen, free = (np.concatenate(part * root) for part in (columns, place))
     return narrowed(half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0])
-
-
-def poses_in_range(angles, n_joints):
-    """Poses whose joints stand anywhere in the ranges that some poses are from.
-
-    Extra columns are as they were.
-    """
-    low, high = angles.min(axis=0), angles.max(axis=0)
-    # Of n uniform numbers the extremes lie this far inside their range on the average.
-    beyond = (high - low) / max(len(angles) - 1, 1)
-    rng = np.random.default_rng(0)
-    tried = rng.uniform(low - beyond, high + beyond, (_TRIED, angles.shape[1]))
-    tried[:, n_joints:] = angles[rng.integers(len(angles), size=_TRIED), n_joints:]
-    return tried
 
 
 def harmonics_of(linear):
