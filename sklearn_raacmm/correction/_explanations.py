@@ -137,8 +137,8 @@ class _Spread:
         self.whiten = Whitened(root, nuisance)
         self.freedom = self.whiten.freedom
         changes = self.whiten(columns * changes_of(linear)[1])
-        self.axes, size, _ = np.linalg.svd(changes, full_matrices=False)
-        self.size = np.square(size)
+        size, self.axes = np.linalg.eigh(changes @ changes.T)
+        self.size = np.maximum(size, 0.0)
         # Of the restricted likelihood: nuisances that are seen better cost more.
         seen = np.linalg.svd(self.whiten.scaled(nuisance), compute_uv=False)
         seen = seen[seen > 1e-8 * seen.max()]

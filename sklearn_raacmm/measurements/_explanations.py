@@ -175,10 +175,14 @@ def _late(y, expected, codes):
 
 def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
     """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
-    middle = np.zeros_like(values)
-    if codes is not None:
-        for code in np.unique(codes):
-            middle[codes == code] = np.median(values[codes == code], axis=0)
+    if codes is None:
+        return np.zeros_like(values)
+    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
+    for i, column in enumerate(values.T):
+        column = column[np.lexsort((column, of))]  # by position, and there by size
+        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
+        middle[:, i] = median[of]
     return middle
 
 
