@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
+from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
@@ -258,6 +258,8 @@ class Arm:
         Arm
         """
         alpha = np.deg2rad(floats("alpha", alpha))
+        if np.shape(a) and 1 < np.size(a) < 5:  # the usual pose is that of five joints and more
+            params = usual_pose(np.size(a), False, params.get("convention", "standard")) | params
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod
@@ -457,8 +459,8 @@ class Arm:
     def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
 
-        Joints have the names and limits of the arm; without limits they are continuous. Where the
-        robot has a file of its own, `update_urdf` keeps what else stands there.
+        Joints have the names and limits of the arm; without limits they turn a hundred times.
+        Where the robot has a file of its own, `update_urdf` keeps what else stands there.
 
         Parameters
         ----------

@@ -29,6 +29,8 @@ _OTHERS = {
     "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
     "COLLADA": ", that of shapes: take the URDF that names them",
 }
+# Limits that are written where an arm has none: a hundred turns, rad.
+_FAR = 628.0
 # Digits of a rotation: the cosine of pi/2 is 0, so that parallel axes stay parallel.
 _DIGITS = 15
 # Cosines smaller than this are rounding.
@@ -107,8 +109,9 @@ def _joints(text, where):
         raise ValueError(f"{where} is not a URDF: its outermost element is {root.tag!r}{other}.")
     joints = root.findall("joint")
     # Comments, and elements that are no joints, may hold what they like.
-    parts = (part for joint in joints for part in joint.iter())
-    if any("xacro" in element.tag for element in root.iter()) or any(
+    parts = [part for joint in joints for part in joint.iter()]
+    # Macros of joints would be missing; what is left of them in a link moves nothing.
+    if any("xacro" in part.tag for part in [*root, *parts]) or any(
         "${" in value for part in parts for value in part.attrib.values()
     ):
         raise ValueError(f"{where} holds xacro macros: expand it first (xacro file.xacro).")
@@ -190,6 +193,7 @@ def _joint(element, where):
     if kind == "revolute" and limit is not None:
         try:
             ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
+            ends = (-np.inf, np.inf) if ends == (-_FAR, _FAR) else ends
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
     place, child = _pose(MM_PER_M * np.array(xyz), rpy), element.find("child").get("link")
@@ -366,9 +370,7 @@ def urdf_text(arm):
     lines += [f'  <link name="{link}"/>' for link in links]
     for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):
         xyz, rpy = _xyz_rpy(origin)
-        kind = (
-            "fixed" if sign is None else "revolute" if np.isfinite(limits).all() else "continuous"
-        )
+        kind = "fixed" if sign is None else "revolute"
         lines += [
             f'  <joint name={quoteattr(name)} type="{kind}">',
             f'    <parent link="{parent}"/>',
@@ -377,7 +379,9 @@ def urdf_text(arm):
             *([] if sign is None else [f'    <axis xyz="0 0 {sign:.0f}"/>']),
         ]
         if kind == "revolute":  # the format asks for effort and velocity, which nobody measured
-            low, high = map(float, limits)
+            # Of a continuous joint some programs make two numbers: one without limits turns far.
+            is_free = not np.isfinite(limits).all()
+            low, high = (-_FAR, _FAR) if is_free else map(float, limits)
             lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>"]) + "\n"

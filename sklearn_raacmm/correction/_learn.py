@@ -243,11 +243,13 @@ def _calibrated(data, angles, angle_unit, accept):
                 finding.report()
         change = search_table(data.arm, *data.as_given(angles), angle_unit=angle_unit)
     if change or scatter > SHARE_OF_REACH * reach:  # they belong to another table
-        raise ValueError(
+        said = (
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
-            f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
+            "the unit of the angles are wrong."
         )
+        advice = str(change or "No single change of these helps.")
+        raise FindingError(Finding("another-table", said, advice, "refuse", size_mm=scatter))
     said = f"The points scatter by {scatter:.1f} mm after calibration."
     advice = "The table of the arm is probably wrong: look at it before you use the correction."
     Finding("much-scatter", said, advice, size_mm=scatter).report()

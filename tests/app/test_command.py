@@ -411,3 +411,12 @@ def test_known_lengths_and_places_of_the_command_line(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read_places(path, sd)
+
+
+@pytest.mark.parametrize(
+    ("root", "sentence"),
+    [("mujoco", "MuJoCo's MJCF: take the URDF"), ("sdf", "Gazebo's SDF: take the URDF")],
+)
+def test_other_descriptions_of_robots_are_named(root, sentence, tmp_path, refused):
+    (tmp_path / "m.xml").write_text(f"<{root}><worldbody/></{root}>")
+    refused(sentence, "arm", tmp_path / "m.xml")
