@@ -65,8 +65,9 @@ class ArmResidualRegressor(PointCorrectionMixin):
     extra : list of str, default=()
         What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
         "temperature J" near joint J (from 1); "time"; "direction J", from which joint J came (1
-        from smaller angles, -1 from larger ones); "payload"; "force x", "force y", "force z" on the
-        probe in the base frame.
+        from smaller angles, -1 from larger ones); "payload"; "base height", where what it stands on
+        gives way more the higher it stands; "force x", "force y", "force z" on the probe in the
+        base frame.
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered no more orders than it shows different

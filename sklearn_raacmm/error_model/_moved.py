@@ -17,7 +17,7 @@ _ROUNDING = 1e-9
 # since all is in proportion.
 _BESIDE_MM = 100.0
 # Families whose columns are all per reach.
-_PER_REACH = ("gravity", "force")
+_PER_REACH = ("gravity", "force", "base")
 
 
 def check_same_table(old, new):

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles
-from sklearn_raacmm.error_model import ArmResidualRegressor, Effect
+from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
@@ -374,13 +374,14 @@ def _sizes(chain, linear, table, vectors):
     if np.any(table["order"]):
         waves = p("waves", chain.own_angles(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
-    loaded = np.flatnonzero(table["kind"] == Effect.LOAD)
+    loaded = np.flatnonzero(np.isin(table["kind"], OF_LOADS))
     if len(loaded):
         # The torque of a load, as `error_model` has it.
         places = p("join", chain.frames(), chain.probe())
         of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
         of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
-        axis = 12 * table["frame"][loaded] + 3 * table["axis"][loaded]
+        axis = torque_axis(table[loaded])
+        axis = 12 * (axis // 3) + 3 * (axis % 3)
         up, torque = linear.layout.up, None
         for c in np.flatnonzero(up).tolist():
             pair = (c + 1) % 3, (c + 2) % 3

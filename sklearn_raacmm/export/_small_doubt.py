@@ -33,9 +33,8 @@ _ANGLES = 4096
 
 def axis_numbers(table, n_joints):
     """Which axis each column of a table turns about or goes along: turns first."""
-    return np.where(table["kind"] == Effect.SHIFT, 3 * (n_joints + 1), 0) + (
-        3 * table["frame"] + table["axis"]
-    )
+    shifts = np.isin(table["kind"], (Effect.SHIFT, Effect.LEAN))
+    return 3 * (n_joints + 1) * shifts + 3 * table["frame"] + table["axis"]
 
 
 def poses_from_far_to_near(model, doubt, n=_POSES, seed=0):
