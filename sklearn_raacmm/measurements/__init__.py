@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
+    EQUAL,
     FAR,
     PRICE,
     UNITS,
@@ -23,6 +24,7 @@ from sklearn_raacmm.measurements._order import (
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
 __all__ = [
+    "EQUAL",
     "FAR",
     "PRICE",
     "UNITS",
