@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._arms import take
 from sklearn_raacmm.app._files import (
     WRITTEN,
     corrected_file,
@@ -60,8 +59,6 @@ def learn(options):
     if (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
     arm = load_arm(options.arm, options.base, options.tip)
-    for code in options.take or ():
-        arm = take(arm, code)
     layout = find_rows(options, arm, needed=False)
     table = layout.read()
     print_notes(table.notes)
@@ -83,6 +80,7 @@ def learn(options):
             points_sd=options.points_sd,
             blocks=read_labels(table, options, "block"),
             accept=options.accept or (),
+            take=options.take or (),
         )
     if table.positions is None:  # the places that were found and accepted, if no tracker's points
         table = replace(table, positions=result.calibration.groups)

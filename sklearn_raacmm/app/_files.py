@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
-from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
@@ -138,7 +138,7 @@ def print_notes(notes):
 def find_rows(options, arm, labelled=True, needed=True):
     """Layout of the table that the options name; labels may be missing where none are needed."""
     given: dict[str, Any] = {name: getattr(options, name, None) for name in _OF_LAYOUT}
-    if given["points"] and not Path(given["points"]).is_file():
+    if given["points"] and not split_points(given["points"])[0].is_file():
         given["points"] = given["points"].split(",")
         if len(given["points"]) != 3:
             needed = "three columns, such as x,y,z, or a file that is there"
@@ -195,15 +195,6 @@ def read_labels(table, options, name):
     if column is None:
         return None
     return np.array([text_of_label(label) for label in table.others[column].tolist()])
-
-
-def text_of_label(cell):
-    """Label in a cell, the same whether its block of the table holds numbers only or not."""
-    try:
-        number = float(cell)
-    except ValueError:
-        return cell
-    return str(int(number)) if number.is_integer() else repr(number)
 
 
 def find_unnamed_probe(saved):

@@ -148,7 +148,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--open": _flag("open the report in the browser"),
     "--force": _flag("replace the correction that the folder holds"),
     "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
-    "--take": _value("CODE", "change the arm as a finding proposes: reversed-2-4", action="append"),
+    "--take": _value(
+        "CODE", "change the arm as learn proposes: reversed-2-4, zero-2-180", action="append"
+    ),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "for the report"),
     # -- the life of a correction

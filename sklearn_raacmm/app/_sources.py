@@ -1,4 +1,4 @@
-"""Rows of whatever holds a table: text, spreadsheets, arrays, and programs of robots.
+"""Rows of whatever holds a table: text, spreadsheets and arrays; records are of `_records`.
 
 Of text encoding, separator and decimal sign are found.
 """
@@ -11,13 +11,15 @@ import contextlib
 import csv
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
+
+from sklearn_raacmm.app._records import HEAD_CHARACTERS, find_records
 
 # Lines looked at to find separator and decimal sign, and characters decoded at a time.
 _LOOKED_AT = 300
@@ -26,6 +28,10 @@ _CHUNK = 1 << 20
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
 _DECIMALS = {".": "point", ",": "comma"}
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+# A number with a unit in its cell.
+_WITH_UNIT = re.compile(
+    rf"({_NUMBER.pattern})\s*(deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
+)
 # What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
 _NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
 _MARKS = (
@@ -33,35 +39,19 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-# Hard blanks and typographic minus signs are those of word processors.
-_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-"})
+# Encodings of other scripts, each with signs of headers: degree, axis, joint, angle, place, point.
+_SCRIPTS = (
+    ("gb18030", "度轴关节角位置点坐标序号"),
+    ("cp932", "度軸関節角位置点座標番号"),
+    ("big5", "度軸關節角位置點座標序號"),
+    ("cp949", "도축관절각위치점좌표번호"),
+)
+# Hard blanks and typographic minus signs are those of word processors, wide brackets of Asian ones.
+_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"})
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
-# A record of a program stands within so many, or the file is none.
-_HEAD_CHARACTERS = 1 << 20
 SHEETS = (".xlsx", ".xlsm")
 _ARRAYS = (".npy", ".npz", ".mat")
-_VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
-# Programs and logs of controllers: what they are, a record with its name and its body, and the
-# joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
-_PROGRAMS = (
-    # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
-    (
-        "KUKA KRL",
-        r"(?:\b(\w{1,80})\s?=\s?)?\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
-        rf"A\d\s+{_VALUE}",
-    ),
-    # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
-    ("KUKA RSI", r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
-    # ABB, RAPID data types: jointtarget is [robax, extax].
-    (
-        "ABB RAPID",
-        r"(?:\b(\w{1,80})\s?:=\s?)?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
-        rf"(?:^|,)\s*{_VALUE}",
-    ),
-    # Fanuc: section /POS of an LS file in joint representation.
-    ("Fanuc LS", r"P\[(\d+(?:\s*:\s*\"[^\"]*\")?)\]\s*\{([^{}]*)\}", rf"J\d\s*=\s*{_VALUE}\s*deg"),
-)
 
 
 class TableError(ValueError):
@@ -114,7 +104,7 @@ class Dialect:
         if self.separator is None:
             yield from enumerate(map(str.split, lines), 1)
             return
-        reader = csv.reader(lines, delimiter=self.separator)
+        reader = csv.reader(lines, delimiter=self.separator, skipinitialspace=True)
         try:
             for cells in reader:
                 yield reader.line_num, [cell.strip() for cell in cells]
@@ -125,8 +115,13 @@ class Dialect:
         """Number in a cell, or None."""
         if isinstance(cell, int | float) and not isinstance(cell, bool):
             return float(cell)
-        if not isinstance(cell, str) or not _NUMBER.fullmatch(cell):
+        if not isinstance(cell, str):
             return None
+        if not _NUMBER.fullmatch(cell):
+            with_unit = _WITH_UNIT.fullmatch(cell)
+            if not with_unit:
+                return None
+            cell = with_unit[1]
         other = "." if self.decimal == "," else ","
         return None if other in cell else float(cell.replace(",", "."))
 
@@ -153,6 +148,12 @@ class Dialect:
             f"Columns parted by {_SEPARATORS[self.separator]}, decimal "
             f"{_DECIMALS[self.decimal]}s, {self.encoding}"
         )
+
+
+def unit_in(cell):
+    """Unit that stands behind the number in a cell, or ""."""
+    found = _WITH_UNIT.fullmatch(cell) if isinstance(cell, str) else None
+    return found[5].lower() if found else ""
 
 
 def clean(cell):
@@ -185,7 +186,7 @@ def find_source(path, n_numbers, sheet=None):
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
     if path.suffix.lower() in _ARRAYS:
         return _arrays(path, n_numbers)
-    return _program(path, n_numbers) or find_dialect(path, n_numbers)
+    return _find_records(path, n_numbers) or find_dialect(path, n_numbers)
 
 
 # -- text and spreadsheets ------------------------------------------------------------------------
@@ -228,11 +229,11 @@ def _most_numbers(candidates, n_numbers):
 
 
 def find_encoding(path):
-    """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
+    """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes somewhere."""
     with open(path, "rb") as file:
         head = file.read(3)
     marked = [name for mark, name in _MARKS if head.startswith(mark)]
-    for encoding in marked or ("utf-8", "cp1252"):
+    for encoding in marked or ("utf-8", *_other_script(path), "cp1252"):
         with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
             while file.read(_CHUNK):
                 pass
@@ -241,6 +242,25 @@ def find_encoding(path):
         f"{path} is no table of text in UTF-8, in UTF-16 with its mark, or in the encoding of "
         "Windows (cp1252): save it as .xlsx or CSV."
     )
+
+
+def _other_script(path):
+    """The encoding in which the file's beginning has most signs of headers in its script, if any.
+
+    Latin letters with accents, decoded so, hardly ever give one of these signs.
+    """
+    with open(path, "rb") as file:
+        head = file.read(_CHUNK)
+    if head.isascii():
+        return []
+    found = []
+    for encoding, signs in _SCRIPTS:
+        text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
+        others = [sign for sign in text if not sign.isascii()]
+        known = sum(sign in signs for sign in others)
+        if known and "\ufffd" not in text:
+            found.append((known / len(others), encoding))
+    return [max(found)[1]] if found else []
 
 
 def _find_sheet(path, n_numbers, wanted):
@@ -291,6 +311,8 @@ def _arrays(path, n_numbers):
     """A table of the arrays of a file that have as many rows as the longest one."""
     try:
         if path.suffix.lower() == ".mat":
+            from scipy.io import loadmat  # which takes half a second to import
+
             content = loadmat(path, squeeze_me=True)
         else:
             loaded = np.load(path, allow_pickle=False)
@@ -320,32 +342,16 @@ def _arrays(path, n_numbers):
     return Dialect(path, what="Arrays", table=rows)
 
 
-# -- programs of robots ---------------------------------------------------------------------------
+# -- records: programs of robots, lists, echoes ---------------------------------------------------
 
 
-def _program(path, n_joints):
-    """A program or log of a robot's controller that holds joint positions; None if it is none."""
+def _find_records(path, n_numbers):
+    """The rows of a file that is no table, but holds rows of numbers; None of any other."""
     encoding = find_encoding(path)
     with open(path, encoding=encoding, newline="") as file:
-        head = file.read(_HEAD_CHARACTERS)
-    for what, record, value in _PROGRAMS:
-        if not re.search(record, head):
-            continue
-        text, rows = path.read_text(encoding), []
-        for match in re.finditer(record, text):
-            values = re.findall(value, match[2])
-            # Coupled or external axes may follow the robot's own.
-            if len(values) >= n_joints:
-                line = text.count("\n", 0, match.start()) + 1
-                rows.append((line, [match[1] or f"line {line}", *values[:n_joints]]))
-        if rows:
-            names = ["name", *(f"A{i} [deg]" for i in range(1, n_joints + 1))]
-            # Points of one place are named by it: P1_1, P1_2, P2_1 and so on.
-            own = (re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", cells[0]) for _, cells in rows)
-            places = [re.sub(r"[\W_]*\d+\W*$", "", name) for name in own]
-            if min(map(places.count, places)) > 1 < len(set(places)):
-                names.append("position (its name without the last number)")
-                pairs = zip(rows, places, strict=True)
-                rows = [(line, [*cells, place]) for (line, cells), place in pairs]
-            return Dialect(path, what=f"{what}, degrees", table=[(0, names), *rows])
-    return None
+        head = file.read(HEAD_CHARACTERS)
+    try:
+        found = find_records(head, partial(path.read_text, encoding), n_numbers)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}") from None
+    return None if found is None else Dialect(path, what=found[0], table=found[1])

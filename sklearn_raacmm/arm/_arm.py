@@ -404,7 +404,7 @@ class Arm:
             ur_calibration writes them, with the controller's base.
         base, tip : str, default=None
             Names of the links where the chain begins and ends; `tip` is the probe. None: the only
-            ones there are.
+            ones there are, and of what `to_urdf` has written the arm's own base.
 
         Returns
         -------
@@ -424,7 +424,7 @@ class Arm:
         -----
         UserWarning
             If the base frame is another, if axes are so nearly parallel that they are taken as
-            parallel, or if rounded angles that are taken as pi/2 move the probe by 0.1 mm or more:
+            parallel, or if rounded angles that are taken as pi/2 move the probe by more than 1 um:
             by how much; below that it is a note, which the command `raacmm arm` prints.
 
         Examples
@@ -452,8 +452,7 @@ class Arm:
         -------
         str
             The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad. Where the arm
-            does not stand upright a link ``world`` comes first: read such a file with
-            ``base="base_link"``.
+            does not stand upright a link ``world`` comes first, which `from_urdf` leaves out.
         """
         return _write_text(urdf_text(self), path)
 
@@ -467,8 +466,9 @@ class Arm:
     ) -> str:
         """Write the calibrated arm back into the robot's own description.
 
-        The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
-        is in the file: names, limits, meshes, tools and comments.
+        The origins of the joints from `base` to `tip` get new numbers, those of fixed joints where
+        the arm has right angles for rounded ones. Everything else stays as it is in the file:
+        names, limits, meshes, tools and comments.
 
         Parameters
         ----------

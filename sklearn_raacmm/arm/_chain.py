@@ -44,6 +44,9 @@ _UR_JOINTS = {
     "wrist_3": "wrist_3_joint",
 }
 _UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+# The link and the fixed joint by which a file of our own says how the arm stands: points are in the
+# frame of the link behind them, as those of the arm that was written.
+_WORLD, _MOUNT = "world", "mount"
 _UR_FILE = re.compile(r"^kinematics:", re.MULTILINE)
 _UR_LINE = re.compile(r"^(\s*)(\w+):[ \t]*([^#\s]*)(.*)$", re.MULTILINE)
 
@@ -126,6 +129,9 @@ def _chain(joints, base, tip, where):
     parents = {joint.find("parent").get("link") for joint in joints}
     tip = _one_of(sorted(set(by_child) - parents), tip, "tip", {*by_child}, where)
     roots = sorted(parents - set(by_child))
+    first = [joint for joint in joints if joint.find("parent").get("link") in roots]
+    if base is None and roots == [_WORLD] and [one.get("name") for one in first] == [_MOUNT]:
+        base = first[0].find("child").get("link")
     base = _one_of(roots, base, "base", parents, where)
     chain, mount, link = [], [], tip
     while link != base:
@@ -209,13 +215,15 @@ def _ur_joints(text, where):
     joints = []
     for key, name in _UR_JOINTS.items():
         try:
-            six = [_meant(values[key, one]) for one in _UR_KEYS]
+            given = [values[key, one] for one in _UR_KEYS]
+            xyz, rpy = [*map(float, given[:3])], [*map(_meant, given[3:])]
         except (KeyError, ValueError):
             raise ValueError(
                 f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
             ) from None
-        place = _pose(MM_PER_M * np.array(six[:3]), six[3:])
-        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf)))
+        place, off = _pose(MM_PER_M * np.array(xyz), rpy), np.array(given[3:], dtype=float) - rpy
+        rounded = float(np.abs(off).max())
+        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf), rounded=rounded))
     return joints
 
 
@@ -340,7 +348,7 @@ def urdf_text(arm):
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
     if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
         mount = rigid(turn_between(arm.up, [0.0, 0.0, 1.0]), 0.0)
-        rows, links = [("mount", mount, None, ()), *rows], ["world", *links]
+        rows, links = [(_MOUNT, mount, None, ()), *rows], [_WORLD, *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
     for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):

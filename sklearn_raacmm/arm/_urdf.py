@@ -22,7 +22,7 @@ _FARTHEST_FOOT = 10.0
 # The arm's base frame is the file's where the first axis is so near to what the table can say, mm.
 _SAME_MM = 1e-10
 # Angles that are taken as right ones are warned of from here on, mm at the probe.
-_MUCH_MM = 0.1
+_MUCH_MM = 1e-3
 # Calibration turns axes by a degree or so: farther ones belong to another arm, rad.
 _SAME_ARM = 0.2
 
@@ -81,6 +81,10 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
     axes = iter(zip(old, new, strict=True))
     point = (new[-1] @ [*arm.probe, 1.0])[:3]
     before, origins = np.eye(4), {}
+    # The arm has right angles where the file has rounded ones: other programs read what is written.
+    origins |= {
+        one.name: one.origin for one in (*mount, *joints) if one.axis is None and one.rounded
+    }
     for joint, file in zip(joints, _frames(joints), strict=True):
         if joint.axis is None:
             before = before @ joint.origin

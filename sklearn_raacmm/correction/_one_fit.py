@@ -101,6 +101,11 @@ class Data:
         """Angles, then the causes, of each row."""
         return np.hstack([self.angles, self.values])
 
+    def as_given(self, angles):
+        """Of the rows that are learnt: these angles, which were given, positions, and points."""
+        positions = self.positions if self.points is None else None
+        return np.asarray(angles, dtype=float)[self.rows], positions, self.points
+
     def without_lonely(self, rows=None):
         """Of these rows, or all, those of positions with two or more; others have no residuals."""
         rows = np.arange(len(self.angles)) if rows is None else rows

@@ -18,7 +18,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import Arm, angles_for, check_arm
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
-from sklearn_raacmm.error_model._fit import fit_with_vertical, offered_harmonics
+from sklearn_raacmm.error_model._fit import offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
     Judgement,
     find_fading,
@@ -29,6 +29,7 @@ from sklearn_raacmm.error_model._left_out import (
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
+from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import (
     Floats,

@@ -31,8 +31,9 @@ _USUAL_LOG_B = 0.7
 # Errors of one position that count as independent, of each coordinate.
 _EFFECTIVE_ROWS = 3.0
 # With fewer than four positions noise and standard deviation are multiplied by one and so much of
-# the inverse of their number: of simulated cones 0.98 (two) and 0.93 (three), of real Pandas 0.92 to
-# 0.97 inside 95 %, without it 0.93, 0.87 and 0.83 to 0.93 (``benchmarks/bench_few_poses.py``).
+# the inverse of their number. Inside 95 % are, of simulated cones, 0.98 (two) and 0.93 (three), of
+# real Pandas 0.92 to 0.97; without it 0.93, 0.87 and 0.83 to 0.93
+# (``benchmarks/bench_few_poses.py``).
 _PER_FEW_POSITIONS = 1.0
 
 # Factor of the standard deviation: Wiener's. With 2 instead 25 simulated errors at poses of real

@@ -355,16 +355,6 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     assert capsys.readouterr().err == "raacmm arm: /out/arm.json: no space left on device.\n"
 
 
-def test_an_arm_changed_as_a_finding_proposes():
-    arm = Arm.from_name("aacmm6")
-    take = _arms.take
-    assert take(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
-    assert take(take(arm, "other-convention"), "other-convention") == arm
-    for code in ("reversed", "reversed-7", "reversed-x", "sign-1"):
-        with pytest.raises(TableError, match=rf"joints of 1 to 6, .*, got '{code}'"):
-            take(arm, code)
-
-
 def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
     table = tmp_path / "dh.csv"
     table.write_text(
