@@ -1,6 +1,8 @@
 """Models in files: the same predictions elsewhere, and a warning where the version is another."""
 
 import copy
+import io
+import json
 import os
 import pickle
 import re
@@ -9,6 +11,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from zipfile import ZipFile
 
 import joblib
 import numpy as np
@@ -17,8 +20,9 @@ from sklearn.base import clone
 from sklearn.exceptions import InconsistentVersionWarning
 
 import sklearn_raacmm
-from sklearn_raacmm import ArmResidualRegressor, Correction, RBFNetRegressor
-from sklearn_raacmm.correction._files import dump_model
+from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, RBFNetRegressor
+from sklearn_raacmm.correction._files import _CLASSES, dump_model
+from sklearn_raacmm.correction._own_models import OtherContentError, read_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
 from sklearn_raacmm.utils import _estimators
@@ -193,6 +197,66 @@ def test_skops_needs_no_other_trust(skops, fitted, data):
     public = {name for name in TRUSTED_TYPES if "._" not in name}
     assert needed == set(TRUSTED_TYPES)
     assert {re.sub(r"\._\w+", "", name) for name in needed} == public
+
+
+def test_own_models_are_read_without_skops(skops, fitted, data):
+    kinds = {f"{c.__module__.rpartition('.')[0]}.{c.__qualname__}": c for c in _CLASSES}
+    network = RBFNetRegressor(10, length_scale=1.0, alpha=0.01).fit(data.data, data.target)
+    for model in (fitted["harmonics"], network):
+        text = dump_model(model)
+        read, loaded = read_model(text, kinds), skops.loads(text, trusted=TRUSTED_TYPES)
+        assert_same(vars(read), vars(loaded))
+        np.testing.assert_array_equal(read.predict(data.data), model.predict(data.data))
+        with pytest.raises(OtherContentError, match=type(model).__name__):
+            read_model(text, {"sklearn_raacmm.arm.Arm": Arm})
+    # A pipeline is scikit-learn's: such a file is left to skops.
+    with pytest.raises(OtherContentError):
+        read_model(dump_model(fitted["outermost"]), kinds)
+
+
+def assert_same(one, other):
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        one, other = list(one.values()), list(other.values())
+    if isinstance(one, list | tuple):
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+    elif type(one) in _CLASSES:
+        assert_same(vars(one), vars(other))
+    else:
+        assert one == other or one != one  # NaN is no other
+
+
+def test_a_file_runs_nothing(skops, tmp_path):
+    """Neither functions, nor classes that nobody has named, nor arrays that would be unpickled."""
+    pickled = io.BytesIO()
+    np.save(pickled, np.array([print], dtype=object), allow_pickle=True)
+    arrays = {"__class__": "ndarray", "__module__": "numpy", "__loader__": "NdArrayNode"}
+    for node in (
+        {"__class__": "system", "__module__": "os", "__loader__": "FunctionNode"},
+        {"__class__": "Popen", "__module__": "subprocess", "__loader__": "ObjectNode"},
+        {"__class__": "eval", "__module__": "builtins", "__loader__": "TypeNode"},
+        {
+            "__class__": "Popen",
+            "__module__": "subprocess",
+            "__loader__": "TupleNode",
+            "content": [],
+        },
+        arrays | {"__class__": "load", "type": "numpy", "file": "plain.npy"},
+        arrays | {"type": "numpy", "file": "pickled.npy"},
+    ):
+        with ZipFile(tmp_path / "model", "w") as file:
+            file.writestr("schema.json", json.dumps(node))
+            file.writestr("pickled.npy", pickled.getvalue())
+            plain = io.BytesIO()
+            np.save(plain, np.zeros(2))
+            file.writestr("plain.npy", plain.getvalue())
+        with pytest.raises(ValueError, match=r"Node|Popen|eval|load|pickle"):
+            read_model((tmp_path / "model").read_bytes(), {})
 
 
 def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):

@@ -45,7 +45,7 @@ _OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "
 def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
-    if path.suffix.lower() in (".urdf", ".yaml", ".yml"):
+    if path.suffix.lower() in (".urdf", ".yaml", ".yml") or _is_xml(path):
         return Arm.from_urdf(path, base=base, tip=tip)
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")
@@ -55,6 +55,14 @@ def load_arm(source, base=None, tip=None):
         return Arm.from_name(str(source))
     except ValueError as error:
         raise TableError(f"there is no file {source}, and as a {error}") from None
+
+
+def _is_xml(path):
+    """Whether a file holds XML, whatever its name: a URDF, or what somebody takes for one."""
+    if not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return file.read(200).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
 
 
 def load_correction(folder) -> Any:
@@ -94,10 +102,24 @@ def write_corrected(layout, correction, options, file, std="all"):
                     new[rows] = points - one.model.predict(X[rows])
                 else:
                     new[rows] = one.columns(X[rows])[:, :width]
-        for row, values in zip(cells, new.tolist(), strict=True):
-            writer.writerow([*row, *map(source.text, values)])
+        if isinstance(cells[0], str):
+            _write_lines(file, source.separator, cells, new)
+        else:
+            for row, values in zip(cells, new.tolist(), strict=True):
+                writer.writerow([*row, *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
+
+
+def _write_lines(file, separator, lines, new):
+    """Write lines of a table of numbers, with new numbers behind each: as a writer of cells does.
+
+    `Layout.plain_lines` has made sure that no cell needs quotation marks.
+    """
+    line = separator.join(["%s", *["%.6f"] * new.shape[1]]) + "\r\n"
+    file.writelines(
+        [line % (row, *values) for row, values in zip(lines, new.tolist(), strict=True)]
+    )
 
 
 def corrected_file(layout, correction, options):

@@ -26,11 +26,9 @@ from sklearn_raacmm.app._files import (
     parse_numbers,
     print_notes,
 )
-from sklearn_raacmm.app._report import with_history
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
-from sklearn_raacmm.export import describe
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import check_places, digest_of, ignored_findings, natural_order
@@ -170,7 +168,11 @@ def check(options):
         _refuse_other_writers(saved, options.model)
         spread: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
         step = step_of("check", today, facts, *spread)
-        save_step(saved, options.model, step, today, _page_of(options))
+        # A check changes no model: its file is written again as it is, without importing skops.
+        model = (options.model / "model.skops").read_bytes()
+        same = digest_of(model) == saved.facts["files"]["model.skops"]
+        contents = {"model.skops": model} if same else {}
+        save_step(saved, options.model, step, today, _page_of(options), contents)
     except (OSError, ValueError, ImportError) as error:
         print_notes([f"This check is not in the history of {options.model}: {error}"])
     return (OK if holds else CHANGED), facts
@@ -330,6 +332,10 @@ def save_step(correction, out, step, today, page="", contents=()):
     `page` is the report so far; `contents` are further files by their names. The poses of a step
     that has taught the model go into the history: it is to know them again.
     """
+    # Here, because reading alone spares the time of importing them.
+    from sklearn_raacmm.app._report import with_history
+    from sklearn_raacmm.export import describe
+
     step = {"date": date.today().isoformat(), **step}
     if step["what"] in _LEARNT:
         step["rows"] = "".join(digests_of(today))

@@ -12,28 +12,32 @@ from collections import Counter
 from typing import Any
 
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
-# Programs and logs of controllers: what they are, the unit of their angles, a record with its name
-# and its body, and the joints in the body. Names are bounded, so that no long cell takes minutes.
+# Programs and logs of controllers: what they are, what their text holds in any case, which is found
+# faster than a pattern, the unit of their angles, a record with its name and its body, and the
+# joints in the body. Names are bounded, so that no long cell takes minutes.
 _PROGRAMS = (
     # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
     (
         "KUKA KRL",
+        ("{", "A1"),
         "deg",
         r"(?:\b(\w{1,80})\s?=\s?)?\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
         rf"A\d\s+{_VALUE}",
     ),
     # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
-    ("KUKA RSI", "deg", r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
+    ("KUKA RSI", ("<AIPos",), "deg", r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
     # ABB, RAPID data types: jointtarget is [robax, extax].
     # Without a name it is told from other lists by the external axes that are not there, 9E9.
     (
         "ABB RAPID",
+        ("[[", ":="),
         "deg",
         r"\b(\w{1,80})\s?:=\s?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
         rf"(?:^|,)\s*{_VALUE}",
     ),
     (
         "ABB RAPID",
+        ("[[", "9E"),
         "deg",
         r"()\[\[([^][]*)\]\s?,\s?\[[^][]*9[eE]\+?0?9[^][]*\]\]",
         rf"(?:^|,)\s*{_VALUE}",
@@ -41,18 +45,25 @@ _PROGRAMS = (
     # Fanuc: section /POS of an LS file in joint representation.
     (
         "Fanuc LS",
+        ("P[", "J1"),
         "deg",
         r"P\[(\d+(?:\s*:\s*\"[^\"]*\")?)\]\s*\{([^{}]*)\}",
         rf"J\d\s*=\s*{_VALUE}\s*deg",
     ),
     # Doosan, programming manual: posj(J1, ..., J6).
-    ("Doosan posj", "deg", r"(?:\b(\w{1,80})\s?=\s?)?\bposj\s?\(([^()]*)\)", _VALUE),
+    ("Doosan posj", ("posj",), "deg", r"(?:\b(\w{1,80})\s?=\s?)?\bposj\s?\(([^()]*)\)", _VALUE),
     # Staubli VAL3: data of the type jointRx in a .dtx file.
-    ("Staubli VAL3", "deg", r'<Value key="(\w{1,80})"\s([^<>]*\bj1=[^<>]*)>', rf'j\d="{_VALUE}"'),
+    (
+        "Staubli VAL3",
+        ("<Value",),
+        "deg",
+        r'<Value key="(\w{1,80})"\s([^<>]*\bj1=[^<>]*)>',
+        rf'j\d="{_VALUE}"',
+    ),
     # Efort: a jointtarget is j:{J1, ..., J6, external axes}.
-    ("Efort", "deg", r"(?:\b(\w{1,80})\s?=\s?)?\b[jJ]:\s?\{([^{}]*)\}", _VALUE),
+    ("Efort", (":{",), "deg", r"(?:\b(\w{1,80})\s?=\s?)?\b[jJ]:\{([^{}]*)\}", _VALUE),
     # Yaskawa, job with POSTYPE PULSE: the counts of the axes' encoders.
-    ("Yaskawa JBI", "counts", r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
+    ("Yaskawa JBI", ("PULSE",), "counts", r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
 )
 # Jobs whose points are positions of the tool, not of the joints.
 _CARTESIAN_JOB = re.compile(r"(?m)^///(?:POSTYPE\s+(?:BASE|ROBOT|USER|TOOL)|RECTAN)\b")
@@ -108,8 +119,8 @@ def _program(head, read, n_joints):
     """A program or log of a robot's controller that holds joint positions."""
     if head.lstrip().startswith("/JOB") and _CARTESIAN_JOB.search(head):
         raise ValueError("its points are poses of the tool; joint angles are needed: as PULSE.")
-    for what, unit, record, value in _PROGRAMS:
-        if not re.search(record, head):
+    for what, marks, unit, record, value in _PROGRAMS:
+        if not (all(mark in head for mark in marks) and re.search(record, head)):
             continue
         text, rows, line, done = read(), [], 1, 0
         for match in re.finditer(record, text):

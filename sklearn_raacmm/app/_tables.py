@@ -18,6 +18,12 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._sources import TableError
 
+# Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
+# puts into quotation marks; so many lines are looked at together.
+_PLAIN_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_PLAIN_CELL = rf"(?:{_PLAIN_NUMBER}|[^\W_](?:[\w .:/+-]*[\w.:/+-])?)?"
+_LINES_AT_A_TIME = 8192
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -177,9 +183,51 @@ class Layout(Columns):
 
     def blocks(self, n_rows):
         """Yield tables of at most so many rows, and their cells as they are in the file."""
-        rows = self.rows(self.angle_columns)
-        while block := list(islice(rows, n_rows)):
-            yield self._table(block), [cells for _, cells in block]
+        is_plain = self.position_column is None and not self.point_columns
+        lines = self.plain_lines() if is_plain else None
+        if lines is None:
+            rows = self.rows(self.angle_columns)
+            while block := list(islice(rows, n_rows)):
+                yield self._table(block), [cells for _, cells in block]
+            return
+        number = self.header_row + 1
+        while block := list(islice(lines, n_rows)):
+            yield self._plain_table(block, number), block
+            number += len(block)
+
+    def plain_lines(self):
+        """Lines of data, without their ends, of a table of nothing but plain cells; None of others.
+
+        Plain are numbers with a decimal point, and words in columns that hold no angles. All lines
+        are looked at before the first is handed on: a pattern does so faster than cells are parted.
+        """
+        source = self.source
+        is_other = source.table is not None or source.separator is None or source.decimal != "."
+        if is_other or self.sections or self.width != len(self.header):
+            return None
+        of_angles = [i in self.angle_columns for i in range(self.width)]
+        cells = [_PLAIN_NUMBER if own else _PLAIN_CELL for own in of_angles]
+        line = re.compile(rf"{re.escape(source.separator).join(cells)}(?:\r?\n|\Z)")
+        with open(source.path, encoding=source.encoding, newline="") as file:
+            next(islice(file, self.header_row, self.header_row), None)
+            while text := "".join(islice(file, _LINES_AT_A_TIME)):
+                if line.sub("", text):
+                    return None
+        return self._lines()
+
+    def _lines(self):
+        with open(self.source.path, encoding=self.source.encoding, newline="") as file:
+            for line in islice(file, self.header_row, None):
+                yield line.rstrip("\r\n")
+
+    def _plain_table(self, lines, number):
+        """The table of some of these lines, of which the first has this number."""
+        cells = self.source.separator.join(lines).split(self.source.separator)
+        angles = [list(map(float, cells[i :: self.width])) for i in self.angle_columns]
+        angles = self.factor * np.array(angles).T / self.turns
+        others = self._others(lambda i: cells[i :: self.width])
+        numbers = np.arange(number, number + len(lines))
+        return Table(angles, self.angle_unit, None, None, numbers, self.notes, others)
 
     def _table(self, rows):
         """The table of some rows."""
@@ -189,13 +237,18 @@ class Layout(Columns):
         if self.point_columns:
             points = self.points(rows, self.point_columns)
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
-        others = {}
-        for name, column in self.others.items():
-            cells = [cells[column] for _, cells in rows]
-            values = self.source.numbers(cells)
-            others[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
+        others = self._others(lambda i: [cells[i] for _, cells in rows])
         numbers = np.array([number for number, _ in rows])
         return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
+
+    def _others(self, column):
+        """Further columns: numbers, or text where one cell is no number."""
+        found = {}
+        for name, i in self.others.items():
+            cells = column(i)
+            values = self.source.numbers(cells)
+            found[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
+        return found
 
 
 def _refuse_lonely_labels(path, table):

@@ -6,6 +6,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from html import escape
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
@@ -461,8 +462,11 @@ class Correction:
         base: Any = self.base
         if base is not None:
             base = dict(zip(_BASE, (part.tolist() for part in base), strict=True))
-        contents = {"arm.json": self.arm.to_json(), "model.skops": dump_model(self.model)}
-        return write_folder(folder, self.facts | {"base": base}, contents | dict(others or {}))
+        others = dict(others or {})
+        if "model.skops" not in others:
+            others["model.skops"] = dump_model(self.model)
+        contents = {"arm.json": self.arm.to_json(), **others}
+        return write_folder(folder, self.facts | {"base": base}, contents)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> Self:
@@ -562,6 +566,30 @@ class Correction:
             of_angles.arm_ = model.arm_
             of_angles.with_arm = lambda arm: self._of_angles(model.with_arm(arm))
         return of_angles
+
+    def _repr_html_(self) -> str:
+        """The verdict, and 2S or deviation of each position before and after as bars."""
+        parts = [f"<p><strong>{escape(self.verdict)}</strong></p><p>{escape(repr(self.arm))}</p>"]
+        table = self.facts["positions"]
+        names, before, after = (table[name] for name in ("position", "before", "after"))
+        worst = sorted(range(len(names)), key=lambda i: -before[i])[:_SHOWN]
+        most = max([*(before[i] for i in worst), *(after[i] for i in worst), 1e-300])
+        measure = escape(self.facts["measure"])
+        parts.append(f"<table><tr><th>position</th><th>{measure}, mm</th><th></th></tr>")
+        for i in worst:
+            for label, value, colour in (
+                (names[i], before[i], "#999999"),
+                ("corrected", after[i], "#0072B2"),
+            ):
+                width = 200 * value / most
+                parts.append(
+                    f"<tr><td>{escape(str(label))}</td><td>{value:.4f}</td><td><svg width='200' "
+                    f"height='10'><rect width='{width:.1f}' height='10' fill='{colour}'/></svg>"
+                    "</td></tr>"
+                )
+        rest = len(names) - len(worst)
+        more = f"<p>and {rest} more, with less before</p>" * (rest > 0)
+        return f"<div>{''.join(parts)}</table>{more}</div>"
 
     def __repr__(self) -> str:
         lines = [f"{self.arm!r}, {self.facts['n_rows']} rows"]

@@ -16,7 +16,14 @@ from sklearn_raacmm.arm import parameter_jacobian
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, as_prior, changes_of, place_columns
 from sklearn_raacmm.correction._condition import Whitened
 from sklearn_raacmm.error_model import LEAST_POSITIONS
-from sklearn_raacmm.measurements import FAR, explanations, likeliest, medians_of, of_own_points
+from sklearn_raacmm.measurements import (
+    FAR,
+    base_motions,
+    explanations,
+    likeliest,
+    medians_of,
+    of_own_points,
+)
 from sklearn_raacmm.utils import Finding
 
 # Rows that are looked at, evenly from all, and how many there have to be: for speed.
@@ -73,6 +80,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     every = explanations(
         poses.residuals, expected, poses.angles, n_joints, poses.codes,
         lambda angles: linear.predict(angles)[0], expected,
+        base_motions(linear.arm.forward(poses.angles[:, :n_joints]), linear.arm.reach_mm),
     )  # fmt: skip
     few = linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
     tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
@@ -138,8 +146,8 @@ class _Spread:
         self.whiten = Whitened(root, nuisance)
         self.freedom = self.whiten.freedom
         changes = self.whiten(columns * changes_of(linear)[1])
-        self.axes, size, _ = np.linalg.svd(changes, full_matrices=False)
-        self.size = np.square(size)
+        size, self.axes = np.linalg.eigh(changes @ changes.T)
+        self.size = np.maximum(size, 0.0)
         # Of the restricted likelihood: nuisances that are seen better cost more.
         seen = np.linalg.svd(self.whiten.scaled(nuisance), compute_uv=False)
         seen = seen[seen > 1e-8 * seen.max()]

@@ -7,7 +7,7 @@ import glob
 import json
 import os
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from zipfile import ZipFile
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.correction._own_models import OtherContentError, read_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
@@ -28,24 +29,25 @@ except ImportError:  # Windows
 _FACTS = "correction.json"
 # Of the folder.
 _FORMAT = 2
+# Classes of models, in files under the names of their subpackages.
+_CLASSES: tuple[type, ...] = (
+    Arm,
+    ArmResidualRegressor,
+    CylindricalResidualTarget,
+    Fading,
+    Finding,
+    Judgement,
+    LinearModel,
+    Network,
+    PoseFeatures,
+    RBFNetRegressor,
+    Terms,
+)
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
 TRUSTED_TYPES = [
     f"{module}.{kind.__qualname__}"
-    for kind in (
-        Arm,
-        Arm.azimuth,
-        ArmResidualRegressor,
-        CylindricalResidualTarget,
-        Fading,
-        Finding,
-        Judgement,
-        LinearModel,
-        Network,
-        PoseFeatures,
-        RBFNetRegressor,
-        Terms,
-    )
+    for kind in (*_CLASSES, Arm.azimuth)
     for module in (kind.__module__, kind.__module__.rpartition(".")[0])
 ]
 # The module in the name of a class of ours in a skops file, behind that of its subpackage.
@@ -77,7 +79,10 @@ def dump_model(model: Any) -> bytes:
 
 def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
     """Fitted model of a skops file of this folder, which such a version has written."""
+    kinds = {f"{one.__module__.rpartition('.')[0]}.{one.__qualname__}": one for one in _CLASSES}
     try:
+        with suppress(OtherContentError):
+            return read_model(content, kinds)
         return _skops().loads(content, trusted=TRUSTED_TYPES)
     except Exception as error:  # of a file of another version, anything
         raise ValueError(

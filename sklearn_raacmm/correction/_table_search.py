@@ -4,14 +4,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.correction._zeros import with_found_zeros
 from sklearn_raacmm.utils import (
     Finding,
     align,
@@ -34,6 +35,9 @@ _ABOUT_THE_SAME = 1.5
 # Price of another zero, beside 1 of any other change: makers count joints from upright or from
 # horizontal more often than backwards.
 _ZERO = 0.9
+# Codes of joints whose own angle is a sum or a difference, and what is in `Arm.couplings` for them.
+_SUMS = {"coupled": 1, "uncoupled": -1}
+_CODE_OF = {factor: code for code, factor in _SUMS.items()}
 _OTHER_CONVENTION = {"standard": "modified", "modified": "standard"}
 # Axes of a tracker's points as they are, and with two exchanged.
 _AXES, _MIRRORED = (0, 1, 2), (1, 0, 2)
@@ -114,9 +118,10 @@ def search_table(
 ) -> TableChange | None:
     """Search for what is wrong with an arm whose points scatter much after calibration.
 
-    Tried are all senses of the joints, quarter and half turns of their zeros, two joints exchanged
-    and all in reverse order, the other convention of the table, the other unit of the angles, and
-    a tracker's points that are mirrored.
+    Tried are all senses of the joints, quarter and half turns of their zeros, joints whose angle is
+    the sum or the difference of two, two joints exchanged and all in reverse order, the other
+    convention of the table, the other unit of the angles, and a tracker's points that are mirrored.
+    Where none of these helps, the zeros of all joints are looked for from random starts.
 
     Parameters
     ----------
@@ -154,15 +159,8 @@ def search_table(
     check_arm(arm)
     given = _scatter(arm, angles, positions, points, angle_unit)
     raw = np.asarray(angles, dtype=float)
-    codes = few_points = None
-    if points is None:  # whole positions, as many as fit
-        codes = encode_groups(positions, len(raw))[1]
-        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
-        codes = codes[rows]
-    else:  # some from everywhere
-        points = np.asarray(points, dtype=float)
-        rows = np.linspace(0, len(raw) - 1, min(len(raw), _RANKED_ROWS)).astype(int)
-        few_points = points[rows]
+    points = None if points is None else np.asarray(points, dtype=float)
+    rows, codes, few_points = _few_rows(len(raw), positions, points)
     candidates = _candidates(arm, angle_unit, np.abs(raw).max(), points is not None)
     ranked = [(_quick_scatter(one, raw[rows], codes, few_points), one) for one in candidates]
     ranked.sort(key=lambda entry: (entry[0], entry[1][:2]))
@@ -174,38 +172,76 @@ def search_table(
         of_hand = [entry for entry, other in zip(ranked, mirrored, strict=False) if other == hand]
         near = [one for left, one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
         tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
-    found = {}
-    for one in sorted({one.change: one for one in tried}.values(), key=lambda one: one[:2]):
+
+    def calibrated(one, options):
         mended = None if points is None else points[:, one.axes]
         scatter = _scatter(one.arm, raw[:, one.columns], positions, mended, one.angle_unit)
-        parts = one.arm, tuple(one.columns), one.angle_unit, _options(arm, one, angle_unit)
+        parts = one.arm, tuple(one.columns), one.angle_unit, options
         where = tuple(_places(one, raw[:1])[0].tolist())
-        found[one.change] = TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
-    least = min(one.scatter_mm for one in found.values())
-    if least > min(_WORTH_SAYING * given, _COINCIDE * arm.reach_mm):
-        return None
-    first, *equals = (one for one in found.values() if one.scatter_mm <= _ABOUT_THE_SAME * least)
+        return TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
+
+    tried = sorted({one.change: one for one in tried}.values(), key=lambda one: one[:2])
+    found = [calibrated(one, _options(arm, one, angle_unit)) for one in tried]
+    least, limit = min(one.scatter_mm for one in found), _COINCIDE * arm.reach_mm
+    limit = min(_WORTH_SAYING * given, limit)
+    if least > limit:  # no simple change: zeros may be anywhere
+        other = taken(arm, "zeros", (raw, positions, points, angle_unit))
+        turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
+        words = (f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5))
+        words = f"the zeros turned, {', '.join(words)} degrees"
+        straight = [*range(arm.n_joints)]
+        one = _Candidate(arm.n_joints, words, other, straight, _AXES, angle_unit)
+        found = [calibrated(one, "--take zeros")]
+        if (least := found[0].scatter_mm) > limit:
+            return None
+    first, *equals = (one for one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
     place = _places(first, raw)
     equals = [replace(one, is_mirror=_are_mirrored(place, _places(one, raw))) for one in equals]
     first, *equals = _with_questions([first, *equals], raw)
     return replace(first, equals=tuple(equals))
 
 
-def taken(arm: Arm, code: str) -> Arm:
-    """The arm changed as a finding proposes, see `TableChange.options`."""
+def _few_rows(n, positions, points):
+    """Some of n rows, for speed, the codes of their positions, and their points."""
+    if points is None:  # whole positions, as many as fit
+        codes = encode_groups(positions, n)[1]
+        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
+        return rows, codes[rows], None
+    rows = np.linspace(0, n - 1, min(n, _RANKED_ROWS)).astype(int)  # some from everywhere
+    return rows, None, np.asarray(points, dtype=float)[rows]
+
+
+def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
+    """The arm changed as a finding proposes, see `TableChange.options`.
+
+    `measured` are angles, positions, points and the unit of the angles: "zeros" are found there.
+    """
     check_arm(arm)
+    if code == "zeros":
+        angles, positions, points, unit = measured
+        if positions is None and points is None:
+            raise ValueError(
+                "zeros are found from labels of positions, or from a tracker's points."
+            )
+        angles = check_angles(angles, arm.n_joints, unit)
+        rows, codes, few_points = _few_rows(len(angles), positions, points)
+        return with_found_zeros(arm, angles[rows], codes, few_points)
     word, *numbers = code.split("-")
     joints = [str(i + 1) for i in range(arm.n_joints)]
     if code == "other-convention":
         return arm.replace(convention=_OTHER_CONVENTION[arm.convention])
     if word == "reversed" and numbers and set(numbers) <= set(joints):
         return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(joints, numbers), -1, 1))
+    if word in _SUMS and len(numbers) == 2 and numbers[0] != numbers[1] and {*numbers} <= {*joints}:
+        other, joint = map(int, numbers)
+        return arm.replace(couplings=(*arm.couplings, (joint, other, _SUMS[word])))
     if word == "zero" and len(numbers) == 2 and numbers[0] in joints and numbers[1].isdigit():
         turns = np.isin(joints, numbers[:1]) * float(numbers[1])
         return arm.replace(theta_offset=_turned(arm, turns))
     raise ValueError(
         f"take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, zero with "
-        f"a joint and degrees, such as zero-2-180, or other-convention, got {code!r}."
+        f"a joint and degrees, such as zero-2-180, coupled or uncoupled with two joints, such as "
+        f"coupled-2-3 for J3 + J2, zeros, or other-convention, got {code!r}."
     )
 
 
@@ -232,8 +268,8 @@ def ask_for_the_hand(
                 "mirror-image",
                 "The data fit the arm as it was taken and its mirror image alike, that with "
                 f"{other.change}.",
-                f"{' '.join(own.questions)} If the answer is {', '.join(own.answers)}, accept "
-                f'"mirror-image"; else learn with {other.options}.',
+                f"{' '.join(own.questions)} If it is {', '.join(own.answers) or 'as taken'}, "
+                f'accept "mirror-image"; else learn with {other.options}.',
             ).report()
             return
 
@@ -279,9 +315,10 @@ def _options(arm, one, unit):
     """Options of `raacmm learn` that change an arm, the order of its angles and their unit."""
     reversed_ = np.flatnonzero(arm.joint_signs != one.arm.joint_signs) + 1
     turns = np.rad2deg(one.arm.theta_offset - arm.theta_offset).round().astype(int) % 360
-    order = ",".join(str(i + 1) for i in one.columns)
+    order, own = ",".join(str(i + 1) for i in one.columns), arm.couplings
     words = [
         ("--take " + "-".join(["reversed", *map(str, reversed_)])) * bool(len(reversed_)),
+        *(f"--take {_CODE_OF[f]}-{j}-{i}" for i, j, f in one.arm.couplings if (i, j, f) not in own),
         *(f"--take zero-{i + 1}-{turns[i]}" for i in np.flatnonzero(turns)),
         "--take other-convention" * (arm.convention != one.arm.convention),
         f"--angles with the columns {order}" * (one.columns != sorted(one.columns)),
@@ -311,13 +348,11 @@ class _Candidate(NamedTuple):
 def _candidates(arm, unit, largest, has_points):
     """Yield every candidate, the arm as it is given left out."""
     n, straight = arm.n_joints, [*range(arm.n_joints)]
-    as_given, no_turn = np.ones(n), np.zeros(n)
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], as_given, no_turn)]
+    joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], {})]
     for i, j in combinations(range(n), 2):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
-        words = [f"joints {i + 1} and {j + 1} exchanged"]
-        joints.append((words, 1, columns, as_given, no_turn))
+        joints.append(([f"joints {i + 1} and {j + 1} exchanged"], 1, columns, {}))
     # Zeros of the first joint and the last are free: base and probe go with them.
     single = [{j: degrees} for j in straight[1:-1] for degrees in (90, 180, 270)]
     pairs = [{**a, **b} for a, b in combinations(single, 2) if a.keys() != b.keys()]
@@ -327,8 +362,15 @@ def _candidates(arm, unit, largest, has_points):
         for turned in zeros:
             words = [f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"] * bool(which)
             words += [f"the zero of joint {j + 1} turned by {turned[j]} degrees" for j in turned]
-            turn = np.array([turned.get(j, 0) for j in straight])
-            joints.append((words, len(which) + _ZERO * len(turned), straight, signs, turn))
+            offset = _turned(arm, np.array([turned.get(j, 0) for j in straight]))
+            changed = {"joint_signs": arm.joint_signs * signs, "theta_offset": offset}
+            joints.append((words, len(which) + _ZERO * len(turned), straight, changed))
+    for (i, j), factor, sign in product(permutations(range(n), 2), (1, -1), (1, -1)):
+        text = f"{'-' * (sign < 0)}J{i + 1} {'- +'[1 + sign * factor]} J{j + 1}"
+        words = [f"joint {i + 1} at {text}"]
+        signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
+        sums = (*arm.couplings, (i + 1, j + 1, factor))
+        joints.append((words, 1 + (sign < 0), straight, {"joint_signs": signs, "couplings": sums}))
     conventions = [([], arm.convention)]
     other = _OTHER_CONVENTION[arm.convention]
     conventions.append(([f"the {other} convention"], other))
@@ -341,14 +383,12 @@ def _candidates(arm, unit, largest, has_points):
     hands = [([], _AXES)]
     if has_points:
         hands.append((["the points mirrored (an axis negated, or two exchanged)"], _MIRRORED))
-    for (words, price, columns, signs, turn), *rest in product(joints, conventions, units, hands):
-        said = [*words, *(word for one, _ in rest for word in one)]
-        if said:
+    for (words, price, columns, changed), *rest in product(joints, conventions, units, hands):
+        if said := [*words, *(word for one, _ in rest for word in one)]:
             form, angle_unit, axes = (value for _, value in rest)
-            signs, offset = arm.joint_signs * signs, _turned(arm, turn)
-            changed = arm.replace(joint_signs=signs, theta_offset=offset, convention=form)
+            other = arm.replace(convention=form, **changed)
             price += len(said) - len(words)
-            yield _Candidate(price, " and ".join(said), changed, columns, axes, angle_unit)
+            yield _Candidate(price, " and ".join(said), other, columns, axes, angle_unit)
 
 
 def _quick_scatter(one, angles, codes, points):

@@ -121,7 +121,7 @@ def update_correction(
         return updated
     for finding in what_is_wrong(model, poses):
         finding.report()
-    updated.linear_model_, entry, pose_weight = changed_model(linear, poses, date=date)
+    updated.linear_model_, entry, pose_weight, ended = changed_model(linear, poses, date=date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
             f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
@@ -133,7 +133,7 @@ def update_correction(
         )
         Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"]).report()
     poses.weights = poses.weights * pose_weight
-    updated.fading_, judgement = judged_fading(linear, poses, model.fading_)
+    updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated

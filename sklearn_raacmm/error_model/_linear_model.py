@@ -21,6 +21,7 @@ from sklearn_raacmm.error_model._columns import (
     BASE_MOTIONS,
     FAMILIES,
     LOAD,
+    OF_LOADS,
     Columns,
     Terms,
     columns_of,
@@ -344,7 +345,7 @@ class LinearModel:
         dtype = [("family", "U11"), ("name", f"U{width}"), ("value", "f8"), ("sd", "f8")]
         # The columns of gravity are not all of one arc second: see `_gravity`.
         arcsec = ARCSEC / self.arm.reach_mm
-        size = np.array([c.unit / arcsec if c.kind == LOAD else 1.0 for c in others])
+        size = np.array([c.unit / arcsec if c.kind in OF_LOADS else 1.0 for c in others])
         family = [FAMILIES[column.family] for column in others]
         values = size * self.coef[n:], size * self.coef_sd[n:]
         return np.array([*zip(family, self.layout.names, *values, strict=True)], dtype=dtype)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
+from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
 from sklearn_raacmm.utils import Finding, align, centred, row_numbers
 
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
@@ -39,6 +40,10 @@ WORDS = {
         "Give residuals in the arm's base frame, x, y and z in this order.",
     ),
     "rows-shifted": ("they are of the row {}", _FILES),
+    "moved-station": (
+        "the base or the tracker moved{}",
+        "Give each part by itself, after a registration of its own.",
+    ),
     "rows-unrelated": ("they do not belong to the angles of their rows", _FILES),
     "joints": ("of the angles, {}", "Look at the order and the sense of the joints."),
     "other-table": (
@@ -112,7 +117,14 @@ def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> l
 
 
 def explanations(
-    y: Any, expected: Any, angles: Any, n_joints: int, codes: Any, predict: Any, correction: Any
+    y: Any,
+    expected: Any,
+    angles: Any,
+    n_joints: int,
+    codes: Any,
+    predict: Any,
+    correction: Any,
+    motions: Any = None,
 ) -> Iterator[Explanation]:
     """Yield what may have been done to residuals (n, 3), in mm, that they are of another arm first.
 
@@ -147,6 +159,11 @@ def explanations(
             words = f"joints {i + 1} and {j + 1} are exchanged"
         yield Explanation("joints", words, y - predict(changed), every, _JOINTS)
     yield from _late(y, expected, codes)
+    if codes is None and motions is not None and len(y) >= 3 * LEAST_ROWS:
+        own, flat = y - expected, motions.reshape(y.size, 6)
+        own = own - motions @ np.linalg.lstsq(flat, own.ravel())[0]
+        row, _, left = best_split(own, motions, np.zeros(6), motions, every)[1:]
+        yield Explanation("moved-station", "", left, every, _TURNS**2 * len(y), first=row)
 
 
 def _late(y, expected, codes):
@@ -175,10 +192,14 @@ def _late(y, expected, codes):
 
 def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
     """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
-    middle = np.zeros_like(values)
-    if codes is not None:
-        for code in np.unique(codes):
-            middle[codes == code] = np.median(values[codes == code], axis=0)
+    if codes is None:
+        return np.zeros_like(values)
+    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
+    for i, column in enumerate(values.T):
+        column = column[np.lexsort((column, of))]  # by position, and there by size
+        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
+        middle[:, i] = median[of]
     return middle
 
 

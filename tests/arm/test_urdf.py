@@ -631,3 +631,32 @@ def test_rounding_of_angles_is_told_with_its_size(angle, off, weight):
     said = re.search(r"by up to (\S+) rad, which moves the probe by up to (\S+) mm", finding.text)
     assert said[1] == off
     assert 500 < float(said[2]) / abs(np.pi / 2 - float(angle)) < 600
+
+
+def test_a_macro_left_over_in_a_link_moves_nothing():
+    text, space = Arm.from_name("ur10").to_urdf(), 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+    material = f"<visual><material><xacro:color {space}/></material></visual>"
+    left = text.replace('<link name="link1"/>', f'<link name="link1">{material}</link>')
+    assert left != text
+    assert Arm.from_urdf(left) == Arm.from_urdf(text)
+    with pytest.raises(ValueError, match="holds xacro macros"):
+        Arm.from_urdf(text.replace("</robot>", f"<xacro:arm {space}/></robot>"))
+
+
+def test_without_limits_a_joint_is_one_number_all_the_same():
+    """Of a continuous joint some programs make two numbers, a cosine and a sine."""
+    free = Arm.from_name("aacmm6").replace(limits=None)
+    text = free.to_urdf()
+    assert "continuous" not in text
+    assert text.count('type="revolute"') == 6
+    assert Arm.from_urdf(text).limits is None
+    limits = np.tile([-2 * np.pi, 2 * np.pi], (6, 1))
+    np.testing.assert_allclose(
+        Arm.from_urdf(free.replace(limits=limits).to_urdf()).limits, limits, atol=1e-12
+    )
+
+
+def test_a_small_table_in_degrees_is_an_arm():
+    arm = Arm.from_degrees([0, 0], [90, 0], [500, 120])
+    np.testing.assert_allclose(arm.forward([[0.0, 0.0]]), [[0, -120, 500]], atol=1e-9)
+    assert arm.pose_joints == (1, 2)
