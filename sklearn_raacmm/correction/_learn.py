@@ -16,7 +16,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
-from sklearn_raacmm.correction._scores import scores_of, share_of
+from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
 from sklearn_raacmm.correction._table_search import search_table
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
@@ -169,9 +169,12 @@ def learn_correction(
         data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)
         calibration = _calibrated(data, angles, angle_unit, accept)
         data = data.seen_by(calibration)
-        scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
+        outliers = data.outliers(calibration)
+        folds = folds_of(data, outliers, cv)
+        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
+        parts = data.along_vertical_of(fitted)
+        scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)
         _say_what_moved(data, calibration, fitted, rows)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
