@@ -42,7 +42,7 @@ from sklearn_raacmm.utils import (
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
-_LOG_NOISE = (0.0, 4.0)
+LOG_NOISE = (0.0, 4.0)
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
 _REGISTERED_PLACE_MM = 5.0
@@ -58,9 +58,6 @@ _LOW_ORDERS = 8
 _NEW_ORDERS = 2
 # A fifth of the new poses is left out at a time. A choice, not measured.
 _N_FOLDS = 5
-# Poses in the range of the new ones that are tried for how much a change leaves open there: a
-# number for speed.
-_TRIED = 200
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # ``benchmarks/bench_after_the_lab.py transfer`` judges: it does not choose.
@@ -155,7 +152,7 @@ def place_columns(arm, angles, with_base):
     return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
 
 
-def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
+def changed_model(linear, poses, log_noise=LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
     `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
@@ -178,8 +175,7 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
         n_positions=float(len(np.unique(poses.positions))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
-        tried = poses_in_range(angles[weights > 0], linear.arm.n_joints)
-        free = model.constrained(tried, np.ones(len(tried)), np.arange(len(tried)))
+        free = model.constrained(angles[weights > 0])
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
         "date": day(date),
@@ -209,7 +205,7 @@ def _conditioned(linear, poses, log_noise, start=None, means_only=False):
     return model, after
 
 
-def judged_fading(linear, poses, fading, start, log_noise=_LOG_NOISE):
+def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
@@ -247,20 +243,6 @@ def _informed(half, columns, place, weights):
     root = np.sqrt(weights)[:, None, None]
     seen, free = (np.concatenate(part * root) for part in (columns, place))
     return narrowed(half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0])
-
-
-def poses_in_range(angles, n_joints):
-    """Poses whose joints stand anywhere in the ranges that some poses are from.
-
-    Extra columns are as they were.
-    """
-    low, high = angles.min(axis=0), angles.max(axis=0)
-    # Of n uniform numbers the extremes lie this far inside their range on the average.
-    beyond = (high - low) / max(len(angles) - 1, 1)
-    rng = np.random.default_rng(0)
-    tried = rng.uniform(low - beyond, high + beyond, (_TRIED, angles.shape[1]))
-    tried[:, n_joints:] = angles[rng.integers(len(angles), size=_TRIED), n_joints:]
-    return tried
 
 
 def harmonics_of(linear):

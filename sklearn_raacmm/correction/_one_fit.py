@@ -12,7 +12,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
-from sklearn.cluster import KMeans
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
@@ -21,7 +20,14 @@ from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
 from sklearn_raacmm.residuals import last_step_of, position_residuals
-from sklearn_raacmm.utils import encode_groups, floats, ignored_findings, listed
+from sklearn_raacmm.utils import (
+    Finding,
+    FindingError,
+    encode_groups,
+    floats,
+    ignored_findings,
+    listed,
+)
 
 # Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
 # is left out at a time. A choice, not measured.
@@ -29,6 +35,8 @@ _FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
 # Share of the variance of the row number that angles may explain where time is to be learnt: of two
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 _MOST_EXPLAINED = 0.2
+# Angles in rad within which all rows are one pose; `find_poses` has the same.
+_STILL = 1e-3
 
 
 class Data:
@@ -48,7 +56,12 @@ class Data:
         check_arm(arm)
         # Within one turn, lest a warning of far angles be repeated by everything that follows.
         angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        _refuse_one_pose(angles)
         lengths = listed("lengths", lengths)
+        if points is not None and positions is not None:
+            # A name for each pose says nothing of what is left out together.
+            labels = encode_groups(positions, len(angles))[1]
+            positions = positions if labels.max() < len(angles) - 1 else None
         if positions is None and points is None:
             positions = find_places(arm, angles)
         if points is not None:
@@ -109,6 +122,11 @@ class Data:
     def inputs(self):
         """Angles, then the causes, of each row."""
         return np.hstack([self.angles, self.values])
+
+    def as_given(self, angles):
+        """Of the rows that are learnt: these angles, which were given, positions, and points."""
+        positions = self.positions if self.points is None else None
+        return np.asarray(angles, dtype=float)[self.rows], positions, self.points
 
     def without_lonely(self, rows=None):
         """Of these rows, or all, those of positions with two or more; others have no residuals."""
@@ -239,8 +257,17 @@ class Data:
         return model.set_params(**changed)
 
 
+def _refuse_one_pose(angles):
+    """Refuse rows of an arm that stood still, the same angles in rad within one turn."""
+    if len(angles) > 1 and np.ptp(angles, axis=0).max() < _STILL:
+        said = f"The arm did not move: {len(angles)} rows are 1 pose."
+        raise FindingError(Finding("one-pose", said, "Measure other poses, too.", "refuse"))
+
+
 def _regions(points):
     """Labels of regions of neighbouring points, which take the place of positions."""
+    from sklearn.cluster import KMeans  # here: reading a correction spares the time of importing it
+
     n_regions = min(_MOST_REGIONS, max(_FEWEST_REGIONS, len(points) // _ROWS_OF_A_REGION))
     if len(np.unique(points, axis=0)) < n_regions:
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from sklearn.model_selection import GroupKFold
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.arm import points_of
@@ -229,6 +228,8 @@ def share_of(model):
 
 def folds_of(data, outliers, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
+    from sklearn.model_selection import GroupKFold  # here: reading a correction spares the time
+
     kept, blocks = np.delete(np.arange(len(data.angles)), outliers), data.blocks()
     n_blocks = len(np.unique(blocks))
     if n_blocks < 3:

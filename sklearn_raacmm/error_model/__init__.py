@@ -5,13 +5,14 @@
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model._checks import check_extra, check_poses
-from sklearn_raacmm.error_model._columns import Effect, Terms
+from sklearn_raacmm.error_model._columns import OF_LOADS, Effect, Terms, torque_axis
 from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, order_price, smooth_shares
 from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
 from sklearn_raacmm.error_model._linear_model import LinearModel
 
 __all__ = [
     "LEAST_POSITIONS",
+    "OF_LOADS",
     "ArmResidualRegressor",
     "Effect",
     "Fading",
@@ -24,4 +25,5 @@ __all__ = [
     "judge",
     "order_price",
     "smooth_shares",
+    "torque_axis",
 ]

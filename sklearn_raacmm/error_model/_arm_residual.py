@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm
+from sklearn_raacmm.arm import Arm, angles_for, check_arm, own_angles
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._fit import offered_harmonics
@@ -65,8 +65,9 @@ class ArmResidualRegressor(PointCorrectionMixin):
     extra : list of str, default=()
         What the columns of `X` after the angles are, in any unit: "temperature" of the arm or
         "temperature J" near joint J (from 1); "time"; "direction J", from which joint J came (1
-        from smaller angles, -1 from larger ones); "payload"; "force x", "force y", "force z" on the
-        probe in the base frame.
+        from smaller angles, -1 from larger ones); "payload"; "base height", where what it stands on
+        gives way more the higher it stands; "force x", "force y", "force z" on the probe in the
+        base frame.
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered no more orders than it shows different
@@ -264,7 +265,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
-        offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
+        offered = offered_harmonics(own_angles(arm, rows.X[:, : arm.n_joints]), self.orders)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)

@@ -19,19 +19,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, own_angles, points_of
 from sklearn_raacmm.utils import chunks, group_sums
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own; then that of harmonics that are taken for
 # themselves, and that of all low orders together.
-GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, HARMONICS, SMOOTH = range(8)
+GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, BASE, HARMONICS, SMOOTH = range(9)
 FAMILIES = (
-    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "harmonics", "smooth",
+    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "base", "harmonics",
+    "smooth",
 )  # fmt: skip
 # The families that `ArmResidualRegressor` names in `causes`.
 CAUSES = ("gravity", "kinematics", "wobble")
-FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE)
+FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, BASE)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
 # What places the base and is not in its table: shifts along and turns about x and y. Columns that
@@ -46,15 +47,18 @@ _LONG_RUN = 24
 # What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
 # moves it, in parts of that: F L^2 / (6 E I).
 _OF_END = 0.5
+# What a bending base shifts by where it turns by one arc second: over this length, mm. Any will do.
+_OF_BASE_MM = 500.0
 # Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
 _CHUNK = 512
 # What a column may be: the word, and behind some the number of a joint or an axis.
 _NAME = re.compile(
-    r"(?:temperature|time|payload)|(?:temperature|direction)\s+(?P<joint>\d+)|force\s+(?P<axis>[xyz])"
+    r"temperature|time|payload|base height"
+    r"|(?:temperature|direction)\s+(?P<joint>\d+)|force\s+(?P<axis>[xyz])"
 )
 _FORMS = (
     '"temperature", "temperature J", "direction J" (J the number of a joint from 1), "time", '
-    '"payload", "force x", "force y", "force z"'
+    '"payload", "base height", "force x", "force y", "force z"'
 )
 
 
@@ -62,16 +66,20 @@ class Effect(IntEnum):
     """What a column does: a small turn about an axis of a frame, or a small shift along it.
 
     Or a turn about it in proportion to the torque about that axis of a load, or of a force on the
-    probe, which pushes.
+    probe, which pushes; or a shift along x or y in proportion to the torque about y or x: what
+    bends leans.
     """
 
     TURN = 0
     SHIFT = 1
     LOAD = 2
     PUSH = 3
+    LEAN = 4
 
 
-TURN, SHIFT, LOAD, PUSH = Effect
+TURN, SHIFT, LOAD, PUSH, LEAN = Effect
+# Those of loads: along the vertical, in which they are linear.
+OF_LOADS = LOAD, LEAN
 
 
 class Terms(NamedTuple):
@@ -195,6 +203,33 @@ def _temperature(arm, name, by, mean):
             yield column._replace(name=of, family=TEMPERATURE, unit=unit, by=by, reference=mean)
 
 
+def _base(arm, name, by, reference):
+    """How what the base stands on gives way, more the higher it stands.
+
+    The end of a column of the height h turns by M h / (E I) and shifts by M h^2 / (2 E I), M the
+    torque of each load. With the turn at the mean height, which is gravity's, these are lines in h;
+    so is where the base has been found with a part of them.
+    """
+    unit = ARCSEC / arm.reach_mm  # of all, as a longer probe has it
+    # Of half the range of heights, so that all coefficients are of one size.
+    per_mm = 2 / ((max(reference) - min(reference)) or 2.0)
+    moves = [
+        Column(f"base {word} {'xyz'[axis]}", BASE, kind, 0, axis, size * unit)
+        for (word, kind, size) in (("along", SHIFT, _OF_BASE_MM**2), ("about", TURN, _OF_BASE_MM))
+        for axis in range(3)
+    ]
+    for load, axis in product(range(1, arm.n_joints + 2), range(2)):
+        at = f"load at {'probe' if load > arm.n_joints else f'frame {load}'}"
+        lean = f"{at} shifts the base along {'xy'[axis]}"
+        leans = Column(lean, BASE, LEAN, 0, axis, _OF_BASE_MM * unit, load=load)
+        turn = f"{at} turns the base about {'xy'[axis]}"
+        moves += [leans, leans._replace(name=turn, kind=LOAD, unit=unit)]
+        yield leans
+    for one in moves:
+        own = {"name": f"{one.name} by {name}", "unit": per_mm * one.unit}
+        yield one._replace(**own, by=by, reference=reference[0])
+
+
 def _of_extra(arm, extra):
     """What the columns of X after the angles do."""
     if any(name.startswith(("force", "payload")) for name, _ in extra):
@@ -206,6 +241,8 @@ def _of_extra(arm, extra):
         kind, joint = parsed(name, arm.n_joints)
         if kind in ("temperature", "time"):
             yield from _temperature(arm, name, by, reference[0])
+        elif kind == "base":
+            yield from _base(arm, name, by, reference)
         elif kind == "direction":
             unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)
             of = f"joint {joint + 1} lags"
@@ -343,7 +380,7 @@ class Columns:
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
-        phase = angles[:, plan.wave_joint] * plan.wave_order
+        phase = own_angles(self.arm, angles)[:, plan.wave_joint] * plan.wave_order
         wave = np.empty((len(angles), 2 * phase.shape[1]))
         np.cos(phase, out=wave[:, 0::2])
         np.sin(phase, out=wave[:, 1::2])
@@ -366,13 +403,19 @@ class Columns:
         return FactoredColumns(runs, rest)
 
 
+def torque_axis(table: np.ndarray) -> np.ndarray:
+    """Axis of the torque that loads of a table of columns have, 3 frame + axis."""
+    leans = table["kind"] == LEAN
+    return 3 * table["frame"] + np.where(leans, 1 - table["axis"], table["axis"])
+
+
 class _Plan:
     """A column table, arranged for whole arrays."""
 
     def __init__(self, columns):
         table, n_waves, n_axes = columns.table, columns.n_waves, 3 * (columns.arm.n_joints + 1)
         axis = 3 * table["frame"] + table["axis"]
-        which = np.where(table["kind"] == SHIFT, n_axes, 0) + axis  # into the `axis_vectors`
+        which = axis + n_axes * np.isin(table["kind"], (SHIFT, LEAN))  # into the `axis_vectors`
         # Runs of columns (first, last, vector, unit): many waves that share one vector.
         self.runs, self.rest = [], 0
         n_joints = len(np.unique(columns.terms.harmonics[:, 0]))
@@ -386,8 +429,8 @@ class _Plan:
         rest, axis = table[self.rest :], axis[self.rest :]
         self.which, self.unit = which[self.rest :], rest["unit"]
         self.waves = np.flatnonzero(rest["order"])
-        self.loads = np.flatnonzero(rest["kind"] == LOAD)
-        self.load_x = n_axes + axis[self.loads]  # axis u of the torque, into the vectors
+        self.loads = np.flatnonzero(np.isin(rest["kind"], OF_LOADS))
+        self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors
         self.load_at, self.load_frame = rest["load"][self.loads], rest["frame"][self.loads]
         self.pushes = np.flatnonzero(rest["kind"] == PUSH)
         self.push_turn = axis[self.pushes]  # into the vectors: what the turn does to the probe

@@ -16,6 +16,7 @@ import numpy as np
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
+    KINEMATICS,
     Columns,
     Terms,
     columns_of,
@@ -59,6 +60,11 @@ UNUSED_SD = 1e-6
 # One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
 # data do not show would carry the variance beyond all bounds by their rounding.
 _LARGEST_VARIANCE = 3600.0**2
+# Prior standard deviation of the kinematic columns, what a drawing leaves open: in arc seconds, and
+# for lengths what these span at the arm's reach. It is given, not found: a calibration has taken
+# these directions out of the residuals, which then say that it is 0
+# (``benchmarks/bench_few_poses.py --few`` and ``--narrow``).
+KINEMATICS_SD = 100.0
 # Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
 # leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
 WIDE_SD = 30.0
@@ -154,7 +160,7 @@ def structures_of(columns, with_field, unused):
     order, given = columns.terms.harmonics[:, 1], np.full(len(FAMILIES), np.nan)
     if not len(order) and not len(columns.family):
         raise ValueError("The model has no columns: no orders are offered and no causes are named.")
-    given[unused] = UNUSED_SD**2
+    given[KINEMATICS], given[unused] = KINEMATICS_SD**2, UNUSED_SD**2
     return Structures(
         family=columns.family,
         price=order_price(order),
@@ -470,4 +476,4 @@ def model_of(rows, columns, state):
     )
     if rows.codes is None:
         return model
-    return model.constrained(rows.X, rows.weights, rows.codes, keep_scale=not rows.lengths)
+    return model.constrained(rows.X[rows.weights > 0], keep_scale=not rows.lengths)

@@ -17,7 +17,7 @@ _ROUNDING = 1e-9
 # since all is in proportion.
 _BESIDE_MM = 100.0
 # Families whose columns are all per reach.
-_PER_REACH = ("gravity", "force")
+_PER_REACH = ("gravity", "force", "base")
 
 
 def check_same_table(old, new):
@@ -27,6 +27,11 @@ def check_same_table(old, new):
         raise ValueError(
             f"the correction is of an arm of {kinds[0]}, and is to be moved to {kinds[1]}: only "
             "the probe may differ."
+        )
+    if old.couplings != new.couplings:
+        raise ValueError(
+            f"couplings of the correction's arm are {old.couplings} and those of the new arm "
+            f"{new.couplings}: only the probe may differ."
         )
     for name in _TABLE:
         one, other = getattr(old, name), getattr(new, name)

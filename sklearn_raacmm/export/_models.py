@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM
-from sklearn_raacmm.error_model import ArmResidualRegressor, Effect
+from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles
+from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
@@ -50,10 +50,18 @@ class _Chain:
         angles = self.x if self.p.size(self.x) == n else self.p.take(self.x, np.arange(n))
         return angles if self.unit == "rad" else self.p("mul", angles, np.pi / 180)
 
+    def own_angles(self):
+        """Angle of each joint itself in rad, where some are sums of what is given."""
+        angles = self.angles()
+        if not self.arm.couplings:
+            return angles
+        unit = np.eye(self.arm.n_joints)
+        return self.p.affine(angles, own_angles(self.arm, unit).T)
+
     def frames(self):
         """Axes and origin of every frame, 12 numbers each, the base first."""
         arm = self.arm
-        theta = self.p("add", self.p("mul", self.angles(), arm.joint_signs), arm.theta_offset)
+        theta = self.p("add", self.p("mul", self.own_angles(), arm.joint_signs), arm.theta_offset)
         table = np.stack([np.cos(arm.alpha), np.sin(arm.alpha), arm.a, arm.d], axis=1)
         return self.p("frames", theta, table=table, convention=arm.convention)
 
@@ -327,7 +335,7 @@ def _of_joints(chain, vectors, joints, about, series, means):
     orders = np.arange(1, q // 2 + 1)
     waves = p(
         "waves",
-        chain.angles(),
+        chain.own_angles(),
         joint=np.repeat(joints, q),
         order=np.tile(np.concatenate([orders, -orders]), n),
     )
@@ -364,15 +372,16 @@ def _sizes(chain, linear, table, vectors):
     n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
     sizes = p.constant(table["unit"])
     if np.any(table["order"]):
-        waves = p("waves", chain.angles(), joint=table["joint"], order=table["order"])
+        waves = p("waves", chain.own_angles(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
-    loaded = np.flatnonzero(table["kind"] == Effect.LOAD)
+    loaded = np.flatnonzero(np.isin(table["kind"], OF_LOADS))
     if len(loaded):
         # The torque of a load, as `error_model` has it.
         places = p("join", chain.frames(), chain.probe())
         of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
         of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
-        axis = 12 * table["frame"][loaded] + 3 * table["axis"][loaded]
+        axis = torque_axis(table[loaded])
+        axis = 12 * (axis // 3) + 3 * (axis % 3)
         up, torque = linear.layout.up, None
         for c in np.flatnonzero(up).tolist():
             pair = (c + 1) % 3, (c + 2) % 3

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
+from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
 from sklearn_raacmm.utils import Finding, align, centred, row_numbers
 
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
 # many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
 # that nothing is wrong with. Within the second nothing tells two explanations apart: a choice.
-PRICE, _EQUAL = 11.0, 7.0
+PRICE, EQUAL = 11.0, 7.0
 UNITS = {25.4: "inches", 10.0: "centimetres", 1000.0: "metres", 1e-3: "micrometres"}
 _FILES = "Are angles and points from two files, of which one has a row more, or another order?"
 WORDS = {
@@ -39,6 +40,10 @@ WORDS = {
         "Give residuals in the arm's base frame, x, y and z in this order.",
     ),
     "rows-shifted": ("they are of the row {}", _FILES),
+    "moved-station": (
+        "the base or the tracker moved{}",
+        "Give each part by itself, after a registration of its own.",
+    ),
     "rows-unrelated": ("they do not belong to the angles of their rows", _FILES),
     "joints": ("of the angles, {}", "Look at the order and the sense of the joints."),
     "other-table": (
@@ -108,11 +113,18 @@ def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> l
     """
     ranked = sorted(explained, key=lambda one: -one[0])
     best = ranked[0][0]
-    return [one for nats, one in ranked if nats > best - _EQUAL] if best > given else []
+    return [one for nats, one in ranked if nats > best - EQUAL] if best > given else []
 
 
 def explanations(
-    y: Any, expected: Any, angles: Any, n_joints: int, codes: Any, predict: Any, correction: Any
+    y: Any,
+    expected: Any,
+    angles: Any,
+    n_joints: int,
+    codes: Any,
+    predict: Any,
+    correction: Any,
+    motions: Any = None,
 ) -> Iterator[Explanation]:
     """Yield what may have been done to residuals (n, 3), in mm, that they are of another arm first.
 
@@ -147,6 +159,11 @@ def explanations(
             words = f"joints {i + 1} and {j + 1} are exchanged"
         yield Explanation("joints", words, y - predict(changed), every, _JOINTS)
     yield from _late(y, expected, codes)
+    if codes is None and motions is not None and len(y) >= 3 * LEAST_ROWS:
+        own, flat = y - expected, motions.reshape(y.size, 6)
+        own = own - motions @ np.linalg.lstsq(flat, own.ravel())[0]
+        row, _, left = best_split(own, motions, np.zeros(6), motions, every)[1:]
+        yield Explanation("moved-station", "", left, every, _TURNS**2 * len(y), first=row)
 
 
 def _late(y, expected, codes):

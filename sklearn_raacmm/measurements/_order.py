@@ -4,18 +4,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.ensemble import ExtraTreesRegressor
-from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from sklearn_raacmm.arm import Arm, check_angles, points_of
 from sklearn_raacmm.measurements._dwells import within_turn
 from sklearn_raacmm.utils import Finding, centred, group_means
 
-# Angles that differ by less than this have not moved: the joint keeps its direction, rad.
-_STANDS_STILL = 1e-5
+# Angles that differ by less than this have not moved: the joint keeps its direction, rad. In a
+# stream a joint that has come back by less than twice the second has not turned round: encoders
+# have noise of some arc seconds, and no hand moves by less than 40.
+_STANDS_STILL, _NOISE_OF_STREAM = 1e-5, 1e-4
 _TREES, _FOLDS = 100, 5
 # Other orders of the visits of places in none of which as much may be explained: by chance in one
 # run of 300. Rows that are looked at, for speed; visits that rows without labels are divided into,
@@ -29,36 +30,59 @@ _STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
 _LEAST_DIFFERENT, _LARGE_MM = 10, 0.02
 
 
-def directions_of(angles: ArrayLike) -> np.ndarray:
+def directions_of(angles: ArrayLike, *, at: ArrayLike | None = None) -> np.ndarray:
     """Direction from which each joint came, from the order of the poses.
 
     Parameters
     ----------
     angles : array-like of shape (n_samples, n_joints)
         Joint angles in rad, in the order in which they were taken.
+    at : array-like of shape (n_poses,), default=None
+        Rows of the poses that were logged, where `angles` are a stream of all that the encoders
+        have shown: between two poses a joint may turn round. None: each row is a pose.
 
     Returns
     -------
-    ndarray of shape (n_samples, n_joints)
+    ndarray of shape (n_samples, n_joints) or (n_poses, n_joints)
         1 where the joint came from smaller angles and -1 from larger ones; a joint that stands
         still keeps its direction. 0 where nothing is known.
 
     Raises
     ------
     ValueError
-        If the angles are no numbers.
+        If the angles are no numbers, or `at` are not numbers of their rows.
 
     Examples
     --------
     >>> from sklearn_raacmm import directions_of
     >>> directions_of([[0.1, 0.0], [0.3, 0.0], [0.3, -0.2]]).tolist()
     [[0.0, 0.0], [1.0, 0.0], [1.0, -1.0]]
+    >>> directions_of([[0.1], [0.5], [0.3]], at=[0, 2]).tolist()  # beyond the pose, and back
+    [[0.0], [-1.0]]
     """
     angles = np.asarray(angles, dtype=float)
     angles = check_angles(angles, angles.shape[1] if angles.ndim == 2 else 0, "rad")
     # From 359 to 1 degree a joint has most likely gone the short way.
     steps = within_turn(np.diff(angles, axis=0, prepend=angles[:1]))
-    moved = np.where(np.abs(steps) > _STANDS_STILL, np.sign(steps), 0.0)
+    if at is not None:
+        rows = np.asarray(at)
+        if (
+            rows.ndim != 1
+            or rows.dtype.kind not in "iu"
+            or not np.isin(rows, range(len(steps))).all()
+        ):
+            raise ValueError(f"at must hold rows of the stream, 0 to {len(steps) - 1}.")
+        # A joint with play: what it drives moves where the play is used up.
+        driven = np.cumsum(steps, axis=0)
+        for before, now in pairwise(driven):
+            np.clip(before, now - _NOISE_OF_STREAM, now + _NOISE_OF_STREAM, out=now)
+        steps = np.diff(driven, axis=0, prepend=driven[:1])
+        return _kept(np.sign(steps))[rows]
+    return _kept(np.where(np.abs(steps) > _STANDS_STILL, np.sign(steps), 0.0))
+
+
+def _kept(moved):
+    """Directions of rows that have moved, (n, n_joints), those of the last such where not."""
     last = np.maximum.accumulate(np.where(moved != 0, np.arange(len(moved))[:, None], 0), axis=0)
     return np.take_along_axis(moved, last, axis=0)
 
@@ -69,6 +93,10 @@ def order_explained_by(angles: np.ndarray, codes: np.ndarray) -> float:
     At most 1; about 0 or less where the run mixes its poses. `angles` are (n, n_joints), `codes`
     (n,) the positions, from 0.
     """
+    # Here: they take a third of a second, and few need them.
+    from sklearn.ensemble import ExtraTreesRegressor
+    from sklearn.model_selection import GroupKFold, cross_val_predict
+
     number = np.arange(len(angles), dtype=float)
     trees = ExtraTreesRegressor(_TREES, min_samples_leaf=3, random_state=0)
     folds = GroupKFold(min(_FOLDS, int(codes.max()) + 1))

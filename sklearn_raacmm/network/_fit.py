@@ -18,7 +18,7 @@ from scipy.linalg import lapack, solve_triangular
 from sklearn_raacmm.network._blocks import extend
 from sklearn_raacmm.network._centers import MAX_CENTERS, MODERATE, choose_centers, features_at
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_root
-from sklearn_raacmm.network._likelihood import LEAST_RIDGE
+from sklearn_raacmm.network._likelihood import ALPHA_BOUNDS, LEAST_RIDGE
 from sklearn_raacmm.network._linear import (
     first_weights,
     nested_least_squares,
@@ -47,12 +47,12 @@ FIRST_SAMPLE, LARGEST_SAMPLE = 500, 2000
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
-def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
+def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=None, refit=0):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
-    is None or "auto". Returns what `fit_network` does, and the log likelihood where structures were
-    compared.
+    is None or "auto". A network of other weights may come `before` a refit, see `search`.
+    Returns what `fit_network` does, and the log likelihood where structures were compared.
     """
     ridged, value = alpha is None, None
 
@@ -62,8 +62,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
-    sample, problem = set_up(degree)
     kernels = tuple(KERNELS) if estimator.kernel == "auto" else (estimator.kernel,)
+    sample, problem = set_up(degree)
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit)
     else:
@@ -78,6 +78,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
             alpha=None if alpha is None else alpha[of] / sample.unit,
             may_be_linear=estimator.degree == "auto",
             random_state=rng,
+            start=_as_start(before, of),
+            refit=refit,
         )
         value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())
         if alpha is None:
@@ -89,6 +91,14 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng):
             sample, problem = set_up(1 if found.linear else degree, found.ratio)
     limits = estimator.n_centers, estimator.max_centers
     return fit_network(problem, outputs, found, *limits, rng), value
+
+
+def _as_start(network, varying):
+    """The structure of a network that has radial functions, of the outputs that vary; or None."""
+    if network is None or network.alpha[varying].max(initial=0.0) >= ALPHA_BOUNDS[1]:
+        return None
+    alpha = network.alpha[varying]
+    return Structure(network.kernel, network.length_scale, alpha, network.ratio)
 
 
 @stage("centres of the network")

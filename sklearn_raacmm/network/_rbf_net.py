@@ -67,10 +67,11 @@ class RBFNetRegressor(VersionedRegressor):
         good as the process; more than 300 only where these are worth 2 % of the noise.
 
     kernel : str, default="auto"
-        Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern32",
-        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern52",
-        :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "auto" takes the
-        most probable, with a given `length_scale` "gaussian".
+        Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern52",
+        :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "matern32",
+        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern12", :math:`e^{-r}`, which has a kink at
+        each centre, where its gradient is given as 0; "auto" takes the most probable, with a given
+        `length_scale` "gaussian".
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width, in the units of X: a number, or one for each feature; infinity leaves a feature out.
@@ -284,17 +285,18 @@ class RBFNetRegressor(VersionedRegressor):
         self._packed = self.networks_, pack(self.networks_)  # or the first `predict` would keep it
         return self
 
-    def _fit_weighted(self, blocks, codes):
-        """Fit by least squares with given weights."""
+    def _fit_weighted(self, blocks, codes, networks=(), refit=0):
+        """Fit by least squares with given weights; see `search` for refits."""
         rng = check_random_state(self.random_state)
         rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
         q = rows.Y.shape[1]
         width, alpha = check_parameters(self, rows.X, q)
         state, found = rng.get_state(), []
-        for of in [np.arange(q)] if self.shared else np.arange(q)[:, None]:
+        for i, of in enumerate([np.arange(q)] if self.shared else np.arange(q)[:, None]):
             rng.set_state(state)  # each as if it were alone
             ridge = None if alpha is None else alpha[of]
-            found.append(fit_outputs(self, rows, elsewhere, of, width, ridge, rng))
+            before = (networks[i], refit) if networks else ()
+            found.append(fit_outputs(self, rows, elsewhere, of, width, ridge, rng, *before))
         fits, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
         if values[0] is not None:

@@ -14,6 +14,7 @@ from sklearn.preprocessing import FunctionTransformer
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.datasets import ArmErrors, make_single_point
 from sklearn_raacmm.error_model._columns import ARCSEC, Terms, columns_of
+from sklearn_raacmm.measurements import base_motions
 
 from ._arms import ARMS, columns_by_name, displaced, draw_angles
 
@@ -89,10 +90,81 @@ def test_a_force_turns_every_frame_by_its_torque(arm):
 
 
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_a_base_on_a_column_turns_and_shifts_by_the_torque_of_each_load(arm):
+    """By the vector of each torque and Rodrigues; the higher, the more."""
+    arm = arm.replace(up=(0.0, 0.6, 0.8))
+    theta, height = draw_angles(arm, 20), np.linspace(400, 900, 20)
+    columns = by_name(arm, theta, height, (("base height", (600.0, 400.0, 900.0)),))
+    probe, share = arm.forward(theta), (height - 600) / 250
+    places = np.concatenate([arm.frames(theta)[:, 1:, :, 3], probe[:, None]], axis=1)
+    n = arm.n_joints
+    for load in range(1, n + 2):
+        torque = np.cross(places[:, load - 1], -arm.up) / arm.reach_mm * ARCSEC
+        at = f"load at {'probe' if load > n else f'frame {load}'}"
+        for axis, other in ((0, 1), (1, 0)):
+            leans = 500.0 * torque[:, [other]] * np.eye(3)[axis]
+            name = f"{at} shifts the base along {'xy'[axis]}"
+            assert_allclose(columns[name], leans, atol=1e-12)
+            assert_allclose(columns[f"{name} by base height"], share[:, None] * leans, atol=1e-12)
+            turn = Rotation.from_rotvec(torque[:, [axis]] * np.eye(3)[axis])
+            moved = share[:, None] * (turn.apply(probe) - probe)
+            name = f"{at} turns the base about {'xy'[axis]} by base height"
+            assert_allclose(columns[name], moved, atol=2e-5)
+    # Where the base has been found is another place at every height.
+    sizes = np.array([500.0**2, 500.0]) / arm.reach_mm * ARCSEC
+    shift = columns["base along z by base height"]
+    assert_allclose(shift, sizes[0] * share[:, None] * [0, 0, 1], atol=1e-12)
+    turn = Rotation.from_rotvec(np.outer(share * sizes[1], [0, 0, 1]))
+    assert_allclose(columns["base about z by base height"], turn.apply(probe) - probe, atol=2e-5)
+    assert len(columns) == 6 * (n + 1) + 6
+
+
+def column_displacement(arm, angles, height, stiffness):
+    """What the top of a column of so many mm does to the probe, by the textbook's cantilever."""
+    frames, force = arm.frames(angles), np.array([0, 0, -1.0])
+    weights = zip((2, 3, 6), (60.0, 40.0, 30.0), strict=True)  # N at three frames
+    torque = sum(w * np.cross(frames[:, k, :, 3], force) for k, w in weights)
+    turn = torque * (height / stiffness)[:, None]
+    shift = np.cross(torque, [0, 0, 1.0]) * (height**2 / (2 * stiffness))[:, None]
+    return np.cross(turn, arm.forward(angles)) + shift
+
+
+def test_an_arm_on_a_column_is_corrected_at_unseen_heights_and_places():
+    arm, rng = ARMS["standard"], np.random.default_rng(0)
+    stations, unseen = np.linspace(300, 1100, 5), np.array([400.0, 700.0, 1000.0])
+
+    def measured(heights, n, noise):
+        theta = draw_angles(arm, n * len(heights), len(heights))
+        height = np.repeat(heights, n)
+        y = column_displacement(arm, theta, height, 6e10)
+        y += noise * rng.normal(size=y.shape)
+        for one in heights:  # each base has been found with what a motion takes of it
+            own, here = height == one, arm.forward(theta[height == one])
+            moves = base_motions(here, arm.reach_mm).reshape(-1, 6)
+            y[own] -= (moves @ np.linalg.lstsq(moves, y[own].ravel())[0]).reshape(-1, 3)
+        return np.column_stack([theta, height]), y
+
+    (X, y), (new, truth) = measured(stations, 30, 0.02), measured(unseen, 60, 0.0)
+    sizes = []
+    for extra, n in ((["base height"], 7), ([], 6)):
+        model = ArmResidualRegressor(arm, extra=extra, orders=2).fit(X[:, :n], y)
+        left = truth - model.predict(new[:, :n])
+        for one in unseen:
+            own = new[:, 6] == one
+            moves = base_motions(arm.forward(new[own, :6]), arm.reach_mm).reshape(-1, 6)
+            moved = moves @ np.linalg.lstsq(moves, left[own].ravel())[0]
+            left[own] -= moved.reshape(-1, 3)
+        sizes.append(np.linalg.norm(left, axis=1).mean())
+    assert sizes[0] < 0.3 * sizes[1]
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_rows_may_have_probes_of_their_own(arm):
     """The columns are those of an arm with that probe, in units of the model's own arm."""
-    terms = Terms(np.array([(1, 1), (3, 2)]), True, True, True, (("temperature", (20.0,)),))
-    rows = np.column_stack([draw_angles(arm, 20), np.linspace(15, 30, 20)])
+    extra = (("temperature", (20.0,)), ("base height", (500.0,)))
+    terms = Terms(np.array([(1, 1), (3, 2)]), True, True, True, extra)
+    values = np.linspace([15, 300], [30, 900], 20)
+    rows = np.column_stack([draw_angles(arm, 20), values])
     for length in (-40.0, 400.0):
         own = arm.replace(probe=arm.probe + np.array([5.0, -8.0, length]))
         found = columns_of(arm, terms).at(np.hstack([rows, np.tile(own.probe, (20, 1))]))
@@ -101,7 +173,7 @@ def test_rows_may_have_probes_of_their_own(arm):
         places = {name: waves + i for i, name in enumerate(columns_of(own, terms).names)}
         for i, name in enumerate(columns_of(arm, terms).names):
             is_length = name[:-1] in ("a", "d", "probe_", "base_")
-            unit = ratio if is_length else 1 / ratio if name.startswith("load") else 1.0
+            unit = ratio if is_length else 1 / ratio if name.startswith(("load", "base a")) else 1.0
             assert_allclose(found[:, :, waves + i], unit * expected[:, :, places[name]], atol=1e-12)
         assert_allclose(found[:, :, :waves], expected[:, :, :waves], atol=1e-12)
 

@@ -52,7 +52,9 @@ def agree(model, X, folder):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-12, err_msg=way)
 
 
-EXTRA = ("temperature", "force x", "force z", "payload", "direction 2", "temperature 3")
+EXTRA = (
+    "temperature", "force x", "force z", "payload", "direction 2", "temperature 3", "base height",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,7 @@ def with_extra(data):
     values = [
         rng.normal(20, 3, len(X)), rng.normal(0, 2, len(X)), rng.choice([1.0, 2.0, 5.0], len(X)),
         rng.uniform(0, 4, len(X)), rng.choice([-1.0, 1.0], len(X)), rng.normal(30, 5, len(X)),
+        rng.uniform(300, 900, len(X)),
     ]  # fmt: skip
     X = np.column_stack([X, *values])
     terms = Terms(np.empty((0, 2), int), False, False, False, with_references(EXTRA, X[:, 6:]))
@@ -86,8 +89,8 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path):
     assert 0 <= low < 0.5 < 3.5 < high <= 4
     assert len(card["training"]["largest_joint_angles_deg"]) == 6
     header = export_c(model, tmp_path / "arm.c", card=card, poses=X)[1].read_text()
-    assert "then temperature, force x, force z, payload, direction 2, temperature 3" in header
-    assert "#define ARM_N_INPUTS 12\n" in header
+    assert "then temperature, force x, force z, payload, direction 2, temperature 3, b" in header
+    assert "#define ARM_N_INPUTS 13\n" in header
     assert '#define ARM_INPUT_UNIT "deg"' in header
     assert "6 joints, standard DH" in header
     if not COMPILERS:
@@ -100,7 +103,7 @@ def test_extra_columns_in_header_and_card(with_extra, tmp_path):
 def test_extra_columns_updated(with_extra, tmp_path):
     X, y = with_extra
     model = linear(extra=EXTRA).fit(X[:150], y[:150])
-    assert len(model.linear_model_.terms.extra) == 6
+    assert len(model.linear_model_.terms.extra) == 7
     updated = update_correction(model, X[150:], 1.3 * y[150:], date="2026-01-02")
     updated = update_correction(updated, X[150:], 1.3 * y[150:], date="2026-02-03")
     assert np.abs(updated.predict(X) - model.predict(X)).max() > 0.01

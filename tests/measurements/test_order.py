@@ -1,5 +1,7 @@
 """The order of measurement: directions, what the angles tell of it, and drift."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -28,6 +30,24 @@ def test_a_joint_that_stands_still_keeps_its_direction():
     assert_array_equal(directions_of(angles)[:, 0], [0, 1, 1, 1, -1])
     across = directions_of([[np.deg2rad(359.0)], [np.deg2rad(1.0)]])
     assert across[1, 0] == 1  # the short way
+
+
+def test_of_a_stream_a_joint_may_turn_round_between_two_poses():
+    """A joint with play knows; noise of some arc seconds turns nothing round."""
+    rng = np.random.default_rng(0)
+    turns = np.cumsum(rng.uniform(0.05, 0.6, (40, 3)) * rng.choice([-1, 1], (40, 3)), axis=0)
+    stream = np.concatenate([np.linspace(a, b, 400) for a, b in pairwise(turns)])  # slow
+    stream = np.concatenate([stream, np.repeat(stream[-1:], 50, axis=0)])
+    at = np.sort(rng.choice(np.arange(400, len(stream) - 50), 60, replace=False))
+    came = np.sign(np.diff(turns, axis=0))[(at - 1) // 400]  # into each row
+    noisy = stream + rng.normal(0, 1e-5, stream.shape)
+    settled = (at - 1) % 400 > 5  # the first steps are as small as the noise
+    assert_array_equal(directions_of(noisy, at=at)[settled], came[settled])
+    # Poses alone do not show it.
+    assert np.mean(directions_of(noisy[at])[1:] == came[1:]) < 0.9
+    for rows in ([0.5], [len(stream)], [[0]], [-1]):
+        with pytest.raises(ValueError, match=f"rows of the stream, 0 to {len(stream) - 1}"):
+            directions_of(stream, at=rows)
 
 
 def test_angles_tell_the_order_of_a_single_point_test_only():
