@@ -261,8 +261,9 @@ class Arm:
         Arm
         """
         alpha = np.deg2rad(floats("alpha", alpha))
-        if 1 < alpha.size < _FEW_JOINTS:  # no elbow and wrist as the default names them
-            params = usual_pose(alpha.size, False, params.get("convention", "standard")) | params
+        if 1 < np.size(alpha) < _FEW_JOINTS:  # no elbow and wrist as the default names them
+            convention = params.get("convention", "standard")
+            params = usual_pose(np.size(alpha), False, convention) | params
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod

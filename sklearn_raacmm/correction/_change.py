@@ -424,7 +424,10 @@ def _pooled(linears, layout):
     variance = (scatter + _GUESSED_ARMS * guess) / (n - 1 + _GUESSED_ARMS)
     trust = np.zeros(len(mean))
     part = parts_of(aligned[0])
-    for name in set(part.tolist()):
+    # What a calibration leaves of the table is nothing of the make: its prior is the drawing's.
+    of_table = part == "kinematics"
+    variance[of_table] = prior_sd.get("kinematics", 0.0) ** 2
+    for name in set(part[~of_table].tolist()):
         of = part == name
         common = max(np.mean(np.square(mean[of]) - variance[of] / n), 0.0)
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)

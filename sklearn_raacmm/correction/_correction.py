@@ -393,7 +393,7 @@ class Correction:
         new: Any = self.register(angles, positions, points, lengths, accept=accept)
         model, X = copy(self.model), self.inputs(angles, extra)
         if points is None:
-            old = position_residuals(self.arm.forward(angles), positions)
+            old = position_residuals(self.arm.forward(angles), np.asarray(positions))
         else:
             old, seen = self.arm.forward(angles), np.asarray(points)
             turn, shift = align(seen, old - self.model.predict(X))

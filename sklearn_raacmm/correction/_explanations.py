@@ -74,6 +74,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
         if found:
             yield from found
             return
+    doubt = max(linear.std_scale, 1.0) * doubt
     used = np.flatnonzero(replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE)
     if len(used) < _LEAST_ROWS:
         return

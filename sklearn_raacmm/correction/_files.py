@@ -46,8 +46,9 @@ _CLASSES: tuple[type, ...] = (
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
 TRUSTED_TYPES = [
-    f"{module}.{kind.__qualname__}"
-    for kind in (*_CLASSES, Arm.azimuth)
+    f"{module}.{name}"
+    for kind in _CLASSES
+    for name in (kind.__qualname__, *["Arm.azimuth"] * (kind is Arm))
     for module in (kind.__module__, kind.__module__.rpartition(".")[0])
 ]
 # The module in the name of a class of ours in a skops file, behind that of its subpackage.

@@ -64,10 +64,7 @@ _LARGEST_VARIANCE = 3600.0**2
 # for lengths what these span at the arm's reach. It is given, not found: a calibration has taken
 # these directions out of the residuals, which then say that it is 0
 # (``benchmarks/bench_few_poses.py --few`` and ``--narrow``).
-KINEMATICS_SD = 100.0
-# Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
-# leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
-WIDE_SD = 30.0
+KINEMATICS_SD = 50.0
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
 # Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
@@ -168,7 +165,6 @@ def structures_of(columns, with_field, unused):
         field_price=_PRICE_OF_FIELD,
         given=given,
         largest=_LARGEST_VARIANCE,
-        wide=WIDE_SD**2,
     )
 
 
