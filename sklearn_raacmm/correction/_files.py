@@ -43,11 +43,12 @@ _CLASSES: tuple[type, ...] = (
     RBFNetRegressor,
     Terms,
 )
+_TRUSTED: tuple[Any, ...] = (*_CLASSES, Arm.azimuth)
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
-TRUSTED_TYPES = [
+TRUSTED_TYPES: list[str] = [
     f"{module}.{kind.__qualname__}"
-    for kind in (*_CLASSES, Arm.azimuth)
+    for kind in _TRUSTED
     for module in (kind.__module__, kind.__module__.rpartition(".")[0])
 ]
 # The module in the name of a class of ours in a skops file, behind that of its subpackage.
