@@ -91,7 +91,8 @@ def write_corrected(layout, correction, options, file, std="all"):
     """
     source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
     writer = csv.writer(file, delimiter=source.separator or " ")
-    writer.writerow([*layout.header, *_NEW_COLUMNS[:width]])
+    plain = list if options.formulas else source.plain
+    writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
@@ -111,7 +112,7 @@ def write_corrected(layout, correction, options, file, std="all"):
             _write_lines(file, source.separator, cells, new)
         else:
             for row, values in zip(cells, new.tolist(), strict=True):
-                writer.writerow([*row, *map(source.text, values)])
+                writer.writerow([*plain(row), *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
 

@@ -22,7 +22,7 @@ _EPILOG = (
 # Options of a logger, beside its tables.
 _CONFIG = "raacmm.toml"
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
-_LEARNING = "--folds --jobs --open --force --dry-run"
+_LEARNING = "--folds --jobs --open --force --dry-run --formulas"
 _CAUSES = "--extra --tool"
 _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
@@ -38,7 +38,7 @@ WORDS = {
     "correct": (
         "_correct", "correct a table of any length",
         "raacmm correct today.csv --model my_arm --out corrected.csv",
-        f"table --model --out --std {_CAUSES} {_COLUMNS.replace(' --position', '')}",
+        f"table --model --out --std --formulas {_CAUSES} {_COLUMNS.replace(' --position', '')}",
     ),
     "check": (
         "_life", "ask whether a correction still holds today",
@@ -48,12 +48,12 @@ WORDS = {
     "register": (
         "_life", "find a new probe or a new place through the correction",
         "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
-        f"{_TODAY} --out --accept",
+        f"{_TODAY} --out --accept --formulas",
     ),
     "update": (
         "_life", "bring a correction up to date with few new poses",
         "raacmm update today.csv --model my_arm --out my_arm_2026",
-        f"{_TODAY} --out --accept",
+        f"{_TODAY} --out --accept --formulas",
     ),
     "move": (
         "_life", "move a correction to a probe whose vector is known",
@@ -143,6 +143,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "standard deviations to write: none, of coordinates, or also within a position and of 1 m",
         "all",
     ),
+    "--formulas": _flag("write cells such as =A1 as they are, not behind an apostrophe"),
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     "--block": _value("COLUMN", "column of what holds positions that are left out together"),
     # -- learning

@@ -42,7 +42,7 @@ from sklearn_raacmm.utils import (
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
-_LOG_NOISE = (0.0, 4.0)
+LOG_NOISE = (0.0, 4.0)
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
 _REGISTERED_PLACE_MM = 5.0
@@ -152,7 +152,7 @@ def place_columns(arm, angles, with_base):
     return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
 
 
-def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
+def changed_model(linear, poses, log_noise=LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
     `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
@@ -205,7 +205,7 @@ def _conditioned(linear, poses, log_noise, start=None, means_only=False):
     return model, after
 
 
-def judged_fading(linear, poses, fading, start, log_noise=_LOG_NOISE):
+def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
@@ -424,7 +424,10 @@ def _pooled(linears, layout):
     variance = (scatter + _GUESSED_ARMS * guess) / (n - 1 + _GUESSED_ARMS)
     trust = np.zeros(len(mean))
     part = parts_of(aligned[0])
-    for name in set(part.tolist()):
+    # What a calibration leaves of the table is nothing of the make: its prior is the drawing's.
+    of_table = part == "kinematics"
+    variance[of_table] = prior_sd.get("kinematics", 0.0) ** 2
+    for name in set(part[~of_table].tolist()):
         of = part == name
         common = max(np.mean(np.square(mean[of]) - variance[of] / n), 0.0)
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)

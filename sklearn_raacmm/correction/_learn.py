@@ -16,7 +16,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
-from sklearn_raacmm.correction._scores import scores_of, share_of
+from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
 from sklearn_raacmm.correction._shifted_rows import shifted_rows
 from sklearn_raacmm.correction._table_search import ask_for_the_hand, search_table, taken
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -193,9 +193,12 @@ def learn_correction(
             with numbered_rows(row_numbers(data.rows)):
                 ask_for_the_hand(given_arm, arm, *data.as_given(angles), angle_unit)
         data = data.seen_by(calibration)
-        scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
+        outliers = data.outliers(calibration)
+        folds = folds_of(data, outliers, cv)
+        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
+        parts = data.along_vertical_of(fitted)
+        scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)
         _say_what_moved(data, calibration, fitted, rows)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:

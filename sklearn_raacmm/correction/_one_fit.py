@@ -44,8 +44,11 @@ class Data:
 
     `rows` are the first rows of each pose among those `given`; `causes` name the columns of
     `values` (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of
-    positions that are one, or of one block.
+    positions that are one, or of one block; `vertical` is the `up` of `Terms` that a model of all
+    rows has, where there is one.
     """
+
+    vertical: Any = None
 
     def __init__(
         self, arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks
@@ -108,6 +111,12 @@ class Data:
             wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         return seen
+
+    def along_vertical_of(self, model):
+        """The same for models of some of the rows, which do not seek the vertical of a model."""
+        known, linear = copy(self), getattr(last_step_of(model)[0], "linear_model_", None)
+        known.vertical = None if linear is None else linear.terms.up
+        return known
 
     @property
     def inputs(self):
@@ -196,7 +205,8 @@ class Data:
             return far
         rows, lonely = self.without_lonely()
         with ignored_findings():  # what there is to report is reported of the rows that are learnt
-            model = self._fitted(None, calibration, rows, self.residuals(calibration, rows), [])
+            y = self.residuals(calibration, rows)
+            model = self._fitted(None, calibration, rows, y, [], judged=False)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -212,10 +222,12 @@ class Data:
             left = position_residuals(left, positions)
         return fitted, float(np.sqrt(np.mean(np.square(left))))
 
-    def _fitted(self, model, calibration, rows, y, lengths) -> Any:
+    def _fitted(self, model, calibration, rows, y, lengths, judged=True) -> Any:
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
         fitted = self._model_for(model, calibration.arm)
         last, prefix = last_step_of(fitted)
+        if isinstance(last, ArmResidualRegressor) and (self.vertical is not None or not judged):
+            last._vertical, last._judged = self.vertical, judged
         given = {"groups": self.positions[rows], "lengths": lengths}
         if self.tools is not None:
             if prefix or not has_fit_parameter(last, "probes"):

@@ -178,11 +178,8 @@ def _shares(share, of_folds):
     return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
-def scores_of(data, calibration, model, cv, n_jobs, progress):
-    """Scores of checked data with the calibration of all of them."""
-    outliers = data.outliers(calibration)
-    kept = np.delete(np.arange(len(data.angles)), outliers)
-    folds = _folds(data, kept, cv)
+def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
+    """Scores of checked data with the calibration of all of them; `folds` hold no outliers."""
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
@@ -229,11 +226,11 @@ def share_of(model):
     return float(model.fading_.most) if hasattr(model, "fading_") else 1.0
 
 
-def _folds(data, kept, cv):
+def folds_of(data, outliers, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
     from sklearn.model_selection import GroupKFold  # here: reading a correction spares the time
 
-    blocks = data.blocks()
+    kept, blocks = np.delete(np.arange(len(data.angles)), outliers), data.blocks()
     n_blocks = len(np.unique(blocks))
     if n_blocks < 3:
         raise ValueError(

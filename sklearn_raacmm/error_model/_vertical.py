@@ -40,10 +40,16 @@ _FIRST_STEP, _LAST_STEP = 0.2, 0.002
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def fit_with_vertical(rows, positions, columns, with_field):
-    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show."""
-    # A force that is always there is not told from gravity in its direction.
+def fit_with_vertical(rows, positions, columns, with_field, known=None):
+    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show.
+
+    Where more data have shown it, it is `known`: the `up` of their `Terms`.
+    """
     terms = columns.terms
+    if known is not None:
+        columns = columns_of(rows.arm, terms._replace(up=known))
+        return fit_with_constants(rows, positions, columns, with_field)
+    # A force that is always there is not told from gravity in its direction.
     may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
     fitted, rounds = fit_with_constants(rows, positions, columns, with_field), 0
     while may_turn and rounds < _ROUNDS and (up := _better_vertical(fitted)):

@@ -90,7 +90,6 @@ class Structures(NamedTuple):
     field_price: float  # in nats
     given: np.ndarray  # (n_families + 2,) variances that are known, NaN for those to be found
     largest: float  # variance beyond which a coefficient makes no sense
-    wide: float  # variance of the families at which a second search begins
 
 
 class State(NamedTuple):
@@ -250,20 +249,10 @@ class Problem:
         return variance
 
     def nothing(self) -> State:
-        """The state without lines and field, with the variances that it has the evidence for.
-
-        Where another fit has explained most of y, the guess is far too small, and the fixed point
-        ends at zero; from large variances it finds what that fit could not explain.
-        """
-        families = np.arange(self.line + 2) < self.line
-        wide = np.where(families & ~self.known, self.structures.wide, self.guess)
-
-        def found_from(variance):
-            variance = np.minimum(variance, self.structures.largest)
-            start = self.state(np.empty(0, dtype=int), False, variance, self.start)
-            return self.with_variances(start)
-
-        return max(map(found_from, (self.guess, wide)), key=lambda state: state.log_evidence)
+        """The state without lines and field, with the variances that it has the evidence for."""
+        variance = np.minimum(self.guess, self.structures.largest)
+        start = self.state(np.empty(0, dtype=int), False, variance, self.start)
+        return self.with_variances(start)
 
     def pairs_and_shares(
         self, lines: np.ndarray, with_field: bool

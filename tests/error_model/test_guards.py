@@ -52,6 +52,20 @@ def test_a_correction_that_helps_is_judged_by_what_was_left_out(cones):
     assert small().fit(theta, y).judgement_ is None  # nobody said what a position is
 
 
+def test_robust_weights_alone_are_those_of_the_whole_fit(cones):
+    """As `learn_correction` asks for them where it looks for outliers."""
+    theta, y, groups, _ = cones
+    y = y + np.where(np.arange(len(y))[:, None] % 50 == 0, 1.0, 0.0)
+    whole, weights = small(), small()
+    weights._judged = False
+    for model in (whole, weights):
+        model.fit(theta, y, groups=groups)
+    assert_array_equal(weights.pose_weight_, whole.pose_weight_)
+    assert weights.pose_weight_.min() == 0
+    assert whole.judgement_ is not None
+    assert weights.judgement_ is None
+
+
 def test_noise_is_not_corrected(cones):
     """Nothing to learn: no harm is done, and where nothing is used everyone is warned."""
     theta, _, groups, _ = cones

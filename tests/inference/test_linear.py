@@ -132,26 +132,8 @@ def test_directions_of_rounding_are_no_information():
     none = np.empty((200, 0))
     own = np.empty((3, 0))
     sums = Sums(A.T @ A, A.T @ y, A.T @ none, own, none.T @ y, y @ y, 200.0, GramRows(None, 0))
-    structures = Structures(
-        np.zeros(3, int), np.empty(0), None, 16.0, np.full(3, np.nan), 1e12, 900.0
-    )
+    structures = Structures(np.zeros(3, int), np.empty(0), None, 16.0, np.full(3, np.nan), 1e12)
     state = Problem(sums, structures).state(np.empty(0, int), False, np.full(3, 1e10), 0.01)
     assert np.isfinite(state.log_evidence)
     assert_allclose(A @ state.coef, A[:, :2] @ np.linalg.lstsq(A[:, :2], y)[0], atol=1e-4)
     assert np.linalg.norm(state.half @ state.half.T @ [1, 1, -1]) > 1e9  # still unknown
-
-
-def test_a_search_from_large_variances_finds_what_the_guess_misses(toys):
-    """Another fit has taken all large directions out of y: what is left is small in each column."""
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(300, 60)) @ np.diag(np.r_[np.full(6, 30.0), np.full(54, 0.05)])
-    y = A @ rng.normal(size=60) + 0.3 * rng.normal(size=300)
-    y -= A[:, :6] @ np.linalg.lstsq(A[:, :6], y, rcond=None)[0]
-    structures = toys.structures(60, 0, price=0.0)
-    problem = Problem(toys.sums_of(A, np.empty((300, 0)), y), structures)
-    none = np.empty(0, int)
-    found = [
-        problem.with_variances(problem.state(none, False, variance, problem.start)).log_evidence
-        for variance in (problem.guess, np.full(3, structures.wide))
-    ]
-    assert problem.nothing().log_evidence == pytest.approx(max(found))
