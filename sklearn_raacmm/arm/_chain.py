@@ -15,6 +15,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sklearn_raacmm.utils import warn_user
+
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
 _DECIMALS = {2: 2, 4: 4}
@@ -331,8 +333,19 @@ def _xyz_rpy(origin):
     return tuple(" ".join(repr(float(value)) for value in part) for part in parts)
 
 
+def warn_of_sums(arm):
+    """Say what a file leaves out of an arm whose angles are sums."""
+    if arm.couplings:
+        sums = ", ".join(f"J{i} {'-+'[f > 0]} J{j}" for i, j, f in arm.couplings)
+        warn_user(
+            f"A robot's own file has no joints whose angles are sums: it takes the angles of the "
+            f"joints themselves, {sums}, which whoever reads the file has to add."
+        )
+
+
 def urdf_text(arm):
     """Text of an arm as URDF; see `Arm.to_urdf`."""
+    warn_of_sums(arm)
     rows, before = [], np.eye(4)
     for i in range(arm.n_joints):
         link = _pose((arm.a[i], 0, 0), (arm.alpha[i], 0, 0))

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._chain import edited, read_chain, rigid, turn_between, with_probe
+from sklearn_raacmm.arm._chain import (
+    edited,
+    read_chain,
+    rigid,
+    turn_between,
+    warn_of_sums,
+    with_probe,
+)
 from sklearn_raacmm.utils import Finding, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -77,6 +84,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
             f"is {arm!r}: only an arm that was read from this file can be written back into "
             "it."
         )
+    warn_of_sums(arm)
     old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
     axes = iter(zip(old, new, strict=True))
     point = (new[-1] @ [*arm.probe, 1.0])[:3]

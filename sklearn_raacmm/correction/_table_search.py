@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +34,9 @@ _ABOUT_THE_SAME = 1.5
 # Price of another zero, beside 1 of any other change: makers count joints from upright or from
 # horizontal more often than backwards.
 _ZERO = 0.9
+# Codes of joints whose own angle is a sum or a difference, and what is in `Arm.couplings` for them.
+_SUMS = {"coupled": 1, "uncoupled": -1}
+_CODE_OF = {factor: code for code, factor in _SUMS.items()}
 _OTHER_CONVENTION = {"standard": "modified", "modified": "standard"}
 # Axes of a tracker's points as they are, and with two exchanged.
 _AXES, _MIRRORED = (0, 1, 2), (1, 0, 2)
@@ -114,9 +117,9 @@ def search_table(
 ) -> TableChange | None:
     """Search for what is wrong with an arm whose points scatter much after calibration.
 
-    Tried are all senses of the joints, quarter and half turns of their zeros, two joints exchanged
-    and all in reverse order, the other convention of the table, the other unit of the angles, and
-    a tracker's points that are mirrored.
+    Tried are all senses of the joints, quarter and half turns of their zeros, joints whose angle is
+    the sum or the difference of two, two joints exchanged and all in reverse order, the other
+    convention of the table, the other unit of the angles, and a tracker's points that are mirrored.
 
     Parameters
     ----------
@@ -200,12 +203,16 @@ def taken(arm: Arm, code: str) -> Arm:
         return arm.replace(convention=_OTHER_CONVENTION[arm.convention])
     if word == "reversed" and numbers and set(numbers) <= set(joints):
         return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(joints, numbers), -1, 1))
+    if word in _SUMS and len(numbers) == 2 and numbers[0] != numbers[1] and {*numbers} <= {*joints}:
+        other, joint = map(int, numbers)
+        return arm.replace(couplings=(*arm.couplings, (joint, other, _SUMS[word])))
     if word == "zero" and len(numbers) == 2 and numbers[0] in joints and numbers[1].isdigit():
         turns = np.isin(joints, numbers[:1]) * float(numbers[1])
         return arm.replace(theta_offset=_turned(arm, turns))
     raise ValueError(
         f"take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, zero with "
-        f"a joint and degrees, such as zero-2-180, or other-convention, got {code!r}."
+        f"a joint and degrees, such as zero-2-180, coupled or uncoupled with two joints, such as "
+        f"coupled-2-3 for J3 + J2, or other-convention, got {code!r}."
     )
 
 
@@ -279,9 +286,10 @@ def _options(arm, one, unit):
     """Options of `raacmm learn` that change an arm, the order of its angles and their unit."""
     reversed_ = np.flatnonzero(arm.joint_signs != one.arm.joint_signs) + 1
     turns = np.rad2deg(one.arm.theta_offset - arm.theta_offset).round().astype(int) % 360
-    order = ",".join(str(i + 1) for i in one.columns)
+    order, own = ",".join(str(i + 1) for i in one.columns), arm.couplings
     words = [
         ("--take " + "-".join(["reversed", *map(str, reversed_)])) * bool(len(reversed_)),
+        *(f"--take {_CODE_OF[f]}-{j}-{i}" for i, j, f in one.arm.couplings if (i, j, f) not in own),
         *(f"--take zero-{i + 1}-{turns[i]}" for i in np.flatnonzero(turns)),
         "--take other-convention" * (arm.convention != one.arm.convention),
         f"--angles with the columns {order}" * (one.columns != sorted(one.columns)),
@@ -311,13 +319,11 @@ class _Candidate(NamedTuple):
 def _candidates(arm, unit, largest, has_points):
     """Yield every candidate, the arm as it is given left out."""
     n, straight = arm.n_joints, [*range(arm.n_joints)]
-    as_given, no_turn = np.ones(n), np.zeros(n)
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], as_given, no_turn)]
+    joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], {})]
     for i, j in combinations(range(n), 2):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
-        words = [f"joints {i + 1} and {j + 1} exchanged"]
-        joints.append((words, 1, columns, as_given, no_turn))
+        joints.append(([f"joints {i + 1} and {j + 1} exchanged"], 1, columns, {}))
     # Zeros of the first joint and the last are free: base and probe go with them.
     single = [{j: degrees} for j in straight[1:-1] for degrees in (90, 180, 270)]
     pairs = [{**a, **b} for a, b in combinations(single, 2) if a.keys() != b.keys()]
@@ -327,8 +333,15 @@ def _candidates(arm, unit, largest, has_points):
         for turned in zeros:
             words = [f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"] * bool(which)
             words += [f"the zero of joint {j + 1} turned by {turned[j]} degrees" for j in turned]
-            turn = np.array([turned.get(j, 0) for j in straight])
-            joints.append((words, len(which) + _ZERO * len(turned), straight, signs, turn))
+            offset = _turned(arm, np.array([turned.get(j, 0) for j in straight]))
+            changed = {"joint_signs": arm.joint_signs * signs, "theta_offset": offset}
+            joints.append((words, len(which) + _ZERO * len(turned), straight, changed))
+    for (i, j), factor, sign in product(permutations(range(n), 2), (1, -1), (1, -1)):
+        text = f"{'-' * (sign < 0)}J{i + 1} {'- +'[1 + sign * factor]} J{j + 1}"
+        words = [f"joint {i + 1} at {text}"]
+        signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
+        sums = (*arm.couplings, (i + 1, j + 1, factor))
+        joints.append((words, 1 + (sign < 0), straight, {"joint_signs": signs, "couplings": sums}))
     conventions = [([], arm.convention)]
     other = _OTHER_CONVENTION[arm.convention]
     conventions.append(([f"the {other} convention"], other))
@@ -341,14 +354,12 @@ def _candidates(arm, unit, largest, has_points):
     hands = [([], _AXES)]
     if has_points:
         hands.append((["the points mirrored (an axis negated, or two exchanged)"], _MIRRORED))
-    for (words, price, columns, signs, turn), *rest in product(joints, conventions, units, hands):
-        said = [*words, *(word for one, _ in rest for word in one)]
-        if said:
+    for (words, price, columns, changed), *rest in product(joints, conventions, units, hands):
+        if said := [*words, *(word for one, _ in rest for word in one)]:
             form, angle_unit, axes = (value for _, value in rest)
-            signs, offset = arm.joint_signs * signs, _turned(arm, turn)
-            changed = arm.replace(joint_signs=signs, theta_offset=offset, convention=form)
+            other = arm.replace(convention=form, **changed)
             price += len(said) - len(words)
-            yield _Candidate(price, " and ".join(said), changed, columns, axes, angle_unit)
+            yield _Candidate(price, " and ".join(said), other, columns, axes, angle_unit)
 
 
 def _quick_scatter(one, angles, codes, points):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm
+from sklearn_raacmm.arm import Arm, angles_for, check_arm, own_angles
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._fit import fit_with_vertical, offered_harmonics
@@ -258,7 +258,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
-        offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
+        offered = offered_harmonics(own_angles(arm, rows.X[:, : arm.n_joints]), self.orders)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)

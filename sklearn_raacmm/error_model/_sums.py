@@ -32,7 +32,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, own_angles
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
 from sklearn_raacmm.utils import chunks, group_means
@@ -105,6 +105,7 @@ def candidate_sums(rows, columns):
         parts = _parts_of_positions(codes[order])
         angles, y, weights = angles[order], y[order], weights[order]
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
+    own_of_joints = own_angles(rows.arm, angles)
     spans = []  # joint, orders, and which of those offered they are
     for joint in np.unique(offered[:, 0]).tolist():
         pairs = np.flatnonzero(offered[:, 0] == joint)
@@ -121,14 +122,14 @@ def candidate_sums(rows, columns):
         weighted = _weighted_deviations(always, weights[part], starts, known)
         gram += always.reshape(-1, m).T @ weighted.reshape(-1, m)
         for joint, orders, pairs in spans:
-            turn, wave = turns[part, :, joint], waves(angles[part, joint], orders)
+            turn, wave = turns[part, :, joint], waves(own_of_joints[part, joint], orders)
             share = np.einsum("ncm,nc->nm", weighted, turn)
             cross[:, pairs] += _products(share, wave)
             own[:, pairs] += _own_blocks(turn, wave, weights[part], starts, known)
     cross = cross.view(float)
 
     def rows_of(pairs):
-        return _gram_rows(angles, turns, weights, parts, known, spans, offered[pairs])
+        return _gram_rows(own_of_joints, turns, weights, parts, known, spans, offered[pairs])
 
     n_taken = 0 if known or codes is None else len(np.unique(codes))
     return Sums(

@@ -117,8 +117,39 @@ def test_what_was_taken_asks_for_its_hand(data):
     assert answered.arm.joint_signs.tolist() == [1] * 6
 
 
+@pytest.mark.parametrize(
+    ("own", "change", "options"),
+    [
+        (lambda q: q[:, 2] - q[:, 1], "joint 3 at J3 + J2", "--take coupled-2-3"),
+        (lambda q: q[:, 2] + q[:, 1], "joint 3 at J3 - J2", "--take uncoupled-2-3"),
+        (
+            lambda q: q[:, 1] - q[:, 2],
+            "joint 3 at -J3 + J2",
+            "--take reversed-3 --take uncoupled-2-3",
+        ),
+    ],
+)
+def test_a_joint_that_counts_from_the_horizontal(own, change, options):
+    """What a controller shows as J3 is a sum, as on arms with a parallelogram."""
+    rng = np.random.default_rng(8)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    angles = rng.uniform(-1.2, 1.2, (100, 6))
+    points = arm.forward(angles)[:, [1, 2, 0]] + rng.normal(scale=0.03, size=(100, 3)) + 500
+    shown = angles.copy()
+    shown[:, 2] = own(angles)
+    found = search_table(arm, shown, points=points)
+    assert (found.change, found.options) == (change, options)
+    np.testing.assert_allclose(found.arm.forward(shown), arm.forward(angles), atol=1e-9)
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+    for code in options.replace("--take", "").split():
+        arm = taken(arm, code)
+    assert arm == found.arm
+
+
 def test_codes_of_changes():
     arm = Arm.from_name("aacmm6")
+    assert taken(arm, "coupled-2-3").couplings == ((3, 2, 1),)
+    assert taken(arm, "uncoupled-5-6").couplings == ((6, 5, -1),)
     assert taken(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
     assert taken(taken(arm, "other-convention"), "other-convention") == arm
     turn = np.exp(1j * (taken(arm, "zero-3-270").theta_offset - arm.theta_offset))
