@@ -149,7 +149,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--force": _flag("replace the correction that the folder holds"),
     "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
     "--take": _value(
-        "CODE", "change the arm as learn proposes: reversed-2-4, zero-2-180", action="append"
+        "CODE", "change the arm as learn proposes: reversed-2-4, coupled-2-3", action="append"
     ),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "for the report"),

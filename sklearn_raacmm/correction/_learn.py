@@ -125,9 +125,10 @@ def learn_correction(
         Codes of findings, such as "moved-position", with which the correction is handed over all
         the same. "mirror-image" says that the arm is as it was taken, see `take`.
     take : str or list of str, default=()
-        Codes by which :func:`search_table` proposes to change `arm`, such as "reversed-2-4",
-        "zero-2-180" or "other-convention". Where the data fit the mirror image of such an arm as
-        well, the finding "mirror-image" asks what decides.
+        Codes by which :func:`search_table` proposes to change `arm`, one after the other, such as
+        "reversed-2-4", "zero-2-180", "coupled-2-3" (joint 3 stands at J3 + J2), "zeros" (all of
+        them are found from the data) or "other-convention". Where the data fit the mirror image of
+        such an arm as well, the finding "mirror-image" asks what decides.
 
     Returns
     -------
@@ -180,9 +181,9 @@ def learn_correction(
     if points_sd and points is None:
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
-    codes, given_arm = listed("take", take), arm
+    given_arm, codes = arm, listed("take", take)
     for code in codes:
-        arm = taken(arm, code)
+        arm = taken(arm, code, (angles, positions, points, angle_unit))
 
     def inside():
         data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)

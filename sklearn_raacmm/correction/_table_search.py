@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.correction._zeros import with_found_zeros
 from sklearn_raacmm.utils import (
     Finding,
     align,
@@ -120,6 +121,7 @@ def search_table(
     Tried are all senses of the joints, quarter and half turns of their zeros, joints whose angle is
     the sum or the difference of two, two joints exchanged and all in reverse order, the other
     convention of the table, the other unit of the angles, and a tracker's points that are mirrored.
+    Where none of these helps, the zeros of all joints are looked for from random starts.
 
     Parameters
     ----------
@@ -157,15 +159,8 @@ def search_table(
     check_arm(arm)
     given = _scatter(arm, angles, positions, points, angle_unit)
     raw = np.asarray(angles, dtype=float)
-    codes = few_points = None
-    if points is None:  # whole positions, as many as fit
-        codes = encode_groups(positions, len(raw))[1]
-        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
-        codes = codes[rows]
-    else:  # some from everywhere
-        points = np.asarray(points, dtype=float)
-        rows = np.linspace(0, len(raw) - 1, min(len(raw), _RANKED_ROWS)).astype(int)
-        few_points = points[rows]
+    points = None if points is None else np.asarray(points, dtype=float)
+    rows, codes, few_points = _few_rows(len(raw), positions, points)
     candidates = _candidates(arm, angle_unit, np.abs(raw).max(), points is not None)
     ranked = [(_quick_scatter(one, raw[rows], codes, few_points), one) for one in candidates]
     ranked.sort(key=lambda entry: (entry[0], entry[1][:2]))
@@ -177,26 +172,60 @@ def search_table(
         of_hand = [entry for entry, other in zip(ranked, mirrored, strict=False) if other == hand]
         near = [one for left, one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
         tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
-    found = {}
-    for one in sorted({one.change: one for one in tried}.values(), key=lambda one: one[:2]):
+
+    def calibrated(one, options):
         mended = None if points is None else points[:, one.axes]
         scatter = _scatter(one.arm, raw[:, one.columns], positions, mended, one.angle_unit)
-        parts = one.arm, tuple(one.columns), one.angle_unit, _options(arm, one, angle_unit)
+        parts = one.arm, tuple(one.columns), one.angle_unit, options
         where = tuple(_places(one, raw[:1])[0].tolist())
-        found[one.change] = TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
-    least = min(one.scatter_mm for one in found.values())
-    if least > min(_WORTH_SAYING * given, _COINCIDE * arm.reach_mm):
-        return None
-    first, *equals = (one for one in found.values() if one.scatter_mm <= _ABOUT_THE_SAME * least)
+        return TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
+
+    tried = sorted({one.change: one for one in tried}.values(), key=lambda one: one[:2])
+    found = [calibrated(one, _options(arm, one, angle_unit)) for one in tried]
+    least, limit = min(one.scatter_mm for one in found), _COINCIDE * arm.reach_mm
+    limit = min(_WORTH_SAYING * given, limit)
+    if least > limit:  # no simple change: zeros may be anywhere
+        other = taken(arm, "zeros", (raw, positions, points, angle_unit))
+        turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
+        words = (f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5))
+        words = f"the zeros turned, {', '.join(words)} degrees"
+        straight = [*range(arm.n_joints)]
+        one = _Candidate(arm.n_joints, words, other, straight, _AXES, angle_unit)
+        found = [calibrated(one, "--take zeros")]
+        if (least := found[0].scatter_mm) > limit:
+            return None
+    first, *equals = (one for one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
     place = _places(first, raw)
     equals = [replace(one, is_mirror=_are_mirrored(place, _places(one, raw))) for one in equals]
     first, *equals = _with_questions([first, *equals], raw)
     return replace(first, equals=tuple(equals))
 
 
-def taken(arm: Arm, code: str) -> Arm:
-    """The arm changed as a finding proposes, see `TableChange.options`."""
+def _few_rows(n, positions, points):
+    """Some of n rows, for speed, the codes of their positions, and their points."""
+    if points is None:  # whole positions, as many as fit
+        codes = encode_groups(positions, n)[1]
+        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
+        return rows, codes[rows], None
+    rows = np.linspace(0, n - 1, min(n, _RANKED_ROWS)).astype(int)  # some from everywhere
+    return rows, None, np.asarray(points, dtype=float)[rows]
+
+
+def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
+    """The arm changed as a finding proposes, see `TableChange.options`.
+
+    `measured` are angles, positions, points and the unit of the angles: "zeros" are found there.
+    """
     check_arm(arm)
+    if code == "zeros":
+        angles, positions, points, unit = measured
+        if positions is None and points is None:
+            raise ValueError(
+                "zeros are found from labels of positions, or from a tracker's points."
+            )
+        angles = check_angles(angles, arm.n_joints, unit)
+        rows, codes, few_points = _few_rows(len(angles), positions, points)
+        return with_found_zeros(arm, angles[rows], codes, few_points)
     word, *numbers = code.split("-")
     joints = [str(i + 1) for i in range(arm.n_joints)]
     if code == "other-convention":
@@ -212,7 +241,7 @@ def taken(arm: Arm, code: str) -> Arm:
     raise ValueError(
         f"take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, zero with "
         f"a joint and degrees, such as zero-2-180, coupled or uncoupled with two joints, such as "
-        f"coupled-2-3 for J3 + J2, or other-convention, got {code!r}."
+        f"coupled-2-3 for J3 + J2, zeros, or other-convention, got {code!r}."
     )
 
 
@@ -239,8 +268,8 @@ def ask_for_the_hand(
                 "mirror-image",
                 "The data fit the arm as it was taken and its mirror image alike, that with "
                 f"{other.change}.",
-                f"{' '.join(own.questions)} If the answer is {', '.join(own.answers)}, accept "
-                f'"mirror-image"; else learn with {other.options}.',
+                f"{' '.join(own.questions)} If it is {', '.join(own.answers) or 'as taken'}, "
+                f'accept "mirror-image"; else learn with {other.options}.',
             ).report()
             return
 

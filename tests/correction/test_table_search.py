@@ -14,6 +14,11 @@ def data():
     return make_single_point(n_positions=8, n_poses=15)
 
 
+def take(arm, code):
+    """The arm changed by a code that needs no data."""
+    return taken(arm, code, (None, None, None, "rad"))
+
+
 EXCHANGED = [0, 1, 4, 3, 2, 5]
 
 
@@ -74,7 +79,7 @@ def test_a_joint_that_is_counted_from_upright_or_horizontal(data, degrees):
     zero = np.deg2rad([0, degrees, 0, 0, 0, 0])
     found = search_table(data.nominal_arm, data.data - zero, data.groups)
     assert found.change == f"the zero of joint 2 turned by {degrees} degrees"
-    assert taken(data.nominal_arm, found.options.split()[1]) == found.arm
+    assert take(data.nominal_arm, found.options.split()[1]) == found.arm
     np.testing.assert_allclose(
         found.arm.forward(data.data - zero), data.nominal_arm.forward(data.data), atol=1e-9
     )
@@ -142,17 +147,17 @@ def test_a_joint_that_counts_from_the_horizontal(own, change, options):
     np.testing.assert_allclose(found.arm.forward(shown), arm.forward(angles), atol=1e-9)
     assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
     for code in options.replace("--take", "").split():
-        arm = taken(arm, code)
+        arm = take(arm, code)
     assert arm == found.arm
 
 
 def test_codes_of_changes():
     arm = Arm.from_name("aacmm6")
-    assert taken(arm, "coupled-2-3").couplings == ((3, 2, 1),)
-    assert taken(arm, "uncoupled-5-6").couplings == ((6, 5, -1),)
-    assert taken(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
-    assert taken(taken(arm, "other-convention"), "other-convention") == arm
-    turn = np.exp(1j * (taken(arm, "zero-3-270").theta_offset - arm.theta_offset))
+    assert take(arm, "coupled-2-3").couplings == ((3, 2, 1),)
+    assert take(arm, "uncoupled-5-6").couplings == ((6, 5, -1),)
+    assert take(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
+    assert take(take(arm, "other-convention"), "other-convention") == arm
+    turn = np.exp(1j * (take(arm, "zero-3-270").theta_offset - arm.theta_offset))
     np.testing.assert_allclose(turn, [1, 1, -1j, 1, 1, 1], atol=1e-12)
     for code in (
         "reversed",
@@ -164,7 +169,7 @@ def test_codes_of_changes():
         "zero-2-x",
     ):
         with pytest.raises(ValueError, match=rf"joints of 1 to 6, .*, got '{code}'"):
-            taken(arm, code)
+            take(arm, code)
 
 
 def test_the_other_convention_against_a_tracker():
@@ -194,9 +199,32 @@ def test_nothing_is_proposed_for_a_right_table_or_no_arm_at_all(data):
     assert search_table(data.nominal_arm, rng.uniform(-2, 2, (60, 6)), np.arange(60) // 10) is None
 
 
+@pytest.mark.parametrize("kind", ["cones", "tracker"])
+def test_zeros_anywhere(data, kind):
+    """As of encoders that were built in as they came: as good as with the right table."""
+    rng = np.random.default_rng(4)
+    zeros = rng.uniform(-np.pi, np.pi, 6)
+    where = {"positions": data.groups}
+    if kind == "tracker":
+        points = Rotation.from_rotvec([0.4, -0.7, 1.1]).apply(data.arm.forward(data.data))
+        where = {"points": points + rng.normal(scale=0.02, size=points.shape)}
+    found = search_table(data.nominal_arm, data.data - zeros, **where)
+    assert found.options == "--take zeros"
+    named = {"groups": data.groups} if kind == "cones" else where
+    right = calibrate(data.nominal_arm, data.data, **named).typical_scatter_mm
+    assert found.scatter_mm < 1.1 * right < 1 < 20 < found.scatter_given_mm
+    # The first zero and the last are free: base and probe go with them.
+    turn = np.exp(1j * (found.arm.theta_offset - data.nominal_arm.theta_offset - zeros))[1:-1]
+    np.testing.assert_allclose(turn, 1, atol=0.01)
+    measured = data.data - zeros, where.get("positions"), where.get("points"), "rad"
+    assert taken(data.nominal_arm, "zeros", measured) == found.arm
+    with pytest.raises(ValueError, match="zeros are found from labels of positions, or from"):
+        take(data.nominal_arm, "zeros")
+
+
 def test_what_leaves_centimetres_is_no_proposal():
-    """Zeros anywhere: something is four times better than the table as it is, and wrong."""
+    """Lengths of another arm, and zeros anywhere: what is better, and wrong, is not proposed."""
     test = make_single_point(n_positions=6, n_poses=15, random_state=3)
     angles = test.data - np.random.default_rng(4).uniform(-np.pi, np.pi, 6)
-    found = search_table(test.nominal_arm, angles, test.groups)
-    assert found is None or found.scatter_mm < 0.01 * test.nominal_arm.reach_mm
+    other = test.nominal_arm.replace(a=test.nominal_arm.a + np.array([0, 0, 300, 0, 200, 0]))
+    assert search_table(other, angles, test.groups) is None

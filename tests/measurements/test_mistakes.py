@@ -423,12 +423,12 @@ MISTAKES = [
 # -- what the tool itself advises, writes and reads ------------------------------------------------
 
 
-def advised(zeros=0.0, axes=(0, 1, 2), signs=1, **given):
+def advised(zeros=0.0, axes=(0, 1, 2), signs=1, arm=TEST.nominal_arm, **given):
     """The sentence that tells what is wrong with a table, or with a tracker's points."""
     from sklearn_raacmm import search_table
 
     where = given or {"points": (TRACKER * signs)[:, axes]}
-    return str(search_table(TEST.nominal_arm, TEST.data - np.deg2rad(zeros), **where))
+    return str(search_table(arm, TEST.data - np.deg2rad(zeros), **where))
 
 
 def taken(**more):
@@ -475,6 +475,7 @@ FIXED = """<robot name="r"><joint name="a" type="revolute"><parent link="0"/><ch
 <child link="3"/><origin xyz=".2 0 0" rpy="0 0 0"/><axis xyz="0 0 1"/></joint>
 <joint name="t" type="fixed"><parent link="3"/><child link="4"/><origin xyz=".8 0 0" rpy="0 0 0"/>
 </joint></robot>"""
+TWICE = TEST.nominal_arm.replace(a=2 * TEST.nominal_arm.a + 100)
 FROM_UPRIGHT = {"positions": TEST.groups, "zeros": [0, 180, 0, 0, 0, 0]}
 ADVICE = [
     ("joint 2 counted from upright", lambda _: advised(**FROM_UPRIGHT), r"\(raacmm learn --take zero-2-180\)"),
@@ -483,7 +484,8 @@ ADVICE = [
     ("joint 2 counted from horizontal", lambda _: advised([0, 90, 0, 0, 0, 0], positions=TEST.groups), "--take zero-2-90"),
     ("a tracker's y negated", lambda _: advised(signs=[1, -1, 1]), "^With the points mirrored"),
     ("a tracker's y and z exchanged", lambda _: advised(axes=[0, 2, 1]), "^With the points mirrored"),
-    ("a proposal that leaves 4 % of the reach", lambda _: advised([0, 50, 70, 110, 160, 0], positions=TEST.groups), "^None$"),
+    ("zeros anywhere", lambda _: advised([0, 50, 70, 110, 160, 0], positions=TEST.groups), r"\(raacmm learn --take zeros\)"),
+    ("a proposal that leaves centimetres", lambda _: advised([0, 50, 70, 110, 160, 0], arm=TWICE, positions=TEST.groups), "^None$"),
     ("a right table, cones", lambda _: advised(positions=TEST.groups), "^None$"),
     ("a right table, tracker", lambda _: advised(), "^None$"),
     ("the mirror image taken", lambda _: taken(), "mirror-image"),
