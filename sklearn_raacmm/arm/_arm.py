@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
+from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
@@ -28,6 +28,8 @@ from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
+# Arms of fewer joints have no wrist where the default poses suppose it.
+_FEW_JOINTS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -251,13 +253,16 @@ class Arm:
         alpha, theta_offset : array-like of shape (n_joints,)
             Angles in degrees.
         **params : dict
-            The other parameters of `Arm`.
+            The other parameters of `Arm`. Arms of fewer than five joints have the pose of their
+            first two, and of the whole arm, unless it is given.
 
         Returns
         -------
         Arm
         """
         alpha = np.deg2rad(floats("alpha", alpha))
+        if alpha.size < _FEW_JOINTS:  # no elbow and wrist as the default names them
+            params = usual_pose(alpha.size, False, params.get("convention", "standard")) | params
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod
