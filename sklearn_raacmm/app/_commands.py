@@ -82,6 +82,7 @@ def learn(options):
             tools=read_labels(table, options, "tool"),
             points_sd=options.points_sd,
             blocks=read_labels(table, options, "block"),
+            stations=read_labels(table, options, "station"),
             accept=options.accept or (),
         )
     if table.positions is None:  # the places that were found and accepted, if no tracker's points

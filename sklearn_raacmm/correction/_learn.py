@@ -52,6 +52,7 @@ def learn_correction(
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
     blocks: ArrayLike | None = None,
+    stations: ArrayLike | None = None,
     accept: str | Sequence[str] = (),
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
@@ -65,13 +66,15 @@ def learn_correction(
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
     positions : array-like of shape (n_samples,), default=None
-        Label of the position at which the probe was held. None, with `points`: regions of
-        neighbouring points take their place; without, the places that :func:`calibrate` finds.
+        Label of the position at which the probe was held. With `points`, regions of neighbouring
+        points take the place of labels that are None, or names of single poses; without, None
+        stands for the places that :func:`calibrate` finds.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
-        Known distances between two positions, mm. Positions joined by a known length are left out
-        together, as long as at least three blocks remain.
+        Known distances between two positions, mm, at 20 degrees C or with their temperature, as
+        in :func:`calibrate`. Positions joined by a known length are left out together, as long as
+        at least three blocks remain.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     model : estimator, default=None
@@ -110,6 +113,11 @@ def learn_correction(
         others: the plate of a socket, the placement of a bar. Positions of one block are left out
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
+    stations : array-like of shape (n_samples,), default=None
+        Label of the set-up of each row, where the tracker or the arm was moved between `points`:
+        each has a base of its own, as in :func:`calibrate`. Corrected points are in the frame of
+        the arm's base at every station; ``learned.at_station(label)`` knows the tracker's frame of
+        one.
     accept : str or list of str, default=()
         Codes of findings, such as "moved-position", with which the correction is handed over all
         the same.
@@ -166,7 +174,8 @@ def learn_correction(
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
     def inside():
-        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)
+        labels = tools, blocks, stations
+        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, *labels)
         calibration = _calibrated(data, angles, angle_unit, accept)
         data = data.seen_by(calibration)
         scores = scores_of(data, calibration, model, cv, n_jobs, progress)
@@ -213,8 +222,12 @@ def _calibrated(data, angles, angle_unit, accept):
         if finding.code == "wrong-label" and finding.weight == "repair":
             raise FindingError(finding)
     positions = data.positions if data.points is None else None
-    angles = np.asarray(angles)[data.rows]
-    change = search_table(data.arm, angles, positions, data.points, angle_unit=angle_unit)
+    angles, points = np.asarray(angles)[data.rows], data.points
+    if data.stations is not None:  # of several, the one of most rows
+        codes = encode_groups(data.stations)[1]
+        own = codes == np.bincount(codes).argmax()
+        angles, points = angles[own], points[own]
+    change = search_table(data.arm, angles, positions, points, angle_unit=angle_unit)
     if change or scatter > SHARE_OF_REACH * reach:  # they belong to another table
         raise ValueError(
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
@@ -240,6 +253,10 @@ def _facts(data, calibration, scores):
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
+        "stations": {
+            str(label): [part.tolist() for part in base]
+            for label, base in calibration.bases.items()
+        },
         "summary": {name: list(values) for name, values in scores.summary.items()},
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],
