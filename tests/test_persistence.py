@@ -1,6 +1,8 @@
 """Models in files: the same predictions elsewhere, and a warning where the version is another."""
 
 import copy
+import io
+import json
 import os
 import pickle
 import re
@@ -8,6 +10,8 @@ import shutil
 import subprocess
 import sys
 import warnings
+from pathlib import Path
+from zipfile import ZipFile
 
 import joblib
 import numpy as np
@@ -16,14 +20,28 @@ from sklearn.base import clone
 from sklearn.exceptions import InconsistentVersionWarning
 
 import sklearn_raacmm
-from sklearn_raacmm import ArmResidualRegressor, RBFNetRegressor
-from sklearn_raacmm.correction._files import dump_model
+from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, RBFNetRegressor
+from sklearn_raacmm.correction._files import _CLASSES, dump_model
+from sklearn_raacmm.correction._own_models import OtherContentError, read_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
 from sklearn_raacmm.utils import _estimators
 
 from .export._chains import form_a, form_b
 
+# Of the correction in ``correction/written_by_0.1.0.dev0``, at three poses by the version that
+# wrote it: mean and standard deviation in mm, and the share that is used.
+WAS_PREDICTED = [
+    [0.00029315, 0.00014399, -0.00106702],
+    [0.00331334, 0.00012723, -0.00052035],
+    [0.00275179, 0.00060706, -0.00096543],
+]
+WAS_STD = [
+    [0.00684169, 0.00762915, 0.00187501],
+    [0.00621386, 0.00693957, 0.00317885],
+    [0.00458388, 0.00683347, 0.00283288],
+]
+WAS_SHARE = [0.40246836, 0.40323801, 0.4046418]
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
 
 
@@ -100,6 +118,26 @@ def test_a_model_of_another_number_of_columns_is_damaged(fitted):
         )
 
 
+def test_a_field_that_a_file_does_not_have_is_no_default(fitted):
+    linear = fitted["harmonics"].linear_model_
+    for name in linear.__getstate__():
+        state = {key: value for key, value in linear.__getstate__().items() if key != name}
+        with pytest.raises(ValueError, match=f"The file does not say {name} of the linear model"):
+            object.__new__(type(linear)).__setstate__(state)
+
+
+def test_an_earlier_folder_is_read(skops):
+    """Written before the prior of the table was given; what it predicted then is kept here."""
+    folder = Path(__file__).parent / "correction" / "written_by_0.1.0.dev0"
+    model = Correction.load(folder).model
+    angles = make_single_point(8, 10, machine="eccentricity", random_state=0).data[:3]
+    mean, std = model.predict(angles, return_std=True)
+    np.testing.assert_allclose(mean, WAS_PREDICTED, rtol=1e-4)
+    np.testing.assert_allclose(std, WAS_STD, rtol=1e-5)
+    np.testing.assert_allclose(model.fading(angles), WAS_SHARE, rtol=1e-5)
+    assert model.linear_model_.noise_of_angles == pytest.approx(0.083056252)
+
+
 def interpreters():
     """This Python, and others that have the package: SKLEARN_RAACMM_PYTHONS, or on PATH."""
     yield sys.executable
@@ -159,6 +197,66 @@ def test_skops_needs_no_other_trust(skops, fitted, data):
     public = {name for name in TRUSTED_TYPES if "._" not in name}
     assert needed == set(TRUSTED_TYPES)
     assert {re.sub(r"\._\w+", "", name) for name in needed} == public
+
+
+def test_own_models_are_read_without_skops(skops, fitted, data):
+    kinds = {f"{c.__module__.rpartition('.')[0]}.{c.__qualname__}": c for c in _CLASSES}
+    network = RBFNetRegressor(10, length_scale=1.0, alpha=0.01).fit(data.data, data.target)
+    for model in (fitted["harmonics"], network):
+        text = dump_model(model)
+        read, loaded = read_model(text, kinds), skops.loads(text, trusted=TRUSTED_TYPES)
+        assert_same(vars(read), vars(loaded))
+        np.testing.assert_array_equal(read.predict(data.data), model.predict(data.data))
+        with pytest.raises(OtherContentError, match=type(model).__name__):
+            read_model(text, {"sklearn_raacmm.arm.Arm": Arm})
+    # A pipeline is scikit-learn's: such a file is left to skops.
+    with pytest.raises(OtherContentError):
+        read_model(dump_model(fitted["outermost"]), kinds)
+
+
+def assert_same(one, other):
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        one, other = list(one.values()), list(other.values())
+    if isinstance(one, list | tuple):
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+    elif type(one) in _CLASSES:
+        assert_same(vars(one), vars(other))
+    else:
+        assert one == other or one != one  # NaN is no other
+
+
+def test_a_file_runs_nothing(skops, tmp_path):
+    """Neither functions, nor classes that nobody has named, nor arrays that would be unpickled."""
+    pickled = io.BytesIO()
+    np.save(pickled, np.array([print], dtype=object), allow_pickle=True)
+    arrays = {"__class__": "ndarray", "__module__": "numpy", "__loader__": "NdArrayNode"}
+    for node in (
+        {"__class__": "system", "__module__": "os", "__loader__": "FunctionNode"},
+        {"__class__": "Popen", "__module__": "subprocess", "__loader__": "ObjectNode"},
+        {"__class__": "eval", "__module__": "builtins", "__loader__": "TypeNode"},
+        {
+            "__class__": "Popen",
+            "__module__": "subprocess",
+            "__loader__": "TupleNode",
+            "content": [],
+        },
+        arrays | {"__class__": "load", "type": "numpy", "file": "plain.npy"},
+        arrays | {"type": "numpy", "file": "pickled.npy"},
+    ):
+        with ZipFile(tmp_path / "model", "w") as file:
+            file.writestr("schema.json", json.dumps(node))
+            file.writestr("pickled.npy", pickled.getvalue())
+            plain = io.BytesIO()
+            np.save(plain, np.zeros(2))
+            file.writestr("plain.npy", plain.getvalue())
+        with pytest.raises(ValueError, match=r"Node|Popen|eval|load|pickle"):
+            read_model((tmp_path / "model").read_bytes(), {})
 
 
 def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):

@@ -177,7 +177,7 @@ def test_row_order_does_not_matter(data):
 
 
 @few_examples
-@given(regressions(), st.sampled_from(["gaussian", "matern52", "matern32"]))
+@given(regressions(), st.sampled_from(["gaussian", "matern52", "matern32", "matern12"]))
 def test_a_centre_at_every_row_interpolates(data, kernel):
     X, Y, _ = data
     assume(X.shape[1] > 1)

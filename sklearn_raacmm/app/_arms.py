@@ -93,21 +93,6 @@ def _with_encoders(shown, options):
     return shown
 
 
-def take(arm, code):
-    """The arm changed as a finding proposes, see `TableChange.options`."""
-    if code == "other-convention":
-        other = {"standard": "modified", "modified": "standard"}[arm.convention]
-        return arm.replace(convention=other)
-    word, *joints = code.split("-")
-    numbers = [str(i + 1) for i in range(arm.n_joints)]
-    if word != "reversed" or not joints or not set(joints) <= set(numbers):
-        raise TableError(
-            f"--take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, or "
-            f"other-convention, got {code!r}."
-        )
-    return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(numbers, joints), -1, 1))
-
-
 def _meant_arm(options):
     """The arm of a file, a table, a name or lengths; without any, of the answers of the user."""
     offsets = {"elbow_offset": options.elbow_offset, "wrist_offset": options.wrist_offset}

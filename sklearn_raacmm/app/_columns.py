@@ -4,26 +4,44 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
-from itertools import chain, zip_longest
+from collections import Counter
+from itertools import chain, islice, zip_longest
 from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._sources import TableError, find_source, strip_mark
+from sklearn_raacmm.app._sources import TableError, find_source, strip_mark, unit_in
 
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
 # beyond a hundred turns in degrees is an encoder's count.
 _SURELY_DEGREES, _SURELY_COUNTS = 4 * np.pi, 36_000
 _UNIT_OF_WORD = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "º", "grad"), "deg"),
-    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "º", "grad", "度", "도"), "deg"),
+    **dict.fromkeys(
+        ("degs", "degré", "degrés", "grado", "grados", "gradi", "градус", "град"), "deg"
+    ),
+    **dict.fromkeys(("градусы", "stopnie", "graus", "grau", "derece", "degrees."), "deg"),
+    **dict.fromkeys(("rad", "rads", "radian", "radians", "弧度", "ラジアン", "рад"), "rad"),
+    **dict.fromkeys(("radianes", "radianti", "bogenmaß"), "rad"),
+    **dict.fromkeys(("gons", "grades", "neugrad"), "gon"),
+    **dict.fromkeys(("毫米", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("米", "meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("count", "counts", "pulses", "pulse", "ticks", "inc", "inkremente"), "counts"),
 }
 # Units of angles: degrees or radians, and how many of them each is.
 _ANGLES = {
     "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
     "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
-_MM_PER_UNIT = {"": 1.0, "mm": 1.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4}
+_MM_PER_UNIT = {
+    "": 1.0, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "µm": 1e-3, "in": 25.4, "inch": 25.4,
+    "inches": 25.4, "ft": 304.8, "feet": 304.8,
+}  # fmt: skip
+# A unit that stands above the table for all of it: "// Units: Inches, Degrees", "LINEAR  METRE".
+_STATED = re.compile(
+    r"\b(?:units?|linear|length units?|angular|angles?)\b[\s:=,]+([^\W\d]+)(?:[\s,;/]+([^\W\d]+))?",
+    re.IGNORECASE,
+)
 _UNITS = (*_UNIT_OF_WORD, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
@@ -33,17 +51,32 @@ _UNIT = re.compile(
 _POSITION_NAMES = (
     "position", "pos", "positions", "cone", "seat", "socket", "hole", "place", "placement",
     "point", "label", "group", "station", "location", "nest",
-    "kegel", "messpunkt", "punkt", "ort", "stelle",
+    "kegel", "messpunkt", "punkt", "ort", "stelle", "cône", "cone no", "posición", "posicion",
+    "posizione", "punto", "ponto", "位置", "点", "测点", "測點", "点名", "座", "孔",
+    "測定点", "위치",
 )  # fmt: skip
-_NO_LABEL = re.compile(r"name\d+$|frame_id")
+_NO_LABEL = re.compile(r"name\W?\d+\]?$|frame_id")
 _TIME = re.compile(r"\d{1,4}[-./:]\d{1,2}[-./:]\d{1,4}|\d{1,2}:\d{2}")
 _TIME_NAMES = re.compile(r"_*(time|timestamp|date|datetime|zeit|datum|uhrzeit|utc)(stamp)?")
 # Series of other quantities than angles, of commanded angles, and of measured ones. UR writes
 # target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and effort.
 _OTHER_QUANTITY = re.compile(
     r"velocity|speed|qdd?(?![a-z])|(?<![a-z])vel|accel|effort|torque|moment|current|strom|voltage|"
-    r"temperature|temp(?![a-z])|force|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs"
+    r"temperature|temp(?![a-z])|force|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs|"
+    r"(?<!joint)(?<!joint_)poses?[\W_]*\d+\W*$|cartesian"
 )
+# Angles and the further numbers of a pose of the tool, beside x, y and z: robots of Kawasaki and
+# Staubli, Fanuc, KUKA, Universal Robots, Epson; quaternions; and Euler's angles by their names.
+_ORIENTATIONS = (
+    ("o", "a", "t"), ("w", "p", "r"), ("a", "b", "c"), ("u", "v", "w"), ("r", "p", "y"),
+    ("roll", "pitch", "yaw"), ("alpha", "beta", "gamma"), ("phi", "theta", "psi"),
+)  # fmt: skip
+# An external axis beside the robot's own: a track, a positioner.
+_EXTERNAL = re.compile(r"(e|ext|ej|eax_?|ext_?axis|external_?axis|track|rail|linear_?axis)_?\d?")
+# Share by which it moves.
+_MOVES = 1e-6
+# Angles of columns without names that are beyond this many degrees are no angles of joints.
+_TWO_TURNS = 720
 _NOT_COMMANDED = re.compile(r"^(?!.*(target|command|desired|setpoint|reference|goal|soll))")
 _MEASURED = re.compile(r"actual|measured|encoder|feedback|(?<![a-z])ist(?![a-z])")
 # Units that a format states without writing them into the file: UR RTDE guide, actual_q and
@@ -54,31 +87,48 @@ _LOOKED_AT = 200
 
 
 def find_header(source, n_numbers):
-    """Names of the columns, the row they stand in (0: none), and the first rows of data."""
-    above, data, n_above = [], [], 0
-    for number, cells in source.rows():
-        if data or source.count(cells) >= n_numbers:
-            data.append((number, cells))
-            if len(data) == _LOOKED_AT:
-                break
-            continue
-        cells = strip_mark(cells) or cells
-        above.append((number, cells))
-        n_found = source.count(cells)
-        n_texts = sum(isinstance(cell, str) and cell != "" for cell in cells) - n_found
-        if n_texts >= n_numbers and not n_found:
-            n_above = len(above)
-        elif n_above and n_found:  # data with a fault, which is reported on reading
-            above, data = above[:n_above], above[n_above:]
-    if not data:
+    """Names of the columns, the row they stand in (0: none), first rows of data, and all of both.
+
+    All rows are (number, cells, cells without the mark of a comment, is a comment).
+    """
+    rows = []
+    for number, cells in islice(source.rows(), _LOOKED_AT):
+        bare = strip_mark(cells)
+        rows.append((number, cells, cells if bare is None else bare, bare is not None))
+    # Which cells hold numbers in most rows; what stands above the first of these may hold some.
+    kinds = [tuple(source.number(cell) is not None for cell in cells) for _, cells, *_ in rows]
+    fitting = [kind for kind in kinds if sum(kind) >= n_numbers]
+    if not fitting:
         raise TableError(f"{source.path}: no row with {n_numbers} numbers was found.")
-    width = len(data[0][1])
-    names = _names_of_columns([cells for _, cells in above], width, n_numbers)
+    usual = Counter(fitting).most_common(1)[0][0]
+    begin, texts = kinds.index(usual), [_texts(source, bare) for _, _, bare, _ in rows]
+    heads = [i for i in range(begin) if len(texts[i]) >= max(n_numbers, len(texts[begin]) + 1)]
+    named = [i for i in heads if not source.count(rows[i][2])]
+    # Without names, or with a few, everything above the first numbers is above the data.
+    n_above = named[-1] + 1 if named else kinds.index(fitting[0])
+    above = [bare for _, _, bare, _ in rows[:n_above]]
+    # Rows that say one thing of each column, such as its time between samples, are no data.
+    repeated = [i for i in heads if Counter(texts[i]).most_common(1)[0][1] >= n_numbers]
+    n_above = max([n_above, *(i + 1 for i in repeated)])
+    data = [
+        (number, cells)
+        for (number, cells, _, is_comment), kind in zip(rows, kinds, strict=True)
+        if sum(kind) >= n_numbers or not (is_comment or sum(cell != "" for cell in cells) == 1)
+    ]
+    row = rows[n_above - 1][0] if n_above else 0
+    data = [one for one in data if one[0] > row]
+    names = _names_of_columns(above, len(usual), n_numbers)
     if not names:
         names = _fields_of_joint_states(data[0][1], source, n_numbers)
-    names += [""] * (width - len(names))
-    row = above[-1][0] if above else 0
-    return [name or f"column {i}" for i, name in enumerate(names, 1)], row, data
+    names += [""] * (len(usual) - len(names))
+    return [name or f"column {i}" for i, name in enumerate(names, 1)], row, data, rows
+
+
+def _texts(source, cells):
+    """Cells of text that is no number."""
+    return [
+        cell for cell in cells if isinstance(cell, str) and cell and source.number(cell) is None
+    ]
 
 
 def _names_of_columns(above, width, n_numbers):
@@ -120,17 +170,76 @@ def split_unit(name):
     return name, _UNIT_OF_WORD.get(unit, unit)
 
 
+def _stated(line):
+    """Words behind "unit" in a line above a table."""
+    return [word.lower() for pair in _STATED.findall(line) for word in pair if word]
+
+
+def _heading(source, cells, n_numbers):
+    """Text of a row that is a heading of the rows below it: a comment, or one cell; or None."""
+    bare = strip_mark(cells)
+    filled = [str(cell) for cell in (cells if bare is None else bare) if cell != ""]
+    if source.count(cells) >= n_numbers or (bare is None and len(filled) != 1):
+        return None
+    return " ".join(filled).strip(" :=-*") or None
+
+
+def _are_sections(source, rows, n_numbers):
+    """Whether headings such as "Position P1" stand above rows, the first ones too."""
+    if source.table is not None:
+        return False
+    forms: dict[str, str] = {}
+    first = 0
+    for i, (_, cells, *_) in enumerate(rows[:-1]):
+        heading = _heading(source, cells, n_numbers)
+        if heading is not None and source.count(rows[i + 1][1]) >= n_numbers:
+            first = first if forms else i
+            forms[heading] = re.sub(r"[\W_]*\d+$|\W+\w{1,2}\d*$", "", heading).lower()
+    begin = next(
+        (i for i, (_, cells, *_) in enumerate(rows) if source.count(cells) >= n_numbers), 0
+    )
+    return len(forms) > 1 and len(set(forms.values())) == 1 and first is not None and first < begin
+
+
 class Columns:
     """Columns of a file by their names, and its rows; `notes` says what was guessed."""
 
     def __init__(self, path, n_numbers, sheet=None):
         self.source, self.n_joints = find_source(path, n_numbers, sheet), n_numbers
         self.path = self.source.path
-        self.header, self.header_row, self.first = find_header(self.source, n_numbers)
-        self.names, self.units = zip(*map(split_unit, self.header), strict=True)
+        self.header, self.header_row, self.first, rows = find_header(self.source, n_numbers)
+        self.width = len(self.first[0][1])
+        self.sections = _are_sections(self.source, rows, n_numbers)
+        if self.sections:
+            self.header.append("position (headings between the rows)")
+            labels = dict(self._labelled(((n, c) for n, c, *_ in rows), n_numbers))
+            self.first = [(n, [*cells, labels.get(n, "")]) for n, cells in self.first]
+        self.names, units = zip(*map(split_unit, self.header), strict=True)
+        self.units = tuple(unit or self._unit_of_cells(i) for i, unit in enumerate(units))
+        above = (
+            ", ".join(map(str, bare))
+            for number, _, bare, is_comment in rows
+            if number <= self.header_row or is_comment
+        )
+        self.stated = {_UNIT_OF_WORD.get(word, word) for line in above for word in _stated(line)}
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
+        self.unnamed = False
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
+
+    def _unit_of_cells(self, column):
+        """Unit that stands behind each number of a column, or ""."""
+        found = {unit_in(cell) for cell in self._cells(column)}
+        return _UNIT_OF_WORD.get(unit := min(found), unit) if len(found) == 1 else ""
+
+    def _labelled(self, rows, n_numbers):
+        """Yield (row number, the heading above it) of the rows of data."""
+        label = ""
+        for number, cells in rows:
+            heading = _heading(self.source, cells, n_numbers)
+            label = label if heading is None else heading
+            if heading is None:
+                yield number, label
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -157,8 +266,14 @@ class Columns:
         Comments are left out, and rows at the end without a number in any of these columns, which
         a note then names.
         """
-        held, found = [], False
+        held, found, label = [], False, ""
         for number, cells in self.source.rows():
+            if self.sections:
+                heading = _heading(self.source, cells, self.n_joints)
+                if heading is not None:
+                    label = heading
+                    continue
+                cells = [*cells, label]
             has_number = self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue
@@ -183,6 +298,9 @@ class Columns:
         width = len(self.header)
         while len(cells) > width and cells[-1] == "":
             cells.pop()
+        if self.width <= len(cells) < width:  # such as a comment that few rows have
+            cells = [*cells, *[""] * (width - len(cells))]
+            row = number, cells
         if len(cells) != width:
             fault = f"row {number} has {len(cells)} cells, the table {width} columns."
             if self.source.separator == "," and len(cells) > width:
@@ -207,6 +325,10 @@ class Columns:
     def points(self, rows, columns):
         """Points (n_rows, 3) of some rows, in mm."""
         units = sorted({self.units[i] for i in columns})
+        stated = sorted(self.stated & _MM_PER_UNIT.keys())
+        if units == [""] and len(stated) == 1:
+            units = stated
+            self.notes.append(f"Points in {stated[0]}, as {self.path} says above them.")
         if len(units) != 1 or units[0] not in _MM_PER_UNIT:
             raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
         return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
@@ -224,8 +346,22 @@ class Columns:
 
     # -- joint angles -----------------------------------------------------------------------
 
-    def find_angles(self, wanted, joint_names):
-        """Columns of the joint angles in the order of the arm."""
+    def find_angles(self, wanted, joint_names, taken=()):
+        """Columns of the joint angles in the order of the arm, each another one; not those taken.
+
+        The columns `taken` hold other things.
+        """
+        found = self._find_angles(wanted, joint_names, taken)
+        names = [name.lower() for name in self.header]
+        for i in found:
+            if found.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
+                raise TableError(
+                    f"{self.path}: the column {self.header[i]!r} is named twice, and no two joints "
+                    f"have the same: say with --angles, by numbers, which to take of {self}."
+                )
+        return found
+
+    def _find_angles(self, wanted, joint_names, taken):
         if wanted is not None:
             if len(wanted) != self.n_joints:
                 columns = f"--angles names {len(wanted)} columns"
@@ -237,12 +373,21 @@ class Columns:
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
         fitting, what = self._series(), ""
-        if not fitting:
-            numeric = self._columns_of_numbers()
-            fitting, what = [numeric] * (len(numeric) == self.n_joints), "the columns of numbers, "
         # Columns without names are numbered by us, and such numbers mean nothing.
-        elif self.header[fitting[0][0]] == "column 1":
-            fitting = []
+        self.unnamed = all(re.fullmatch(r"column \d+", self.header[i]) for i in range(self.width))
+        if not fitting or self.unnamed:
+            numeric, poses = self._columns_of_numbers(taken), self.pose_columns()
+            joints = [i for i in numeric if i not in poses]
+            if len(joints) == self.n_joints + 1 and self._counts_rows(joints[0]):
+                joints = joints[1:]
+            fitting, what = [joints] * (len(joints) == self.n_joints), "the columns of numbers, "
+            if not fitting and poses and len(joints) < self.n_joints:
+                named = ", ".join(self.header[i] for i in poses)
+                raise TableError(
+                    f"{self.path}: the columns {named} are poses of the tool. Joint angles are "
+                    "needed, as the encoders show them: export those, or name their columns with "
+                    "--angles."
+                )
         if len(fitting) == 1:
             first, last = (self.header[fitting[0][i]] for i in (0, -1))
             self.notes.append(f"Joint angles: {what}{first} to {last}.")
@@ -253,16 +398,52 @@ class Columns:
             f"--angles {example} (names or numbers of columns); the columns are {self}."
         )
 
-    def _columns_of_numbers(self):
+    def _columns_of_numbers(self, taken=()):
         """Columns that hold numbers only, and by their names neither times nor other quantities."""
         rows = [cells for _, cells in self.first[:20]]
         return [
             i
             for i, name in enumerate(self.names)
-            if not _TIME_NAMES.fullmatch(name)
+            if i not in taken
+            and not _TIME_NAMES.fullmatch(name)
             and not _OTHER_QUANTITY.search(name)
+            and not _EXTERNAL.fullmatch(name)
             and all(self._has_number(cells, [i]) for cells in rows)
         ]
+
+    def _counts_rows(self, column):
+        """Whether a column only counts the rows, or holds times at equal steps."""
+        values = self.source.numbers(self._cells(column))
+        steps = np.diff(values)
+        return len(steps) > 1 and steps[0] > 0 and bool(np.ptp(steps) <= 1e-6 * steps[0])
+
+    def pose_columns(self):
+        """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""
+        place = {name: i for i, name in enumerate(self.names)}
+        found = []
+        for name in self.names:
+            for k in (k for k, letter in enumerate(name) if letter == "x"):
+                x, y, z, w = (name[:k] + letter + name[k + 1 :] for letter in "xyzw")
+                if y in place and z in place:
+                    found += [place[one] for one in (x, y, z, w) if one in place]
+        for group in _ORIENTATIONS if found else ():
+            last = {re.split(r"[\W_]+", name)[-1]: i for name, i in place.items()}
+            if last.keys() >= set(group):
+                found += [last[one] for one in group]
+        return sorted(set(found))
+
+    def external_axes(self, used):
+        """A note on each column of an external axis that moves and is not used."""
+        for i in (i for i, name in enumerate(self.names) if i not in used):
+            if not _EXTERNAL.fullmatch(self.names[i]):
+                continue
+            values = self.source.numbers(self._cells(i))
+            if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):
+                yield (
+                    f"Column {self.header[i]} varies by {np.ptp(values):.4g}: an external axis "
+                    "moves the base, and the model of the arm has none. Measure with this axis at "
+                    "rest, or take its movement out of the points."
+                )
 
     def _by_names_of_joints(self, joint_names):
         """One column for each joint of the arm whose name holds that of the joint."""
@@ -337,6 +518,16 @@ class Columns:
             if unit != known:
                 self.notes.append(f"Angles in {unit}, {self.factor:.6g} {known} each.")
             return known
+        if found == {"counts"}:
+            raise TableError(
+                f"{self.path}: the angles are counts of the encoders: say how many make a turn of "
+                "each joint with --counts-per-turn N1,N2,..., or N for all."
+            )
+        stated = sorted(self.stated & _ANGLES.keys())
+        if found == {""} and len(stated) == 1:
+            known, self.factor = _ANGLES[stated[0]]
+            self.notes.append(f"Angles in {stated[0]}, as the file says above them.")
+            return known
         if found != {""}:
             units = ", ".join(self.header[i] for i in columns)
             raise TableError(
@@ -352,6 +543,12 @@ class Columns:
             raise TableError(
                 f"{self.path}: the angles reach {largest:.6g}. If they are counts of the encoders, "
                 "say how many make a turn with --counts-per-turn N."
+            )
+        if self.unnamed and largest > _TWO_TURNS:
+            raise TableError(
+                f"{self.path}: the columns have no names, and their numbers reach {largest:.4g}, "
+                "more than two turns in degrees: are they poses of the tool? Joint angles are "
+                "needed; name their columns with --angles 1,2,... and their unit with --unit."
             )
         if largest > _SURELY_DEGREES:
             self.notes.append(f"Angles in degrees: they reach {largest:.4g}.")
@@ -387,7 +584,7 @@ class Columns:
 
     def _columns_of_text(self, taken):
         """Columns that may hold labels: if there are any, those with one in every row."""
-        found = {}
+        found, varies = {}, {}
         for i, name in enumerate(self.names):
             # A label that is missing here and there is a fault, which is reported on reading.
             given = [cell for cell in self._cells(i) if cell != ""]
@@ -395,4 +592,7 @@ class Columns:
             is_time = any(_TIME.search(str(cell)) for cell in given)
             if given and not (is_other or is_time or self.source.count(given)):
                 found[i] = len(given) == len(self._cells(i))
+                varies[i] = len(set(given)) > 1
+        if any(varies.values()):  # what is the same in all rows tells no positions apart
+            found = {i: whole for i, whole in found.items() if varies[i]}
         return [i for i, whole in found.items() if whole] or list(found)

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import shlex
-import sys
 import warnings
 import webbrowser
 from contextlib import nullcontext
@@ -14,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._arms import take
 from sklearn_raacmm.app._files import (
     WRITTEN,
     corrected_file,
@@ -26,17 +24,23 @@ from sklearn_raacmm.app._files import (
     known_lengths,
     load_arm,
     load_correction,
-    open_beside,
     print_notes,
     read_causes,
     read_labels,
-    write_corrected,
 )
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, render, write_report
 from sklearn_raacmm.app._sources import TableError, check_installed
-from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.app._tables import named_first
+from sklearn_raacmm.app._terminal import (
+    Progress,
+    expected_seconds,
+    in_words,
+    print_scores,
+    print_verdict,
+    say,
+)
 from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -44,9 +48,9 @@ from sklearn_raacmm.utils import FindingWarning, check_places, numbered_rows, wr
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP = 0, 3
+# Angle in rad by which an arm has to move; learning has the same.
+_STILL = 1e-3
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
-# Endings of files that no CSV may have.
-_NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
 
 
 def learn(options):
@@ -56,19 +60,22 @@ def learn(options):
         raise TableError(f"--folds must be 2 or more, got {options.folds}.")
     check_installed("jinja2", "matplotlib", "skops")
     out, read = Path(options.out), (options.table, options.arm, options.lengths, options.places)
-    check_places([out / name for name in WRITTEN], filter(None, read))
-    if (out / "correction.json").exists() and not options.force:
+    if not options.dry_run:
+        check_places([out / name for name in WRITTEN], filter(None, read))
+    if not options.dry_run and (out / "correction.json").exists() and not options.force:
         raise TableError(f"{out} holds a correction; --force replaces it.")
     arm = load_arm(options.arm, options.base, options.tip)
-    for code in options.take or ():
-        arm = take(arm, code)
     layout = find_rows(options, arm, needed=False)
     table = layout.read()
     print_notes(table.notes)
+    if options.dry_run:
+        return OK, describe_plan(table, layout, arm, options)
     measured = table.angles, table.positions, table.points, known_lengths(options)
     like = [load_correction(folder).model for folder in options.like or ()]
     # Findings stand in the result, and are printed with it.
-    with numbered_rows(table.rows), warnings.catch_warnings():
+    seconds = expected_seconds(len(table.angles))
+    show = nullcontext() if options.quiet else Progress(seconds)
+    with numbered_rows(table.rows), warnings.catch_warnings(), show as progress:
         warnings.simplefilter("ignore", FindingWarning)
         result: Any = learn_correction(
             arm,
@@ -76,7 +83,7 @@ def learn(options):
             angle_unit=table.angle_unit,
             cv=options.folds,
             n_jobs=options.jobs,
-            progress=_progress,
+            progress=progress,
             extra=read_causes(table, find_cause_columns(options)),
             like=like,
             tools=read_labels(table, options, "tool"),
@@ -84,6 +91,7 @@ def learn(options):
             blocks=read_labels(table, options, "block"),
             stations=read_labels(table, options, "station"),
             accept=options.accept or (),
+            take=options.take or (),
         )
     if table.positions is None:  # the places that were found and accepted, if no tracker's points
         table = replace(table, positions=result.calibration.groups)
@@ -97,41 +105,16 @@ def learn(options):
     step = step_of("learn", today, facts, result.scores.measure, before, after)
     card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     taught = replace(result, facts=result.facts | {"training": card["training"]})
-    # Printed before what may fail; the verdict at the end, where it is seen without scrolling.
-    print(str(result.scores).removeprefix(f"{result.verdict}\n"))
+    # The verdict first: it is the answer, and what follows says why.
+    print_verdict(result.verdict, result.helps)
+    print_scores(result.scores, _what_was_left_out(table, options))
     for row, label, distance in list_outliers(result, table.rows)[:10]:
         print(f"  outlier: row {row} ({label}), {distance:.3g} mm")
-    print(f"\n{result.verdict}")
     save_step(taught, out, step, today, report, contents)
-    print(f"Written to {out}: {', '.join(WRITTEN)}")
+    say(f"Written to {out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
     return OK if result.helps else NO_HELP, result.facts
-
-
-def correct(options):
-    """Correct a table of any length."""
-    if options.out != "-":
-        if Path(options.out).suffix.lower() in _NO_CSV:
-            raise TableError(f"--out is written as CSV, and {options.out} says something else.")
-        check_places([options.out], [options.table, *correction_files(options.model)])
-    saved = load_correction(options.model)
-    print_notes([saved.verdict] * (not saved.helps))
-    if unknown := find_cause_columns(options).keys() - saved.causes.keys():
-        raise TableError(
-            f"--extra names {', '.join(map(repr, sorted(unknown)))}, and this correction takes "
-            f"{', '.join(saved.causes) or 'no cause'}: leave it away, or mend the name."
-        )
-    if not options.tool and (unnamed := find_unnamed_probe(saved)):
-        raise TableError(f"{unnamed}: name the column of the tool of each row by --tool.")
-    layout = find_rows(options, saved.arm, labelled=False)
-    print_notes(layout.notes)
-    to_file = open_beside(options.out, layout.source.encoding)
-    with nullcontext(options.stdout) if options.out == "-" else to_file as file:
-        n_rows, largest = write_corrected(layout, saved, options, file, options.std)
-    check_angles(largest, saved.arm.n_joints, layout.angle_unit)
-    print(f"{n_rows} rows corrected, written to {options.out}")
-    return OK, {"rows": n_rows}
 
 
 def export(options):
@@ -208,7 +191,48 @@ def demo(options):
     return learn(options)
 
 
-def _progress(done, total):
-    if sys.stderr.isatty():
-        end = "\n" if done == total else ""
-        print(f"\r{done} of {total} folds", end=end, file=sys.stderr, flush=True)
+def _what_was_left_out(table, options):
+    """Word for what is left out together."""
+    if options.block:
+        return "blocks"
+    return "regions" if table.points is not None and table.positions is None else "positions"
+
+
+def describe_plan(table, layout, arm, options):
+    """Print what was read and what would be done with it; the same as facts."""
+    n, unit = table.angles.shape[0], table.angle_unit
+    say(f"Rows: {n}, of {layout.path}.")
+    names = [layout.header[i] for i in layout.angle_columns]
+    lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
+    width = max(map(len, names))
+    for i, (name, low, high) in enumerate(zip(names, lows, highs, strict=True), 1):
+        print(f"  joint {i}: {name[:40]:{min(width, 40)}s} {low:10.3f} to {high:10.3f} {unit}")
+    if np.ptp(in_rad(table), axis=0).max() < _STILL:
+        say(f"The arm did not move: {n} rows are 1 pose.")
+    facts = {"rows": n, "angle_unit": unit, "angles": names, "causes": list(table.others)}
+    if table.points is not None:
+        spread = np.ptp(table.points, axis=0)
+        size = " x ".join(f"{length:.0f}" for length in spread)
+        say(f"Points of a tracker: {n}, in a box of {size} mm.")
+        facts["points_box_mm"] = spread.tolist()
+    if table.positions is not None:
+        labels, counts = np.unique(table.positions, return_counts=True)
+        rows = f"{counts.min()} to {counts.max()}" if np.ptp(counts) else f"{counts[0]}"
+        say(named_first(f"Positions: {len(labels)}, with {rows} rows each", labels.tolist()))
+        facts["positions"] = labels.tolist()
+    elif table.points is None:
+        say("Positions: no column names them; learning finds the rows that share a place.")
+    if lengths := known_lengths(options):
+        say(f"Known lengths: {len(lengths)}.")
+    elif table.points is None:
+        say("Known lengths: none, so the scale of the arm is that of its table (--length).")
+    say(named_first("Causes", list(table.others)) or "Causes: none (--extra names columns).")
+    say(f"Arm: {arm.n_joints} joints, reach {arm.reach_mm:.0f} mm, {arm.convention} convention.")
+    folds = options.folds or 5
+    say(
+        f"To be judged: calibration and correction, {folds} times, each time without some of the "
+        f"{_what_was_left_out(table, options)}."
+    )
+    seconds = expected_seconds(n)
+    say(f"That takes about {in_words(seconds)} here. Nothing was written.")
+    return facts | {"folds": folds, "expected_seconds": seconds}

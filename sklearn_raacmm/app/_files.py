@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
-from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
@@ -45,7 +45,7 @@ _OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "
 def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
     path = Path(source)
-    if path.suffix.lower() in (".urdf", ".yaml", ".yml"):
+    if path.suffix.lower() in (".urdf", ".yaml", ".yml") or _is_xml(path):
         return Arm.from_urdf(path, base=base, tip=tip)
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")
@@ -55,6 +55,14 @@ def load_arm(source, base=None, tip=None):
         return Arm.from_name(str(source))
     except ValueError as error:
         raise TableError(f"there is no file {source}, and as a {error}") from None
+
+
+def _is_xml(path):
+    """Whether a file holds XML, whatever its name: a URDF, or what somebody takes for one."""
+    if not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return file.read(200).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
 
 
 def load_correction(folder) -> Any:
@@ -78,7 +86,8 @@ def write_corrected(layout, correction, options, file, std="all"):
     """
     source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
     writer = csv.writer(file, delimiter=source.separator or " ")
-    writer.writerow([*layout.header, *_NEW_COLUMNS[:width]])
+    plain = list if options.formulas else source.plain
+    writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
@@ -94,10 +103,24 @@ def write_corrected(layout, correction, options, file, std="all"):
                     new[rows] = points - one.model.predict(X[rows])
                 else:
                     new[rows] = one.columns(X[rows])[:, :width]
-        for row, values in zip(cells, new.tolist(), strict=True):
-            writer.writerow([*row, *map(source.text, values)])
+        if isinstance(cells[0], str):
+            _write_lines(file, source.separator, cells, new)
+        else:
+            for row, values in zip(cells, new.tolist(), strict=True):
+                writer.writerow([*plain(row), *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
+
+
+def _write_lines(file, separator, lines, new):
+    """Write lines of a table of numbers, with new numbers behind each: as a writer of cells does.
+
+    `Layout.plain_lines` has made sure that no cell needs quotation marks.
+    """
+    line = separator.join(["%s", *["%.6f"] * new.shape[1]]) + "\r\n"
+    file.writelines(
+        [line % (row, *values) for row, values in zip(lines, new.tolist(), strict=True)]
+    )
 
 
 def corrected_file(layout, correction, options):
@@ -138,7 +161,7 @@ def print_notes(notes):
 def find_rows(options, arm, labelled=True, needed=True):
     """Layout of the table that the options name; labels may be missing where none are needed."""
     given: dict[str, Any] = {name: getattr(options, name, None) for name in _OF_LAYOUT}
-    if given["points"] and not Path(given["points"]).is_file():
+    if given["points"] and not split_points(given["points"])[0].is_file():
         given["points"] = given["points"].split(",")
         if len(given["points"]) != 3:
             needed = "three columns, such as x,y,z, or a file that is there"
@@ -195,15 +218,6 @@ def read_labels(table, options, name):
     if column is None:
         return None
     return np.array([text_of_label(label) for label in table.others[column].tolist()])
-
-
-def text_of_label(cell):
-    """Label in a cell, the same whether its block of the table holds numbers only or not."""
-    try:
-        number = float(cell)
-    except ValueError:
-        return cell
-    return str(int(number)) if number.is_integer() else repr(number)
 
 
 def find_unnamed_probe(saved):

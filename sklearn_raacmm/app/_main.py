@@ -19,7 +19,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from sklearn_raacmm.app._options import make_parser
+from sklearn_raacmm.app._options import make_parser, with_config
 
 BAD_INPUT, INTERRUPTED = 2, 130
 # Words whose `--out` is a file; that of all others is a folder.
@@ -42,7 +42,11 @@ def main(arguments: list[str] | None = None) -> int:
         not judged, for something in the run has to be repaired first.
     """
     words = sys.argv[1:] if arguments is None else arguments
-    options = make_parser("--json" in words).parse_args(words)
+    parser = make_parser("--json" in words)
+    try:
+        options = parser.parse_args(with_config(words))
+    except ValueError as error:  # of the file of options
+        parser.error(str(error))
     streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
     for stream in streams:
         # Labels that a terminal cannot show must not end the work.
@@ -63,11 +67,17 @@ def main(arguments: list[str] | None = None) -> int:
             text = f"{name}: {error.strerror.lower()}."
         if options.json:
             print(json.dumps({"exit_code": BAD_INPUT, "error": text}, ensure_ascii=False))
-        print(f"raacmm {options.word}: {text}", file=sys.stderr)
+        _say(f"raacmm {options.word}: {text}")
         return BAD_INPUT
     except KeyboardInterrupt:
         print("raacmm: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _say(text):
+    from sklearn_raacmm.app._terminal import say  # here: help is there at once without NumPy
+
+    say(text, sys.stderr)
 
 
 def _run(options):
@@ -88,7 +98,7 @@ def _run(options):
             stack.enter_context(contextlib.redirect_stdout(sys.stderr))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore" if options.quiet else "always", UserWarning)
-        warnings.showwarning = lambda message, *_: print(f"note: {message}", file=sys.stderr)
+        warnings.showwarning = lambda message, *_: _say(f"note: {message}")
         code, facts = getattr(module, options.word)(options)
     if options.json:
         text = json.dumps({"exit_code": code, **facts}, indent=1, ensure_ascii=False)

@@ -6,6 +6,7 @@
 import argparse
 import json
 import re
+import tomllib
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,10 @@ _EPILOG = (
 )
 
 
+# Options of a logger, beside its tables.
+_CONFIG = "raacmm.toml"
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
-_LEARNING = "--folds --jobs --open --force"
+_LEARNING = "--folds --jobs --open --force --dry-run --formulas"
 _CAUSES = "--extra --tool"
 _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
@@ -33,9 +36,9 @@ WORDS = {
         "--serial --operator",
     ),
     "correct": (
-        "_commands", "correct a table of any length",
+        "_correct", "correct a table of any length",
         "raacmm correct today.csv --model my_arm --out corrected.csv",
-        f"table --model --out --std {_CAUSES} {_COLUMNS.replace(' --position', '')}",
+        f"table --model --out --std --formulas {_CAUSES} {_COLUMNS.replace(' --position', '')}",
     ),
     "check": (
         "_life", "ask whether a correction still holds today",
@@ -45,12 +48,12 @@ WORDS = {
     "register": (
         "_life", "find a new probe or a new place through the correction",
         "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
-        f"{_TODAY} --out --accept",
+        f"{_TODAY} --out --accept --formulas",
     ),
     "update": (
         "_life", "bring a correction up to date with few new poses",
         "raacmm update today.csv --model my_arm --out my_arm_2026",
-        f"{_TODAY} --out --accept",
+        f"{_TODAY} --out --accept --formulas",
     ),
     "move": (
         "_life", "move a correction to a probe whose vector is known",
@@ -144,6 +147,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "standard deviations to write: none, of coordinates, or also within a position and of 1 m",
         "all",
     ),
+    "--formulas": _flag("write cells such as =A1 as they are, not behind an apostrophe"),
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     "--block": _value("COLUMN", "column of what holds positions that are left out together"),
     "--station": _value("COLUMN", "column of the set-up, where tracker or arm were moved"),
@@ -151,9 +155,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--folds": _number("N", "times that some positions are left out (5)", int),
     "--jobs": _number("N", "folds computed at the same time (1)", int),
     "--open": _flag("open the report in the browser"),
+    "--dry-run": _flag("say what was read and what would be done, and stop"),
     "--force": _flag("replace the correction that the folder holds"),
     "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
-    "--take": _value("CODE", "change the arm as a finding proposes: reversed-2-4", action="append"),
+    "--take": _value(
+        "CODE", "change the arm as learn proposes: reversed-2-4, coupled-2-3", action="append"
+    ),
     "--serial": _value("TEXT", "serial number, for the report"),
     "--operator": _value("NAME", "for the report"),
     # -- the life of a correction
@@ -196,6 +203,45 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
 }
+
+
+def with_config(words):
+    """Words of a command line, behind the options of ``raacmm.toml`` beside the table they name.
+
+    What the command line says counts more, and options of other words of the command are passed
+    over. Paths are those of the file's folder.
+    """
+    tables = [Path(word) for word in words[1:] if not word.startswith("-") and Path(word).is_file()]
+    path = tables[0].parent / _CONFIG if tables else Path(_CONFIG)
+    if not (words and words[0] in WORDS and tables and path.is_file()):
+        return words
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: {error}") from None
+    more: list[str] = []
+    for name, value in given.items():
+        option = f"--{name.replace('_', '-')}"
+        if option not in OPTIONS:
+            near = get_close_matches(option, OPTIONS, 1)
+            meant = f" Was {near[0].removeprefix('--')} meant?" if near else ""
+            raise ValueError(f"{path}: {name} is no option of raacmm.{meant}")
+        if option not in WORDS[words[0]][3].split():
+            continue
+        kind = OPTIONS.get(f"{words[0]} {option}") or OPTIONS[option]
+        values = [str(one) for one in (value if isinstance(value, list) else [value])]
+        values = [
+            str(path.parent / one) if (path.parent / one).is_file() else one for one in values
+        ]
+        if kind.get("action") == "store_true":
+            more += [option] * bool(value)
+        elif kind.get("action") == "append":
+            more += [f"{option}={one}" for one in values]
+        elif kind.get("nargs") == "+":
+            more += [option, *values]
+        else:
+            more.append(f"{option}={','.join(values)}")
+    return [words[0], *more, *words[1:]]
 
 
 class _Parser(argparse.ArgumentParser):

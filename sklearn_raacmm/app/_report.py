@@ -229,7 +229,14 @@ def _intervals(scores, left):
     if scores.measure == "2S":
         return np.array([repeatability_interval(left[rows]) for rows in scores.rows_by_position])
     sizes = [np.linalg.norm(left[rows], axis=1) for rows in scores.rows_by_position]
-    return np.array([stats.t.interval(0.95, len(s) - 1, s.mean(), stats.sem(s)) for s in sizes])
+    return np.array([_mean_interval(one) for one in sizes])
+
+
+def _mean_interval(values):
+    """95 % interval of a mean; of one value nothing is known."""
+    if len(values) < 2:
+        return np.nan, np.nan
+    return stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))
 
 
 def draw_volume(figure, arm, angles, places=()):

@@ -1,4 +1,4 @@
-"""Rows of whatever holds a table: text, spreadsheets, arrays, and programs of robots.
+"""Rows of whatever holds a table: text, spreadsheets and arrays; records are of `_records`.
 
 Of text encoding, separator and decimal sign are found.
 """
@@ -10,14 +10,18 @@ import codecs
 import contextlib
 import csv
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
+
+from sklearn_raacmm.app._records import HEAD_CHARACTERS, find_records
+from sklearn_raacmm.utils import check_unpacked
 
 # Lines looked at to find separator and decimal sign, and characters decoded at a time.
 _LOOKED_AT = 300
@@ -26,6 +30,11 @@ _CHUNK = 1 << 20
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
 _DECIMALS = {".": "point", ",": "comma"}
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+# A number with a unit in its cell.
+_WITH_UNIT = re.compile(
+    rf"({_NUMBER.pattern})\s*(deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
+)
+_FORMULA = re.compile(r"[=+\-@].")
 # What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
 _NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
 _MARKS = (
@@ -33,35 +42,23 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-# Hard blanks and typographic minus signs are those of word processors.
-_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-"})
+# Encodings of other scripts, each with signs of headers: degree, axis, joint, angle, place, point.
+_SCRIPTS = (
+    ("gb18030", "度轴关节角位置点坐标序号"),
+    ("cp932", "度軸関節角位置点座標番号"),
+    ("big5", "度軸關節角位置點座標序號"),
+    ("cp949", "도축관절각위치점좌표번호"),
+)
+# Hard blanks and typographic minus signs are those of word processors, wide brackets of Asian ones.
+_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"})
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
-# A record of a program stands within so many, or the file is none.
-_HEAD_CHARACTERS = 1 << 20
+# A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
+# of which 20 columns reach in the last row of a spreadsheet.
+_MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
+_BLOCK_ROWS = 8192
 SHEETS = (".xlsx", ".xlsm")
 _ARRAYS = (".npy", ".npz", ".mat")
-_VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
-# Programs and logs of controllers: what they are, a record with its name and its body, and the
-# joints in the body. All write degrees. Names are bounded, so that no long cell takes minutes.
-_PROGRAMS = (
-    # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
-    (
-        "KUKA KRL",
-        r"(?:\b(\w{1,80})\s?=\s?)?\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
-        rf"A\d\s+{_VALUE}",
-    ),
-    # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
-    ("KUKA RSI", r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
-    # ABB, RAPID data types: jointtarget is [robax, extax].
-    (
-        "ABB RAPID",
-        r"(?:\b(\w{1,80})\s?:=\s?)?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
-        rf"(?:^|,)\s*{_VALUE}",
-    ),
-    # Fanuc: section /POS of an LS file in joint representation.
-    ("Fanuc LS", r"P\[(\d+(?:\s*:\s*\"[^\"]*\")?)\]\s*\{([^{}]*)\}", rf"J\d\s*=\s*{_VALUE}\s*deg"),
-)
 
 
 class TableError(ValueError):
@@ -96,7 +93,7 @@ class Dialect:
     separator: str | None = ","
     decimal: str = "."
     what: str = ""
-    table: list[Any] | None = None
+    table: Iterable[Any] | None = None
 
     def rows(self):
         """Yield (row number, cells) of each row that is not empty; lines of text count from 1."""
@@ -114,7 +111,7 @@ class Dialect:
         if self.separator is None:
             yield from enumerate(map(str.split, lines), 1)
             return
-        reader = csv.reader(lines, delimiter=self.separator)
+        reader = csv.reader(lines, delimiter=self.separator, skipinitialspace=True)
         try:
             for cells in reader:
                 yield reader.line_num, [cell.strip() for cell in cells]
@@ -125,8 +122,13 @@ class Dialect:
         """Number in a cell, or None."""
         if isinstance(cell, int | float) and not isinstance(cell, bool):
             return float(cell)
-        if not isinstance(cell, str) or not _NUMBER.fullmatch(cell):
+        if not isinstance(cell, str):
             return None
+        if not _NUMBER.fullmatch(cell):
+            with_unit = _WITH_UNIT.fullmatch(cell)
+            if not with_unit:
+                return None
+            cell = with_unit[1]
         other = "." if self.decimal == "," else ","
         return None if other in cell else float(cell.replace(",", "."))
 
@@ -144,6 +146,13 @@ class Dialect:
                 return np.fromiter(map(float, text.split("\n")), dtype=float)
         return np.array([self.number(cell) for cell in cells], dtype=float)
 
+    def plain(self, cells):
+        """Cells that no spreadsheet takes for formulas: what looks like one gets an apostrophe."""
+        return [
+            f"'{cell}" if _FORMULA.match(str(cell)) and not _NUMBER.fullmatch(str(cell)) else cell
+            for cell in cells
+        ]
+
     def text(self, value, digits=6):
         """Number as the file writes its numbers."""
         return f"{value:.{digits}f}".replace(".", self.decimal)
@@ -155,11 +164,28 @@ class Dialect:
         )
 
 
+def unit_in(cell):
+    """Unit that stands behind the number in a cell, or ""."""
+    found = _WITH_UNIT.fullmatch(cell) if isinstance(cell, str) else None
+    return found[5].lower() if found else ""
+
+
 def clean(cell):
     """Cell of a spreadsheet as text has it."""
     if isinstance(cell, str):
+        if len(cell) > _MOST_CHARACTERS:
+            raise TableError(f"a cell has {len(cell)} characters, more than {_MOST_CHARACTERS}")
         return cell.translate(_PLAIN).strip()
     return "" if cell is None else cell
+
+
+def check_size(n_columns, n_cells):
+    """Refuse what no table of measurements is as large as."""
+    if n_columns > _MOST_COLUMNS or n_cells > _MOST_CELLS:
+        raise TableError(
+            f"{n_columns} columns and {n_cells} cells, more than the {_MOST_COLUMNS} columns and "
+            f"{_MOST_CELLS} cells that a table may have"
+        )
 
 
 def strip_mark(cells):
@@ -185,7 +211,7 @@ def find_source(path, n_numbers, sheet=None):
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
     if path.suffix.lower() in _ARRAYS:
         return _arrays(path, n_numbers)
-    return _program(path, n_numbers) or find_dialect(path, n_numbers)
+    return _find_records(path, n_numbers) or find_dialect(path, n_numbers)
 
 
 # -- text and spreadsheets ------------------------------------------------------------------------
@@ -228,11 +254,11 @@ def _most_numbers(candidates, n_numbers):
 
 
 def find_encoding(path):
-    """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes."""
+    """UTF-8 with or without its mark, UTF-16 with one, or else what Windows writes somewhere."""
     with open(path, "rb") as file:
         head = file.read(3)
     marked = [name for mark, name in _MARKS if head.startswith(mark)]
-    for encoding in marked or ("utf-8", "cp1252"):
+    for encoding in marked or ("utf-8", *_other_script(path), "cp1252"):
         with contextlib.suppress(UnicodeDecodeError), open(path, encoding=encoding) as file:
             while file.read(_CHUNK):
                 pass
@@ -241,6 +267,25 @@ def find_encoding(path):
         f"{path} is no table of text in UTF-8, in UTF-16 with its mark, or in the encoding of "
         "Windows (cp1252): save it as .xlsx or CSV."
     )
+
+
+def _other_script(path):
+    """The encoding in which the file's beginning has most signs of headers in its script, if any.
+
+    Latin letters with accents, decoded so, hardly ever give one of these signs.
+    """
+    with open(path, "rb") as file:
+        head = file.read(_CHUNK)
+    if head.isascii():
+        return []
+    found = []
+    for encoding, signs in _SCRIPTS:
+        text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
+        others = [sign for sign in text if not sign.isascii()]
+        known = sum(sign in signs for sign in others)
+        if known and "\ufffd" not in text:
+            found.append((known / len(others), encoding))
+    return [max(found)[1]] if found else []
 
 
 def _find_sheet(path, n_numbers, wanted):
@@ -270,17 +315,27 @@ def read_sheets(path):
 
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
-    found = {}
+    found, n_cells = {}, 0
+
+    def of(sheet):
+        nonlocal n_cells
+        for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+            n_cells += len(row)
+            check_size(len(row), n_cells)
+            cells = [clean(cell) for cell in row]
+            if any(cell != "" for cell in cells):
+                yield number, cells
+
     try:
         with open(path, "rb") as file:
+            check_unpacked("the file", file)
             book = openpyxl.load_workbook(file, read_only=True, data_only=True)
             for sheet in book.worksheets:  # of charts there are none
                 sheet.reset_dimensions()  # some programs state fewer rows than they write
-                rows = ([clean(cell) for cell in row] for row in sheet.iter_rows(values_only=True))
-                rows = enumerate(rows, 1)
-                found[sheet.title] = [(n, row) for n, row in rows if any(c != "" for c in row)]
+                found[sheet.title] = list(of(sheet))
     except Exception as error:  # a zip file of anything, damaged XML, or no zip file
-        raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
+        why = str(error).rstrip(".")
+        raise TableError(f"{path} is not a spreadsheet that can be read: {why}.") from None
     return found
 
 
@@ -291,14 +346,20 @@ def _arrays(path, n_numbers):
     """A table of the arrays of a file that have as many rows as the longest one."""
     try:
         if path.suffix.lower() == ".mat":
+            from scipy.io import loadmat, whosmat  # which takes half a second to import
+
+            check_size(1, sum(int(np.prod(shape)) for _, shape, _ in whosmat(path)))
             content = loadmat(path, squeeze_me=True)
         else:
+            if path.suffix.lower() == ".npz":
+                check_unpacked("the file", path)
             loaded = np.load(path, allow_pickle=False)
             content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
+        check_size(max(np.shape(v)[1] if np.ndim(v) > 1 else 1 for v in content.values()), 0)
     except NotImplementedError:  # HDF5
         raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
     except Exception as error:  # no such file, or one that would have to be unpickled
-        raise TableError(f"{path} cannot be read: {error}.") from None
+        raise TableError(f"{path} cannot be read: {str(error).rstrip('.')}.") from None
     columns: dict = {}
     for name, values in content.items():
         if name.startswith("__") or not np.ndim(values):
@@ -313,39 +374,36 @@ def _arrays(path, n_numbers):
     columns = {k: v for k, v in columns.items() if len(v) == n_rows and np.ndim(v) == 1}
     if len(columns) < n_numbers:
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
-    cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
-    rows = list(enumerate(map(list, zip(*cells, strict=True)), 1))
-    if any(name.strip("0123456789") for name in columns):
-        rows.insert(0, (0, list(columns)))
-    return Dialect(path, what="Arrays", table=rows)
+    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
+    return Dialect(path, what="Arrays", table=_ArrayRows(names, list(columns.values())))
 
 
-# -- programs of robots ---------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _ArrayRows:
+    """Rows of arrays (n,), as (row number, cells): a block at a time is made of objects."""
+
+    names: list[str]  # row 0, if there are any
+    columns: list[np.ndarray]
+
+    def __iter__(self):
+        if self.names:
+            yield 0, self.names
+        for start in range(0, len(self.columns[0]), _BLOCK_ROWS):
+            some = (column[start : start + _BLOCK_ROWS].tolist() for column in self.columns)
+            for number, cells in enumerate(zip(*some, strict=True), start + 1):
+                yield number, [clean(cell) for cell in cells]
 
 
-def _program(path, n_joints):
-    """A program or log of a robot's controller that holds joint positions; None if it is none."""
+# -- records: programs of robots, lists, echoes ---------------------------------------------------
+
+
+def _find_records(path, n_numbers):
+    """The rows of a file that is no table, but holds rows of numbers; None of any other."""
     encoding = find_encoding(path)
     with open(path, encoding=encoding, newline="") as file:
-        head = file.read(_HEAD_CHARACTERS)
-    for what, record, value in _PROGRAMS:
-        if not re.search(record, head):
-            continue
-        text, rows = path.read_text(encoding), []
-        for match in re.finditer(record, text):
-            values = re.findall(value, match[2])
-            # Coupled or external axes may follow the robot's own.
-            if len(values) >= n_joints:
-                line = text.count("\n", 0, match.start()) + 1
-                rows.append((line, [match[1] or f"line {line}", *values[:n_joints]]))
-        if rows:
-            names = ["name", *(f"A{i} [deg]" for i in range(1, n_joints + 1))]
-            # Points of one place are named by it: P1_1, P1_2, P2_1 and so on.
-            own = (re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", cells[0]) for _, cells in rows)
-            places = [re.sub(r"[\W_]*\d+\W*$", "", name) for name in own]
-            if min(map(places.count, places)) > 1 < len(set(places)):
-                names.append("position (its name without the last number)")
-                pairs = zip(rows, places, strict=True)
-                rows = [(line, [*cells, place]) for (line, cells), place in pairs]
-            return Dialect(path, what=f"{what}, degrees", table=[(0, names), *rows])
-    return None
+        head = file.read(HEAD_CHARACTERS)
+    try:
+        found = find_records(head, partial(path.read_text, encoding), n_numbers)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}") from None
+    return None if found is None else Dialect(path, what=found[0], table=found[1])

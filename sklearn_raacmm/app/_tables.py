@@ -3,11 +3,13 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import islice
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,12 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._sources import TableError
+
+# Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
+# puts into quotation marks; so many lines are looked at together.
+_PLAIN_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_PLAIN_CELL = rf"(?:{_PLAIN_NUMBER}|[^\W_](?:[\w .:/+-]*[\w.:/+-])?)?"
+_LINES_AT_A_TIME = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +140,15 @@ class Layout(Columns):
         labelled=True, joint_names=(), counts_per_turn=None, sheet=None, others=(), needed=True,
     ):  # fmt: skip
         super().__init__(path, n_joints, sheet)
-        self.angle_columns = self.find_angles(angles, joint_names)
         self.points_file = points if isinstance(points, str | PathLike) else None
         named: Any = () if self.points_file else points or ()
         self.point_columns = [self.column(name, "--points") for name in named]
-        self.labelled, self.position_column = labelled and points is None, None
+        self.others = {name: self.column(name, "others") for name in others}
+        taken = {*self.point_columns, *self.others.values()}
+        if position is not None:
+            taken.add(self.column(position, "--position"))
+        self.angle_columns = self.find_angles(angles, joint_names, taken)
+        self.labelled, self.position_column, self.needed = labelled and points is None, None, needed
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
@@ -149,26 +161,73 @@ class Layout(Columns):
             each = f"one for each of {n_joints} joints"
             raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
         self.angle_unit = angle_unit or self.find_unit(self.angle_columns)
-        self.others = {name: self.column(name, "others") for name in others}
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
+        self.notes += self.external_axes(used)
         if unused := [name for i, name in enumerate(self.header) if i not in used]:
-            self.notes.append(f"Columns not used: {', '.join(unused)}.")
+            self.notes.append(named_first("Columns not used", unused))
 
     def read(self):
         """All rows as one table."""
         table = self._table(list(self.rows(self.angle_columns)))
-        if self.points_file:
-            return _with_points(self, table, self.points_file)
+        labels, by_tracker = table.positions, self.points_file or self.point_columns
+        # A name for each row is the pose's, where places are found without labels.
+        of_each = labels is not None and len(set(labels.tolist())) == len(labels) > 1
+        if of_each and (by_tracker or not self.needed):
+            name = self.header[self.position_column]
+            self.notes.append(f"Column {name} names each row: it says nothing of positions.")
+            table = replace(table, positions=None)
         if self.labelled and table.positions is not None:
             _refuse_lonely_labels(self.path, table)
-        return table
+        return _with_points(self, table, self.points_file) if self.points_file else table
 
     def blocks(self, n_rows):
         """Yield tables of at most so many rows, and their cells as they are in the file."""
-        rows = self.rows(self.angle_columns)
-        while block := list(islice(rows, n_rows)):
-            yield self._table(block), [cells for _, cells in block]
+        is_plain = self.position_column is None and not self.point_columns
+        lines = self.plain_lines() if is_plain else None
+        if lines is None:
+            rows = self.rows(self.angle_columns)
+            while block := list(islice(rows, n_rows)):
+                yield self._table(block), [cells for _, cells in block]
+            return
+        number = self.header_row + 1
+        while block := list(islice(lines, n_rows)):
+            yield self._plain_table(block, number), block
+            number += len(block)
+
+    def plain_lines(self):
+        """Lines of data, without their ends, of a table of nothing but plain cells; None of others.
+
+        Plain are numbers with a decimal point, and words in columns that hold no angles. All lines
+        are looked at before the first is handed on: a pattern does so faster than cells are parted.
+        """
+        source = self.source
+        is_other = source.table is not None or source.separator is None or source.decimal != "."
+        if is_other or self.sections or self.width != len(self.header):
+            return None
+        of_angles = [i in self.angle_columns for i in range(self.width)]
+        cells = [_PLAIN_NUMBER if own else _PLAIN_CELL for own in of_angles]
+        line = re.compile(rf"{re.escape(source.separator).join(cells)}(?:\r?\n|\Z)")
+        with open(source.path, encoding=source.encoding, newline="") as file:
+            next(islice(file, self.header_row, self.header_row), None)
+            while text := "".join(islice(file, _LINES_AT_A_TIME)):
+                if line.sub("", text):
+                    return None
+        return self._lines()
+
+    def _lines(self):
+        with open(self.source.path, encoding=self.source.encoding, newline="") as file:
+            for line in islice(file, self.header_row, None):
+                yield line.rstrip("\r\n")
+
+    def _plain_table(self, lines, number):
+        """The table of some of these lines, of which the first has this number."""
+        cells = self.source.separator.join(lines).split(self.source.separator)
+        angles = [list(map(float, cells[i :: self.width])) for i in self.angle_columns]
+        angles = self.factor * np.array(angles).T / self.turns
+        others = self._others(lambda i: cells[i :: self.width])
+        numbers = np.arange(number, number + len(lines))
+        return Table(angles, self.angle_unit, None, None, numbers, self.notes, others)
 
     def _table(self, rows):
         """The table of some rows."""
@@ -178,13 +237,18 @@ class Layout(Columns):
         if self.point_columns:
             points = self.points(rows, self.point_columns)
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
-        others = {}
-        for name, column in self.others.items():
-            cells = [cells[column] for _, cells in rows]
-            values = self.source.numbers(cells)
-            others[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
+        others = self._others(lambda i: [cells[i] for _, cells in rows])
         numbers = np.array([number for number, _ in rows])
         return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
+
+    def _others(self, column):
+        """Further columns: numbers, or text where one cell is no number."""
+        found = {}
+        for name, i in self.others.items():
+            cells = column(i)
+            values = self.source.numbers(cells)
+            found[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
+        return found
 
 
 def _refuse_lonely_labels(path, table):
@@ -200,42 +264,136 @@ def _refuse_lonely_labels(path, table):
 # -- points of a tracker --------------------------------------------------------------------------
 
 
-def read_points(path):
-    """Names, None if no column holds any, and points (n, 3), mm, as trackers export them.
+# Names that surveyors and trackers have for x, y and z.
+_COORDINATES = (
+    ("x", "east", "easting", "e", "rechtswert", "r"),
+    ("y", "north", "northing", "n", "hochwert"),
+    ("z", "elevation", "height", "h", "up", "elev", "höhe", "hoehe", "u"),
+)
+# Names of a column of names, the surest first.
+_NAMES = ("point name", "pointid", "point id", "name", "id", "point", "target", "no", "nr", "n")
+# Points, rows and columns that are named in a note.
+_MOST_NAMED = 8
 
-    The columns are x, y and z by name, or else names and then three numbers in each row.
+
+def read_points(path, wanted=None):
+    """Names, None if no column holds any; points (n, 3), mm, as trackers export them; and notes.
+
+    The columns are `wanted`, or x, y and z by name, or else names and then three numbers in each
+    row. Points without coordinates are left out.
     """
     columns = Columns(path, 3)
-    if set("xyz") <= set(columns.names):
-        found = [columns.names.index(name) for name in "xyz"]
-    else:  # names, then x, y, z, then what else is known of a point
-        _, cells = columns.first[0]
-        found = [i for i, cell in enumerate(cells) if columns.source.number(cell) is not None]
-        found = found[len(found) == 4 and found[0] == 0 :][:3]
-    if len(found) != 3:
-        raise TableError(f"{path}: which columns are x, y and z? It has {columns}.")
+    found = _columns_of_points(columns, wanted)
     rows = list(columns.rows(found))
-    # Names stand before the points.
-    names = columns.labels(rows, found[0] - 1).tolist() if found[0] else None
-    return names, columns.points(rows, found)
+    notes = []
+    if empty := [cells for _, cells in rows if all(cells[i] == "" for i in found)]:
+        notes.append(f"Points of {path} without coordinates, left out: {len(empty)}.")
+        rows = [row for row in rows if row[1] not in empty]
+    points = columns.points(rows, found)
+    # The names stand before the points, or in a column that is called so, and tell them apart.
+    called = [columns.names.index(name) for name in _NAMES if name in columns.names]
+    names = None
+    for i in [found[0] - 1, *columns.label_columns, *called]:
+        if i >= 0 and i not in found:
+            own = [text_of_label(cells[i]) for _, cells in rows]
+            names = own if names is None or len(set(names)) < len(set(own)) == len(own) else names
+    return names, points, notes + columns.notes[1:]
+
+
+def _columns_of_points(columns, wanted):
+    """Columns of x, y and z."""
+    if wanted:
+        return [columns.column(name, "--points") for name in wanted]
+    at = {name: columns.names.index(name) for name in columns.names}
+    by_name = [[at[name] for name in words if name in at] for words in _COORDINATES]
+    if all(by_name):
+        return [found[0] for found in by_name]
+    likewise = [
+        [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
+    ]
+    triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
+    if len(triples) == 1:
+        return triples[0]
+    # Names, then x, y, z, then what else is known of a point.
+    _, cells = columns.first[0]
+    found = [i for i, cell in enumerate(cells) if columns.source.number(cell) is not None]
+    found = [i for i in found if i not in columns.label_columns and columns.names[i] not in _NAMES]
+    found = found[len(found) == 4 and found[0] == 0 :][:3]
+    if len(found) != 3 or len(triples) > 1:
+        raise TableError(
+            f"{columns.path}: which columns are x, y and z? Say it with --points "
+            f"{columns.path.name}:X,Y,Z; it has {columns}."
+        )
+    return found
+
+
+def split_points(source):
+    """File of points, and the names of its columns of ``FILE:X,Y,Z`` or None."""
+    path, _, names = str(source).rpartition(":")
+    if path and Path(path).is_file() and not Path(source).is_file():
+        return Path(path), names.split(",")
+    return Path(source), None
+
+
+def text_of_label(cell):
+    """Label in a cell, the same whether it was written 7, 7.0 or by a spreadsheet."""
+    text = str(cell).strip()
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return str(int(number)) if number.is_integer() else repr(number)
 
 
 def _with_points(layout, table, source):
     """The table with points of another file: matched by their names, or else by their order."""
-    names, points = read_points(source)
-    order, how = np.arange(len(points)), "in the order of the rows"
-    row_of_name = {name: i for i, name in enumerate(names or ())}
-    if len(row_of_name) == len(points):
-        rows = (map(str, cells) for _, cells in layout.rows(layout.angle_columns))
-        for name, cells in zip(layout.header, zip(*rows, strict=True), strict=True):
-            if row_of_name.keys() >= set(cells) and len(set(cells)) == len(cells):
-                order = np.array([row_of_name[cell] for cell in cells])
-                how = f"matched by the column {name}"
-                break
-    if len(order) != len(table.angles):
+    path, wanted = split_points(source)
+    names, points, notes = read_points(path, wanted)
+    table.notes.extend(notes)
+    cells = [cells for _, cells in layout.rows(layout.angle_columns)]
+    kept, order, column = _match(layout, cells, names)
+    if len(kept):
+        lost = np.delete(np.arange(len(cells)), kept)
+        spare = np.delete(np.arange(len(points)), order)
+        table.notes.append(
+            f"Points of {path}, matched by the column {layout.header[column]}."
+            + named_first(" Rows without a point, left out", [str(cells[i][column]) for i in lost])
+            + named_first(" Points without a row", [names[i] for i in spare])
+        )
+        parts = {name: getattr(table, name)[kept] for name in ("angles", "rows")}
+        others = {name: values[kept] for name, values in table.others.items()}
+        positions = None if table.positions is None else table.positions[kept]
+        return replace(table, **parts, others=others, positions=positions, points=points[order])
+    if len(points) != len(table.angles):
         raise TableError(
-            f"{source} holds {len(points)} points, {layout.path} {len(table.angles)} rows, "
+            f"{path} holds {len(points)} points, {layout.path} {len(table.angles)} rows, "
             "and no column of names says which belong together."
         )
-    table.notes.append(f"Points of {source}, {how}.")
-    return replace(table, points=points[order])
+    table.notes.append(f"Points of {path}, in the order of the rows.")
+    return replace(table, points=points)
+
+
+def _match(layout, cells, names):
+    """Rows whose name is one of a point, these points, and the column of the names.
+
+    Names must tell all rows and all points apart, and most of the fewer must have a partner.
+    """
+    row_of_name = {name: i for i, name in enumerate(names or ())}
+    best: tuple[Any, Any, int] = ([], [], -1)
+    for column in range(len(layout.header)):
+        own = [text_of_label(row[column]) for row in cells]
+        if column in layout.angle_columns or len(set(own)) < len(own):
+            continue
+        kept = [i for i, name in enumerate(own) if name in row_of_name]
+        if len(kept) > len(best[0]):
+            best = kept, [row_of_name[own[i]] for i in kept], column
+    enough = 2 * len(best[0]) > min(len(cells), len(names or ()))
+    return best if enough and len(row_of_name) == len(names or ()) else ([], [], -1)
+
+
+def named_first(what, names):
+    """A sentence that names these, the first of them if they are many; "" without any."""
+    if not names:
+        return ""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"{what}: {', '.join(names[:_MOST_NAMED])}{more}."

@@ -10,6 +10,7 @@ from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     axis_vectors,
     carried,
+    own_angles,
     parameter_jacobian,
     points_of,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "check_angles",
     "check_arm",
     "limits_of",
+    "own_angles",
     "parameter_jacobian",
     "points_of",
     "solve",

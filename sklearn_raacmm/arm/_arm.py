@@ -13,16 +13,23 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS
+from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
-from sklearn_raacmm.arm._kinematics import frame_poses, parameter_jacobian, points_of
+from sklearn_raacmm.arm._kinematics import (
+    by_given_angles,
+    frame_poses,
+    parameter_jacobian,
+    points_of,
+)
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
+# Arms of fewer joints have no wrist where the default poses suppose it.
+_FEW_JOINTS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,7 +57,7 @@ class Arm:
         - "modified" (Craig): ``Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)``, where `a` and `alpha`
           of row ``i`` are the lengths and twists usually written with the index ``i - 1``;
 
-        with ``theta_i = joint_signs_i * angle_i + theta_offset_i``.
+        with ``theta_i = joint_signs_i * angle_i + theta_offset_i``, see also `couplings`.
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
         Direction in which each encoder counts: -1 where it counts against the table's angle.
     pose_joints : tuple of two int, default=(3, 4)
@@ -70,6 +77,11 @@ class Arm:
         as on a wall, has (1, 0, 0), and one that hangs from the ceiling (0, 0, -1). The columns of
         gravity in `ArmResidualRegressor`, payloads, and the probe's lean in `plan_poses` follow it.
         The axis of azimuths and of the cylindrical frame remains the base's z axis.
+    couplings : sequence of (joint, other, 1 or -1), default=()
+        Joints whose own angle is a sum: ``(3, 2, 1)`` says that joint 3 stands at ``angle_3 +
+        angle_2`` of what the controller gives, as on arms whose third angle counts from the
+        horizontal; -1 takes the other angle off. The error of a joint's encoder is one of its own
+        angle.
 
     Attributes
     ----------
@@ -109,6 +121,7 @@ class Arm:
     names: tuple[str, ...] = ()
     limits: Floats | None = None
     up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
+    couplings: tuple[tuple[int, int, int], ...] = ()
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -128,6 +141,7 @@ class Arm:
             names: Sequence[str] = (),
             limits: ArrayLike | None = None,
             up: ArrayLike = (0.0, 0.0, 1.0),
+            couplings: Sequence[Sequence[int]] = (),
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -162,7 +176,12 @@ class Arm:
         probe = ", ".join(f"{value:g}" for value in self.probe)
         up = ", ".join(f"{value:g}" for value in self.up)
         up = "" if up == "0, 0, 1" else f", up ({up})"
-        return f"<Arm{name}: {self.n_joints} joints, {self.convention} DH, probe ({probe}) mm{up}>"
+        sums = "".join(
+            f", joint {i} at J{i} {'+' if factor > 0 else '-'} J{j}"
+            for i, j, factor in self.couplings
+        )
+        kind = f"{self.n_joints} joints, {self.convention} DH"
+        return f"<Arm{name}: {kind}, probe ({probe}) mm{up}{sums}>"
 
     def __str__(self) -> str:
         header = "joint  sign      a/mm   alpha/deg      d/mm  offset/deg"
@@ -234,13 +253,17 @@ class Arm:
         alpha, theta_offset : array-like of shape (n_joints,)
             Angles in degrees.
         **params : dict
-            The other parameters of `Arm`.
+            The other parameters of `Arm`. Arms of fewer than five joints have the pose of their
+            first two, and of the whole arm, unless it is given.
 
         Returns
         -------
         Arm
         """
         alpha = np.deg2rad(floats("alpha", alpha))
+        if 1 < np.size(alpha) < _FEW_JOINTS:  # no elbow and wrist as the default names them
+            convention = params.get("convention", "standard")
+            params = usual_pose(np.size(alpha), False, convention) | params
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod
@@ -404,7 +427,7 @@ class Arm:
             ur_calibration writes them, with the controller's base.
         base, tip : str, default=None
             Names of the links where the chain begins and ends; `tip` is the probe. None: the only
-            ones there are.
+            ones there are, and of what `to_urdf` has written the arm's own base.
 
         Returns
         -------
@@ -424,7 +447,7 @@ class Arm:
         -----
         UserWarning
             If the base frame is another, if axes are so nearly parallel that they are taken as
-            parallel, or if rounded angles that are taken as pi/2 move the probe by 0.1 mm or more:
+            parallel, or if rounded angles that are taken as pi/2 move the probe by more than 1 um:
             by how much; below that it is a note, which the command `raacmm arm` prints.
 
         Examples
@@ -440,8 +463,8 @@ class Arm:
     def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
 
-        Joints have the names and limits of the arm; without limits they are continuous. Where the
-        robot has a file of its own, `update_urdf` keeps what else stands there.
+        Joints have the names and limits of the arm; without limits they turn a hundred times.
+        Where the robot has a file of its own, `update_urdf` keeps what else stands there.
 
         Parameters
         ----------
@@ -451,9 +474,9 @@ class Arm:
         Returns
         -------
         str
-            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad. Where the arm
-            does not stand upright a link ``world`` comes first: read such a file with
-            ``base="base_link"``.
+            The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad, of the
+            joints' own angles: the format has no `couplings`, and a warning says so. Where the arm
+            does not stand upright a link ``world`` comes first, which `from_urdf` leaves out.
         """
         return _write_text(urdf_text(self), path)
 
@@ -467,8 +490,9 @@ class Arm:
     ) -> str:
         """Write the calibrated arm back into the robot's own description.
 
-        The origins of the joints from `base` to `tip` get new numbers. Everything else stays as it
-        is in the file: names, limits, meshes, tools and comments.
+        The origins of the joints from `base` to `tip` get new numbers, those of fixed joints where
+        the arm has right angles for rounded ones. Everything else stays as it is in the file:
+        names, limits, meshes, tools and comments.
 
         Parameters
         ----------
@@ -585,7 +609,7 @@ class Arm:
             vector from the axis to the probe.
         """
         n, angles = self.n_joints, check_angles(angles, self.n_joints, angle_unit)
-        return parameter_jacobian(self, angles)[1][:, :, 3 * n : 4 * n] * self.joint_signs
+        return by_given_angles(self, parameter_jacobian(self, angles)[1][:, :, 3 * n : 4 * n])
 
     def angles_for(
         self,

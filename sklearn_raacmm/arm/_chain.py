@@ -15,6 +15,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sklearn_raacmm.utils import warn_user
+
 MM_PER_M = 1000.0
 # A number with so many decimals that is pi/2 (or pi/4) rounded is meant to be it.
 _DECIMALS = {2: 2, 4: 4}
@@ -27,6 +29,8 @@ _OTHERS = {
     "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
     "COLLADA": ", that of shapes: take the URDF that names them",
 }
+# Limits that are written where an arm has none: a hundred turns, rad.
+_FAR = 628.0
 # Digits of a rotation: the cosine of pi/2 is 0, so that parallel axes stay parallel.
 _DIGITS = 15
 # Cosines smaller than this are rounding.
@@ -44,6 +48,9 @@ _UR_JOINTS = {
     "wrist_3": "wrist_3_joint",
 }
 _UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+# The link and the fixed joint by which a file of our own says how the arm stands: points are in the
+# frame of the link behind them, as those of the arm that was written.
+_WORLD, _MOUNT = "world", "mount"
 _UR_FILE = re.compile(r"^kinematics:", re.MULTILINE)
 _UR_LINE = re.compile(r"^(\s*)(\w+):[ \t]*([^#\s]*)(.*)$", re.MULTILINE)
 
@@ -102,8 +109,9 @@ def _joints(text, where):
         raise ValueError(f"{where} is not a URDF: its outermost element is {root.tag!r}{other}.")
     joints = root.findall("joint")
     # Comments, and elements that are no joints, may hold what they like.
-    parts = (part for joint in joints for part in joint.iter())
-    if any("xacro" in element.tag for element in root.iter()) or any(
+    parts = [part for joint in joints for part in joint.iter()]
+    # Macros of joints would be missing; what is left of them in a link moves nothing.
+    if any("xacro" in part.tag for part in [*root, *parts]) or any(
         "${" in value for part in parts for value in part.attrib.values()
     ):
         raise ValueError(f"{where} holds xacro macros: expand it first (xacro file.xacro).")
@@ -126,6 +134,9 @@ def _chain(joints, base, tip, where):
     parents = {joint.find("parent").get("link") for joint in joints}
     tip = _one_of(sorted(set(by_child) - parents), tip, "tip", {*by_child}, where)
     roots = sorted(parents - set(by_child))
+    first = [joint for joint in joints if joint.find("parent").get("link") in roots]
+    if base is None and roots == [_WORLD] and [one.get("name") for one in first] == [_MOUNT]:
+        base = first[0].find("child").get("link")
     base = _one_of(roots, base, "base", parents, where)
     chain, mount, link = [], [], tip
     while link != base:
@@ -182,6 +193,7 @@ def _joint(element, where):
     if kind == "revolute" and limit is not None:
         try:
             ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
+            ends = (-np.inf, np.inf) if ends == (-_FAR, _FAR) else ends
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
     place, child = _pose(MM_PER_M * np.array(xyz), rpy), element.find("child").get("link")
@@ -209,13 +221,15 @@ def _ur_joints(text, where):
     joints = []
     for key, name in _UR_JOINTS.items():
         try:
-            six = [_meant(values[key, one]) for one in _UR_KEYS]
+            given = [values[key, one] for one in _UR_KEYS]
+            xyz, rpy = [*map(float, given[:3])], [*map(_meant, given[3:])]
         except (KeyError, ValueError):
             raise ValueError(
                 f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
             ) from None
-        place = _pose(MM_PER_M * np.array(six[:3]), six[3:])
-        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf)))
+        place, off = _pose(MM_PER_M * np.array(xyz), rpy), np.array(given[3:], dtype=float) - rpy
+        rounded = float(np.abs(off).max())
+        joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf), rounded=rounded))
     return joints
 
 
@@ -323,8 +337,19 @@ def _xyz_rpy(origin):
     return tuple(" ".join(repr(float(value)) for value in part) for part in parts)
 
 
+def warn_of_sums(arm):
+    """Say what a file leaves out of an arm whose angles are sums."""
+    if arm.couplings:
+        sums = ", ".join(f"J{i} {'-+'[f > 0]} J{j}" for i, j, f in arm.couplings)
+        warn_user(
+            f"A robot's own file has no joints whose angles are sums: it takes the angles of the "
+            f"joints themselves, {sums}, which whoever reads the file has to add."
+        )
+
+
 def urdf_text(arm):
     """Text of an arm as URDF; see `Arm.to_urdf`."""
+    warn_of_sums(arm)
     rows, before = [], np.eye(4)
     for i in range(arm.n_joints):
         link = _pose((arm.a[i], 0, 0), (arm.alpha[i], 0, 0))
@@ -340,14 +365,12 @@ def urdf_text(arm):
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
     if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
         mount = rigid(turn_between(arm.up, [0.0, 0.0, 1.0]), 0.0)
-        rows, links = [("mount", mount, None, ()), *rows], ["world", *links]
+        rows, links = [(_MOUNT, mount, None, ()), *rows], [_WORLD, *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
     for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):
         xyz, rpy = _xyz_rpy(origin)
-        kind = (
-            "fixed" if sign is None else "revolute" if np.isfinite(limits).all() else "continuous"
-        )
+        kind = "fixed" if sign is None else "revolute"
         lines += [
             f'  <joint name={quoteattr(name)} type="{kind}">',
             f'    <parent link="{parent}"/>',
@@ -356,7 +379,9 @@ def urdf_text(arm):
             *([] if sign is None else [f'    <axis xyz="0 0 {sign:.0f}"/>']),
         ]
         if kind == "revolute":  # the format asks for effort and velocity, which nobody measured
-            low, high = map(float, limits)
+            # Of a continuous joint some programs make two numbers: one without limits turns far.
+            is_free = not np.isfinite(limits).all()
+            low, high = (-_FAR, _FAR) if is_free else map(float, limits)
             lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>"]) + "\n"

@@ -39,6 +39,7 @@ def check_fields(arm: Any) -> dict[str, Any]:
         "names": check_names(arm.names, n),
         "limits": check_limits(arm.limits, n),
         "up": check_direction("up", arm.up),
+        "couplings": check_couplings(arm.couplings, n),
     }
     if np.any(np.abs(checked["joint_signs"]) != 1):
         raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
@@ -51,6 +52,20 @@ def check_fields(arm: Any) -> dict[str, Any]:
             "length does not move its probe."
         )
     return checked
+
+
+def check_couplings(value, n):
+    """Triples of two different joints, from 1, and 1 or -1."""
+    couplings = tuple(tuple(one) for one in value)
+    joints = [str(i) for i in range(1, n + 1)]
+    for one in couplings:
+        good = len(one) == 3 and one[2] in (1, -1) and one[0] != one[1]
+        if not (good and {str(one[0]), str(one[1])} <= set(joints)):
+            raise ValueError(
+                f"couplings must hold triples of two different joints from 1 to {n} and 1 or -1, "
+                f"such as (3, 2, 1), got {one!r:.60}."
+            )
+    return tuple(sorted(tuple(map(int, one)) for one in couplings))
 
 
 def check_numbers(name, value, size, unit, bound, broadcast=False):

@@ -26,7 +26,12 @@ _JSON_KEYS = {
     "pose_frames": "pose_frames",
 }
 # These may be missing.
-_OPTIONAL_KEYS = {"names": "joint_names", "limits": "limits_rad", "up": "up"}
+_OPTIONAL_KEYS = {
+    "names": "joint_names",
+    "limits": "limits_rad",
+    "up": "up",
+    "couplings": "couplings",
+}
 
 
 def read_fields(source: Any) -> tuple[dict[str, Any], str]:
@@ -65,6 +70,8 @@ def json_text(arm: Any) -> str:
         content["limits_rad"] = shown.tolist()
     if arm.up.tolist() != [0, 0, 1]:  # files of upright arms are read by earlier versions, too
         content["up"] = arm.up.tolist()
+    if arm.couplings:
+        content["couplings"] = [list(one) for one in arm.couplings]
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

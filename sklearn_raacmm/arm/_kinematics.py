@@ -15,8 +15,28 @@ FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 CHUNK_ROWS = 4096
 
 
+def own_angles(arm: Any, angles: np.ndarray) -> np.ndarray:
+    """Angle of each joint itself (n, n_joints), of what the encoders give: see `Arm.couplings`."""
+    if not arm.couplings:
+        return angles
+    own = angles.copy()
+    for joint, other, factor in arm.couplings:
+        own[:, joint - 1] += factor * angles[:, other - 1]
+    return own
+
+
+def by_given_angles(arm: Any, jacobian: np.ndarray) -> np.ndarray:
+    """Derivatives (..., n_joints) by what the encoders give, of those by theta of the table."""
+    by_own = jacobian * arm.joint_signs
+    jacobian = by_own.copy() if arm.couplings else by_own
+    for joint, other, factor in arm.couplings:
+        jacobian[..., other - 1] += factor * by_own[..., joint - 1]
+    return jacobian
+
+
 def _rows_of_table(arm, angles):
     """Of each joint: cosines and sines of theta (n_joints, n_samples), a, d, cos and sin alpha."""
+    angles = own_angles(arm, angles)
     theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
     links = (part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha)))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._kinematics import axis_vectors, frame_poses, points_of
+from sklearn_raacmm.arm._kinematics import axis_vectors, by_given_angles, frame_poses, points_of
 from sklearn_raacmm.utils import floats, warn_user
 
 # Points are within this of the wanted ones, mm; an orientation's error counts times the reach.
@@ -152,9 +152,9 @@ def _bare(arm, aim, turned, angles, low, high):
         if not len(open_):
             break
         vectors = axis_vectors(arm, own)[0]
-        jacobian = vectors[:, :, turns] * arm.joint_signs
+        jacobian = by_given_angles(arm, vectors[:, :, turns])
         if turned is not None:
-            axes = vectors[:, :, 3 * (arm.n_joints + 1) + turns] * arm.joint_signs
+            axes = by_given_angles(arm, vectors[:, :, 3 * (arm.n_joints + 1) + turns])
             jacobian = np.concatenate([jacobian, arm.reach_mm * axes], axis=1)
         # A joint at its limit that is pushed further does not help.
         step = _shortest(jacobian, gap)

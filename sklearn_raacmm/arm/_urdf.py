@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._chain import edited, read_chain, rigid, turn_between, with_probe
+from sklearn_raacmm.arm._chain import (
+    edited,
+    read_chain,
+    rigid,
+    turn_between,
+    warn_of_sums,
+    with_probe,
+)
 from sklearn_raacmm.utils import Finding, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -22,7 +29,7 @@ _FARTHEST_FOOT = 10.0
 # The arm's base frame is the file's where the first axis is so near to what the table can say, mm.
 _SAME_MM = 1e-10
 # Angles that are taken as right ones are warned of from here on, mm at the probe.
-_MUCH_MM = 0.1
+_MUCH_MM = 1e-3
 # Calibration turns axes by a degree or so: farther ones belong to another arm, rad.
 _SAME_ARM = 0.2
 
@@ -77,10 +84,14 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
             f"is {arm!r}: only an arm that was read from this file can be written back into "
             "it."
         )
+    warn_of_sums(arm)
     old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
     axes = iter(zip(old, new, strict=True))
     point = (new[-1] @ [*arm.probe, 1.0])[:3]
-    before, origins = np.eye(4), {}
+    # Right angles of fixed joints as the arm has them: other programs read what is written.
+    fixed = [joint for joint in (*mount, *joints) if joint.axis is None]
+    origins: Any = {joint.name: joint.origin for joint in fixed if joint.rounded}
+    before = np.eye(4)
     for joint, file in zip(joints, _frames(joints), strict=True):
         if joint.axis is None:
             before = before @ joint.origin

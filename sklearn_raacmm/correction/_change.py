@@ -42,7 +42,7 @@ from sklearn_raacmm.utils import (
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
-_LOG_NOISE = (0.0, 4.0)
+LOG_NOISE = (0.0, 4.0)
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
 _REGISTERED_PLACE_MM = 5.0
@@ -58,9 +58,6 @@ _LOW_ORDERS = 8
 _NEW_ORDERS = 2
 # A fifth of the new poses is left out at a time. A choice, not measured.
 _N_FOLDS = 5
-# Poses in the range of the new ones that are tried for how much a change leaves open there: a
-# number for speed.
-_TRIED = 200
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
 # the make and half as the individual's own, as firmly as one more arm would show it. A guess that
 # ``benchmarks/bench_after_the_lab.py transfer`` judges: it does not choose.
@@ -155,38 +152,30 @@ def place_columns(arm, angles, with_base):
     return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
 
 
-def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
+def changed_model(linear, poses, log_noise=LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
     `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
-    model, what `updates_` keeps of the change (`tau` says how much each part has changed), and
-    what the loss left of the weight of each pose, (n,).
+    model, what `updates_` keeps of the change (`tau` says how much each part has changed), what the
+    loss left of the weight of each pose, (n,), and where the search ended, for `judged_fading`.
     """
-    linear = as_prior(linear)
-    arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
-    columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
-    parts = columns, place, poses.residuals
-    columns, place, shown = (centred(part, codes, weights) for part in parts)
-    after = condition(linear, changes_of(linear), columns, place, shown, weights, log_noise)
-    seen_weights = weights * after.row_weight / after.noise_sd**2
-    p, fold = len(linear.coef), _into_kinematics(linear, codes is None)
-    half = after.half[:p] + fold @ after.half[p:]
+    model, after = _conditioned(linear, poses, log_noise)
+    angles, weights, codes = poses.angles, poses.weights, poses.codes
+    p = len(model.coef)
+    half = after.half[:p] + _into_kinematics(model, codes is None) @ after.half[p:]
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
     model = replace(
-        linear,
-        coef=after.mean[:p] + fold @ after.mean[p:],
+        model,
         half=half,
         gauge_free_half=half,
-        fading_half=_informed(linear.fading_half, columns, place, seen_weights),
         noise_variance=after.noise_sd**2,
         noise_scale=noise_scale,
         std_scale=std_scale,
         n_positions=float(len(np.unique(poses.positions))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
-        tried = poses_in_range(angles[weights > 0], arm.n_joints)
-        free = model.constrained(tried, np.ones(len(tried)), np.arange(len(tried)))
+        free = model.constrained(angles[weights > 0])
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
         "date": day(date),
@@ -194,15 +183,34 @@ def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
         "tau": after.tau,
         "noise_sd_mm": after.noise_sd,
     }
-    return model, entry, after.row_weight
+    return model, entry, after.row_weight, after.logs
 
 
-def judged_fading(linear, poses, fading, log_noise=_LOG_NOISE):
+def _conditioned(linear, poses, log_noise, start=None, means_only=False):
+    """Linear model with the mean and the fading that new poses ask for, and the `Posterior`."""
+    linear = as_prior(linear)
+    arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
+    columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
+    parts = columns, place, poses.residuals
+    columns, place, shown = (centred(part, codes, weights) for part in parts)
+    rows = columns, place, shown, weights, log_noise
+    after = condition(linear, changes_of(linear), *rows, start, means_only)
+    seen_weights = weights * after.row_weight / after.noise_sd**2
+    p = len(linear.coef)
+    model = replace(
+        linear,
+        coef=after.mean[:p] + _into_kinematics(linear, codes is None) @ after.mean[p:],
+        fading_half=_informed(linear.fading_half, columns, place, seen_weights),
+    )
+    return model, after
+
+
+def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
     poses. The share that is used follows at each fifth of them by a model that was changed without
-    it.
+    it, from where the search of all ended, the `start`.
 
     Returns the fading, and its `Judgement`; None where fewer than four positions are known.
     """
@@ -217,7 +225,9 @@ def judged_fading(linear, poses, fading, log_noise=_LOG_NOISE):
         for number in range(fold.max() + 1):
             out = fold == number
             rest = poses.at(~out)
-            model = linear if rest.too_few else changed_model(linear, rest, log_noise)[0]
+            model = linear
+            if not rest.too_few:
+                model = _conditioned(linear, rest, log_noise, start, means_only=True)[0]
             correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
     fading = replace(fading, known_mm=float(doubt[used].max()))
     known = poses.weights, poses.codes, positions, fading.most
@@ -233,20 +243,6 @@ def _informed(half, columns, place, weights):
     root = np.sqrt(weights)[:, None, None]
     seen, free = (np.concatenate(part * root) for part in (columns, place))
     return narrowed(half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0])
-
-
-def poses_in_range(angles, n_joints):
-    """Poses whose joints stand anywhere in the ranges that some poses are from.
-
-    Extra columns are as they were.
-    """
-    low, high = angles.min(axis=0), angles.max(axis=0)
-    # Of n uniform numbers the extremes lie this far inside their range on the average.
-    beyond = (high - low) / max(len(angles) - 1, 1)
-    rng = np.random.default_rng(0)
-    tried = rng.uniform(low - beyond, high + beyond, (_TRIED, angles.shape[1]))
-    tried[:, n_joints:] = angles[rng.integers(len(angles), size=_TRIED), n_joints:]
-    return tried
 
 
 def harmonics_of(linear):
@@ -355,14 +351,14 @@ def transferred_model(models, arm, X, y, groups=None):
     poses = NewPoses(new, X, y, groups)
     if not own.offsets:
         poses.codes = None
-    linear, entry, pose_weight = changed_model(prior, poses, _LOG_NOISE_OF_MAKE)
+    linear, entry, pose_weight, ended = changed_model(prior, poses, _LOG_NOISE_OF_MAKE)
     poses.weights = poses.weights * pose_weight * new.pose_weight_
     part, size = changes_of(prior)
     sd = np.array([entry["tau"][name] for name in part]) * size
     known = prior, np.hstack([prior.half, np.diag(sd)]), poses, entry["noise_sd_mm"]
     gain = _log_evidence(*known) - _evidence_of_fit(own, poses)
     fading = replace(new.fading_, factor=_FADING, most=1.0)
-    fading, judgement = judged_fading(prior, poses, fading, _LOG_NOISE_OF_MAKE)
+    fading, judgement = judged_fading(prior, poses, fading, ended, _LOG_NOISE_OF_MAKE)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
         half = linear.gauge_free_half
@@ -428,7 +424,10 @@ def _pooled(linears, layout):
     variance = (scatter + _GUESSED_ARMS * guess) / (n - 1 + _GUESSED_ARMS)
     trust = np.zeros(len(mean))
     part = parts_of(aligned[0])
-    for name in set(part.tolist()):
+    # What a calibration leaves of the table is nothing of the make: its prior is the drawing's.
+    of_table = part == "kinematics"
+    variance[of_table] = prior_sd.get("kinematics", 0.0) ** 2
+    for name in set(part[~of_table].tolist()):
         of = part == name
         common = max(np.mean(np.square(mean[of]) - variance[of] / n), 0.0)
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)

@@ -48,11 +48,12 @@ class Posterior(NamedTuple):
     """Coefficients after the new rows: those of the columns, then those that are nearly free."""
 
     mean: np.ndarray  # (p + q,)
-    half: np.ndarray  # (p + q, k) root of their covariance
+    half: Any  # (p + q, k) root of their covariance; None where only means were asked for
     tau: dict[str, float]  # by the name of the part
     noise_sd: float
     row_weight: np.ndarray  # (n,) what the loss left of the weight of each row
-    left_out: tuple[np.ndarray, np.ndarray, np.ndarray]  # see `_left_out`
+    left_out: Any  # see `_left_out`; None likewise
+    logs: np.ndarray  # of the taus and the noise, where the search ended
 
 
 def condition(
@@ -63,6 +64,8 @@ def condition(
     y: np.ndarray,
     weights: np.ndarray,
     log_noise: tuple[float, float],
+    start: np.ndarray | None = None,
+    means_only: bool = False,
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
@@ -74,12 +77,15 @@ def condition(
     bounds `log_noise`, have the highest marginal likelihood times log-normal priors (MacKay, Neural
     Comput. 4, 1992). Rows that stay far from this posterior are weighed down (Tukey's biweight),
     and it is found again: rows far from the prior alone show the change.
+
+    The search begins at `start`, the `logs` of nearly the same rows, where there are some. Where
+    `means_only` are asked for, what standard deviations are made of is left out.
     """
     part, size = changes
     p, y = len(prior.coef), y - columns @ prior.coef
-    factor, logs, rounds = np.ones(len(y)), None, 0
+    factor, logs, rounds = np.ones(len(y)), start, 0
     while True:
-        A, summed, n_data = _rows_of(columns, free, y, weights * factor)
+        A, summed, n_data = rows_of(np.concatenate([columns, free], axis=2), y, weights * factor)
         evidence = _Evidence(prior, changes, A, summed, n_data, log_noise)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
@@ -96,12 +102,13 @@ def condition(
         rounds += 1
         if rounds == _ROUNDS or np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
-    half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
-    spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
-    spread = spread.reshape(*y.shape, -1)
-    left_out = _left_out(left, spread, weights * before, noise_sd)
+    half = left_out = None
+    if not means_only:
+        half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
+        spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
+        left_out = _left_out(left, spread.reshape(*y.shape, -1), weights * before, noise_sd)
     mean[:p] += prior.coef
-    return Posterior(mean, half, tau, noise_sd, before, left_out)
+    return Posterior(mean, half, tau, noise_sd, before, left_out, logs)
 
 
 def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -132,20 +139,35 @@ def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float)
     return float(-0.5 * (fit + np.log(value).sum()) - n_data * np.log(noise_sd))
 
 
-def _rows_of(columns, free, y, weights):
+def rows_of(
+    columns: np.ndarray, y: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Weighted rows of coordinates, no more than columns, and how many coordinates they sum up.
 
-    A (m, p + q) has columns and free ones side by side, y is (m,).
+    Of columns (n, c, p) and y (n, c): (m, p) and (m,).
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
-    A = np.concatenate([columns[kept], free[kept]], axis=2) * root[:, :, None]
-    A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
+    A = (columns[kept] * root[:, :, None]).reshape(-1, columns.shape[2])
+    y = (y[kept] * root).ravel()
     n_data = len(y)
     if n_data > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
         A, y = R[:, :-1], R[:, -1]
     return A, y, n_data
+
+
+def log_evidence(
+    prior: Any,
+    changes: tuple[np.ndarray, np.ndarray],
+    rows: np.ndarray,
+    y: np.ndarray,
+    n_data: int,
+    log_noise: tuple[float, float],
+) -> float:
+    """Highest log evidence of summed rows (m, p + q) and y (m,), as `condition` has it."""
+    evidence = _Evidence(prior, changes, rows, y, n_data, log_noise)
+    return -float(evidence(evidence.lowest())[0])
 
 
 class _Evidence:

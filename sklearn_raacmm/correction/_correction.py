@@ -6,6 +6,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from html import escape
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,10 +21,10 @@ from sklearn_raacmm.correction._files import dump_model, load_model, read_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import given_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
-from sklearn_raacmm.correction._update import update_correction
+from sklearn_raacmm.correction._update import nothing_changed, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Finding, Floats, check_option, encode_groups
+from sklearn_raacmm.utils import Finding, Floats, align, check_option, encode_groups
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
@@ -368,6 +369,8 @@ class Correction:
     ) -> Self:
         """Register, and bring the model up to date with the same poses.
 
+        Where these show nothing but noise, as its evidence says, model and probe stay as they are.
+
         Parameters
         ----------
         angles, positions, points, lengths, angle_unit
@@ -388,7 +391,17 @@ class Correction:
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         new: Any = self.register(angles, positions, points, lengths, accept=accept)
-        y, X = new.calibration.residuals(angles, points, positions), self.inputs(angles, extra)
+        model, X = copy(self.model), self.inputs(angles, extra)
+        if points is None:
+            old = position_residuals(self.arm.forward(angles), np.asarray(positions))
+        else:
+            old, seen = self.arm.forward(angles), np.asarray(points)
+            turn, shift = align(seen, old - self.model.predict(X))
+            old = old - seen @ turn.T - shift
+        if nothing_changed(model, X, old, positions, date):
+            new = self.register(angles, positions, points, lengths, free=(), accept=accept)
+            return replace(new, model=model)
+        y = new.calibration.residuals(angles, points, positions)
         updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
         return replace(new, model=updated)
 
@@ -482,8 +495,11 @@ class Correction:
         base: Any = self.base
         if base is not None:
             base = dict(zip(_BASE, (part.tolist() for part in base), strict=True))
-        contents = {"arm.json": self.arm.to_json(), "model.skops": dump_model(self.model)}
-        return write_folder(folder, self.facts | {"base": base}, contents | dict(others or {}))
+        others = dict(others or {})
+        if "model.skops" not in others:
+            others["model.skops"] = dump_model(self.model)
+        contents = {"arm.json": self.arm.to_json(), **others}
+        return write_folder(folder, self.facts | {"base": base}, contents)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> Self:
@@ -583,6 +599,30 @@ class Correction:
             of_angles.arm_ = model.arm_
             of_angles.with_arm = lambda arm: self._of_angles(model.with_arm(arm))
         return of_angles
+
+    def _repr_html_(self) -> str:
+        """The verdict, and 2S or deviation of each position before and after as bars."""
+        parts = [f"<p><strong>{escape(self.verdict)}</strong></p><p>{escape(repr(self.arm))}</p>"]
+        table = self.facts["positions"]
+        names, before, after = (table[name] for name in ("position", "before", "after"))
+        worst = sorted(range(len(names)), key=lambda i: -before[i])[:_SHOWN]
+        most = max([*(before[i] for i in worst), *(after[i] for i in worst), 1e-300])
+        measure = escape(self.facts["measure"])
+        parts.append(f"<table><tr><th>position</th><th>{measure}, mm</th><th></th></tr>")
+        for i in worst:
+            for label, value, colour in (
+                (names[i], before[i], "#999999"),
+                ("corrected", after[i], "#0072B2"),
+            ):
+                width = 200 * value / most
+                parts.append(
+                    f"<tr><td>{escape(str(label))}</td><td>{value:.4f}</td><td><svg width='200' "
+                    f"height='10'><rect width='{width:.1f}' height='10' fill='{colour}'/></svg>"
+                    "</td></tr>"
+                )
+        rest = len(names) - len(worst)
+        more = f"<p>and {rest} more, with less before</p>" * (rest > 0)
+        return f"<div>{''.join(parts)}</table>{more}</div>"
 
     def __repr__(self) -> str:
         lines = [f"{self.arm!r}, {self.facts['n_rows']} rows"]

@@ -16,11 +16,21 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
-from sklearn_raacmm.correction._scores import scores_of, share_of
-from sklearn_raacmm.correction._table_search import search_table
+from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
+from sklearn_raacmm.correction._shifted_rows import shifted_rows
+from sklearn_raacmm.correction._table_search import ask_for_the_hand, search_table, taken
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import drift_of, moved_positions
-from sklearn_raacmm.utils import Finding, FindingError, call_collecting, encode_groups, param_checks
+from sklearn_raacmm.utils import (
+    Finding,
+    FindingError,
+    call_collecting,
+    encode_groups,
+    listed,
+    numbered_rows,
+    param_checks,
+    row_numbers,
+)
 
 _CONSTRAINTS = {
     "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
@@ -30,6 +40,7 @@ _CONSTRAINTS = {
     "progress": [callable, None],
     "points_sd": [param_checks.Interval(Real, 0, None, closed="left")],
     "accept": ["array-like", str],
+    "take": ["array-like", str],
 }
 # Scores that are kept as they are.
 _KEPT = ("verdict", "helps", "measure", "std_factor", "coverage", "share", "n_folds")
@@ -54,6 +65,7 @@ def learn_correction(
     blocks: ArrayLike | None = None,
     stations: ArrayLike | None = None,
     accept: str | Sequence[str] = (),
+    take: str | Sequence[str] = (),
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -120,7 +132,12 @@ def learn_correction(
         one.
     accept : str or list of str, default=()
         Codes of findings, such as "moved-position", with which the correction is handed over all
-        the same.
+        the same. "mirror-image" says that the arm is as it was taken, see `take`.
+    take : str or list of str, default=()
+        Codes by which :func:`search_table` proposes to change `arm`, one after the other, such as
+        "reversed-2-4", "zero-2-180", "coupled-2-3" (joint 3 stands at J3 + J2), "zeros" (all of
+        them are found from the data) or "other-convention". Where the data fit the mirror image of
+        such an arm as well, the finding "mirror-image" asks what decides.
 
     Returns
     -------
@@ -167,20 +184,30 @@ def learn_correction(
     given = {"angle_unit": angle_unit, "model": model, "cv": cv, "n_jobs": n_jobs}
     param_checks.validate_parameter_constraints(
         _CONSTRAINTS,
-        given | {"progress": progress, "points_sd": points_sd, "accept": accept},
+        given | {"progress": progress, "points_sd": points_sd, "accept": accept, "take": take},
         "learn_correction",
     )
     if points_sd and points is None:
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
+    given_arm, codes = arm, listed("take", take)
+    for code in codes:
+        arm = taken(arm, code, (angles, positions, points, angle_unit))
+
     def inside():
         labels = tools, blocks, stations
         data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, *labels)
         calibration = _calibrated(data, angles, angle_unit, accept)
+        if codes and "mirror-image" not in listed("accept", accept):
+            with numbered_rows(row_numbers(data.rows)):
+                ask_for_the_hand(given_arm, arm, *data.as_given(angles), angle_unit)
         data = data.seen_by(calibration)
-        scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
+        outliers = data.outliers(calibration)
+        folds = folds_of(data, outliers, cv)
+        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
+        parts = data.along_vertical_of(fitted)
+        scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)
         _say_what_moved(data, calibration, fitted, rows)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
@@ -221,19 +248,20 @@ def _calibrated(data, angles, angle_unit, accept):
     for finding in calibration.findings:
         if finding.code == "wrong-label" and finding.weight == "repair":
             raise FindingError(finding)
-    positions = data.positions if data.points is None else None
-    angles, points = np.asarray(angles)[data.rows], data.points
-    if data.stations is not None:  # of several, the one of most rows
-        codes = encode_groups(data.stations)[1]
-        own = codes == np.bincount(codes).argmax()
-        angles, points = angles[own], points[own]
-    change = search_table(data.arm, angles, positions, points, angle_unit=angle_unit)
+    with numbered_rows(row_numbers(data.rows)):
+        if data.points is not None and data.stations is None:
+            finding = shifted_rows(data.arm, data.angles, data.points)
+            if finding is not None:
+                finding.report()
+        change = search_table(data.arm, *data.as_given(angles), angle_unit=angle_unit)
     if change or scatter > SHARE_OF_REACH * reach:  # they belong to another table
-        raise ValueError(
+        said = (
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
-            f"the unit of the angles are wrong. {change or 'No single change of these helps.'}"
+            "the unit of the angles are wrong."
         )
+        advice = str(change or "No single change of these helps.")
+        raise FindingError(Finding("another-table", said, advice, "refuse", size_mm=scatter))
     said = f"The points scatter by {scatter:.1f} mm after calibration."
     advice = "The table of the arm is probably wrong: look at it before you use the correction."
     Finding("much-scatter", said, advice, size_mm=scatter).report()

@@ -20,7 +20,14 @@ from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
 from sklearn_raacmm.residuals import last_step_of, position_residuals
-from sklearn_raacmm.utils import Finding, encode_groups, floats, ignored_findings, listed
+from sklearn_raacmm.utils import (
+    Finding,
+    FindingError,
+    encode_groups,
+    floats,
+    ignored_findings,
+    listed,
+)
 
 # Regions that a tracker's poses are judged at, and poses of one: enough for an interval, and few
 # enough to read.
@@ -30,6 +37,8 @@ _SHARED = 0.5
 # Share of the variance of the row number that angles may explain where time is to be learnt: of two
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 _MOST_EXPLAINED = 0.2
+# Angles in rad within which all rows are one pose; `find_poses` has the same.
+_STILL = 1e-3
 
 
 class Data:
@@ -38,8 +47,11 @@ class Data:
     `rows` are the first rows of each pose among those `given`; `causes` name the columns of
     `values` (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of
     positions that are one, or of one block; `places` (n,) what is left out together where that is
-    less than a position.
+    less than a position; `vertical` is the `up` of `Terms` that a model of all rows has, where
+    there is one.
     """
+
+    vertical: Any = None
 
     def __init__(
         self, arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks,
@@ -48,6 +60,7 @@ class Data:
         check_arm(arm)
         # Within one turn, lest a warning of far angles be repeated by everything that follows.
         angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        _refuse_one_pose(angles)
         lengths = listed("lengths", lengths)
         if positions is None and points is None:
             positions = find_places(arm, angles)
@@ -123,10 +136,29 @@ class Data:
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         return seen
 
+    def along_vertical_of(self, model):
+        """The same for models of some of the rows, which do not seek the vertical of a model."""
+        known, linear = copy(self), getattr(last_step_of(model)[0], "linear_model_", None)
+        known.vertical = None if linear is None else linear.terms.up
+        return known
+
     @property
     def inputs(self):
         """Angles, then the causes, of each row."""
         return np.hstack([self.angles, self.values])
+
+    def as_given(self, angles):
+        """Of the rows that are learnt: these angles, which were given, positions, and points.
+
+        Of several stations those of the one with most rows.
+        """
+        own: Any = slice(None)
+        if self.stations is not None:
+            codes = encode_groups(self.stations)[1]
+            own = codes == np.bincount(codes).argmax()
+        positions = self.positions if self.points is None else None
+        points = None if self.points is None else self.points[own]
+        return np.asarray(angles, dtype=float)[self.rows[own]], positions, points
 
     def without_lonely(self, rows=None):
         """Of these rows, or all, those of positions with two or more; others have no residuals."""
@@ -205,7 +237,8 @@ class Data:
             return far
         rows, lonely = self.without_lonely()
         with ignored_findings():  # what there is to report is reported of the rows that are learnt
-            model = self._fitted(None, calibration, rows, self.residuals(calibration, rows), [])
+            y = self.residuals(calibration, rows)
+            model = self._fitted(None, calibration, rows, y, [], judged=False)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -221,10 +254,12 @@ class Data:
             left = position_residuals(left, positions)
         return fitted, float(np.sqrt(np.mean(np.square(left))))
 
-    def _fitted(self, model, calibration, rows, y, lengths) -> Any:
+    def _fitted(self, model, calibration, rows, y, lengths, judged=True) -> Any:
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
         fitted = self._model_for(model, calibration.arm)
         last, prefix = last_step_of(fitted)
+        if isinstance(last, ArmResidualRegressor) and (self.vertical is not None or not judged):
+            last._vertical, last._judged = self.vertical, judged
         given = {"groups": self.positions[rows], "lengths": lengths}
         if self.tools is not None:
             if prefix or not has_fit_parameter(last, "probes"):
@@ -252,6 +287,13 @@ class Data:
             ):
                 changed[name] = known[last]
         return model.set_params(**changed)
+
+
+def _refuse_one_pose(angles):
+    """Refuse rows of an arm that stood still, the same angles in rad within one turn."""
+    if len(angles) > 1 and np.ptp(angles, axis=0).max() < _STILL:
+        said = f"The arm did not move: {len(angles)} rows are 1 pose."
+        raise FindingError(Finding("one-pose", said, "Measure other poses, too.", "refuse"))
 
 
 def _judged_at(positions, points, blocks):

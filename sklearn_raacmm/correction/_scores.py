@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from sklearn.model_selection import GroupKFold
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_raacmm.arm import points_of
@@ -179,11 +178,8 @@ def _shares(share, of_folds):
     return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
-def scores_of(data, calibration, model, cv, n_jobs, progress):
-    """Scores of checked data with the calibration of all of them."""
-    outliers = data.outliers(calibration)
-    kept = np.delete(np.arange(len(data.angles)), outliers)
-    folds = _folds(data, kept, cv)
+def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
+    """Scores of checked data with the calibration of all of them; `folds` hold no outliers."""
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
@@ -230,9 +226,11 @@ def share_of(model):
     return float(model.fading_.most) if hasattr(model, "fading_") else 1.0
 
 
-def _folds(data, kept, cv):
+def folds_of(data, outliers, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
-    blocks = data.blocks()
+    from sklearn.model_selection import GroupKFold  # here: reading a correction spares the time
+
+    kept, blocks = np.delete(np.arange(len(data.angles)), outliers), data.blocks()
     n_blocks = len(np.unique(blocks))
     if n_blocks < 3:
         raise ValueError(

@@ -1,28 +1,46 @@
-"""What is wrong with a table whose points scatter by centimetres: sense, order, unit."""
+"""What is wrong with a table whose points scatter by centimetres: sense, zero, order, unit."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, replace
-from itertools import combinations, product
-from typing import Any
+from itertools import combinations, permutations, product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.utils import align, centred, encode_groups, ignored_findings
+from sklearn_raacmm.correction._zeros import with_found_zeros
+from sklearn_raacmm.utils import (
+    Finding,
+    align,
+    centred,
+    encode_groups,
+    ignored_findings,
+    row_numbers,
+)
 
-# Rows that candidates are ranked on, and how many of them are then calibrated: for speed. With all
-# numbers here the tables of tests/correction/test_table_search.py, of one and of two faults, are
-# named, and none is for a right table or for no arm at all.
+# Rows that candidates are ranked on, how many are then looked at, and how many of each hand of them
+# are calibrated: for speed. With all numbers here the tables of
+# tests/correction/test_table_search.py, of one and of two faults, are named, and none is for a
+# right table or for no arm at all.
 _RANKED_ROWS = 400
-_CALIBRATED = 6
-# A change is proposed where it leaves less than this share of the scatter; of several that leave
-# about the same, up to this factor, the one with the fewest changes.
-_WORTH_SAYING = 0.2
+_LOOKED_AT, _CALIBRATED = 60, 3
+# A change is proposed where it leaves less than this share of the scatter and of the reach; of
+# several that leave about the same, up to this factor, that of the lowest price.
+_WORTH_SAYING, _COINCIDE = 0.2, 0.01
 _ABOUT_THE_SAME = 1.5
+# Price of another zero, beside 1 of any other change: makers count joints from upright or from
+# horizontal more often than backwards.
+_ZERO = 0.9
+# Codes of joints whose own angle is a sum or a difference, and what is in `Arm.couplings` for them.
+_SUMS = {"coupled": 1, "uncoupled": -1}
+_CODE_OF = {factor: code for code, factor in _SUMS.items()}
+_OTHER_CONVENTION = {"standard": "modified", "modified": "standard"}
+# Axes of a tracker's points as they are, and with two exchanged.
+_AXES, _MIRRORED = (0, 1, 2), (1, 0, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +66,16 @@ class TableChange:
     first_point : tuple of float
         Where the first row then is in the base frame, mm.
     equals : tuple of TableChange
-        Other changes with which the points coincide as well, such as the one to the mirror image of
-        the arm. `first_point` shows which is right.
+        Other changes with which the points coincide as well.
+    axes : tuple of int
+        Columns of `points`, from 0, in the order that makes them right-handed.
+    is_mirror : bool
+        Whether this one of `equals` is the mirror image of the first; else it is the same arm seen
+        from elsewhere.
+    questions : tuple of str
+        What to look at on the arm itself to know which of `equals` it is, as no data tell.
+    answers : tuple of str
+        What the questions are answered with if it is this one.
     """
 
     change: str
@@ -61,19 +87,23 @@ class TableChange:
     options: str = ""
     first_point: tuple[float, ...] = ()
     equals: tuple[Any, ...] = ()
+    axes: tuple[int, ...] = (0, 1, 2)
+    is_mirror: bool = False
+    questions: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         said = (
             f"With {self.change} the points scatter by {self.scatter_mm:.2g} mm instead of "
             f"{self.scatter_given_mm:.3g} (raacmm learn {self.options})."
         )
-        places = []
-        for one in (self, *self.equals):
-            where = ", ".join(f"{mm:.0f}" for mm in one.first_point)
-            places.append(f"{one.change}, {where} ({one.options})")
-        if self.equals:
-            said += " Others do it as well; x, y and z of the first row in mm tell which is right: "
-            said += f"{'; '.join(places)}."
+        for is_mirror, what in enumerate(("The same arm seen from elsewhere", "Its mirror image")):
+            if equals := [one for one in self.equals if one.is_mirror == is_mirror]:
+                said += f" {what}: {'; '.join(f'{one.change} ({one.options})' for one in equals)}."
+        if self.questions:
+            said += f" The arm itself tells which is right. {' '.join(self.questions)} "
+            ones = (f"{one.change}: {', '.join(one.answers)}" for one in (self, *self.equals))
+            said += f"{'; '.join(ones)}."
         return said
 
 
@@ -88,8 +118,10 @@ def search_table(
 ) -> TableChange | None:
     """Search for what is wrong with an arm whose points scatter much after calibration.
 
-    Tried are all senses of the joints, two joints exchanged and all in reverse order, the other
-    convention of the table, and the other unit of the angles.
+    Tried are all senses of the joints, quarter and half turns of their zeros, joints whose angle is
+    the sum or the difference of two, two joints exchanged and all in reverse order, the other
+    convention of the table, the other unit of the angles, and a tracker's points that are mirrored.
+    Where none of these helps, the zeros of all joints are looked for from random starts.
 
     Parameters
     ----------
@@ -108,7 +140,7 @@ def search_table(
     -------
     TableChange or None
         The change with which the points coincide best, the simplest of equals; None where none
-        leaves less than a fifth of the scatter.
+        leaves less than a fifth of the scatter, or all leave more than 1 % of the arm's reach.
 
     Raises
     ------
@@ -127,46 +159,171 @@ def search_table(
     check_arm(arm)
     given = _scatter(arm, angles, positions, points, angle_unit)
     raw = np.asarray(angles, dtype=float)
-    codes = few_points = None
-    if points is None:  # whole positions, as many as fit
-        codes = encode_groups(positions, len(raw))[1]
-        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
-        codes = codes[rows]
-    else:  # some from everywhere
-        rows = np.linspace(0, len(raw) - 1, min(len(raw), _RANKED_ROWS)).astype(int)
-        few_points = np.asarray(points, dtype=float)[rows]
-    ranked = []
-    for entry in _candidates(arm, angle_unit, np.abs(raw).max()):
-        ranked.append((_quick_scatter(entry[2:], raw[rows], codes, few_points), *entry))
-    ranked.sort(key=lambda entry: entry[:2])
-    # Of those that coincide about as well as the best, the simple ones first.
-    best = [entry for entry in ranked if entry[0] <= _ABOUT_THE_SAME * ranked[0][0]]
-    best = sorted(best, key=lambda entry: entry[1:3])[:_CALIBRATED]
-    # A mirror image of the arm coincides as well, but for what calibration has to find.
-    best += [entry for entry in ranked[:3] if entry not in best]
-    found = []
-    for _, _, change, other, columns, unit in best:
-        scatter = _scatter(other, raw[:, columns], positions, points, unit)
-        where = other.forward(raw[:1, columns], angle_unit=unit)[0].tolist()
-        options = _options(arm, other, columns, None if unit == angle_unit else unit)
-        parts = change, scatter, given, other, tuple(columns), unit, options, tuple(where)
-        found.append(TableChange(*parts))
-    least = min(entry.scatter_mm for entry in found)
-    if least > _WORTH_SAYING * given:
-        return None
+    points = None if points is None else np.asarray(points, dtype=float)
+    rows, codes, few_points = _few_rows(len(raw), positions, points)
+    candidates = _candidates(arm, angle_unit, np.abs(raw).max(), points is not None)
+    ranked = [(_quick_scatter(one, raw[rows], codes, few_points), one) for one in candidates]
+    ranked.sort(key=lambda entry: (entry[0], entry[1][:2]))
+    # Of those that coincide about as well as the best of their hand, the simple ones first. A
+    # mirror image coincides as well, but for what calibration has to find.
+    place, tried = _places(ranked[0][1], raw), [ranked[0][1]]
+    mirrored = [_are_mirrored(place, _places(one, raw)) for _, one in ranked[:_LOOKED_AT]]
+    for hand in (False, True):
+        of_hand = [entry for entry, other in zip(ranked, mirrored, strict=False) if other == hand]
+        near = [one for left, one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
+        tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
+
+    def calibrated(one, options):
+        mended = None if points is None else points[:, one.axes]
+        scatter = _scatter(one.arm, raw[:, one.columns], positions, mended, one.angle_unit)
+        parts = one.arm, tuple(one.columns), one.angle_unit, options
+        where = tuple(_places(one, raw[:1])[0].tolist())
+        return TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
+
+    tried = sorted({one.change: one for one in tried}.values(), key=lambda one: one[:2])
+    found = [calibrated(one, _options(arm, one, angle_unit)) for one in tried]
+    least, limit = min(one.scatter_mm for one in found), _COINCIDE * arm.reach_mm
+    limit = min(_WORTH_SAYING * given, limit)
+    if least > limit:  # no simple change: zeros may be anywhere
+        other = taken(arm, "zeros", (raw, positions, points, angle_unit))
+        turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
+        shown = [f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5)]
+        words = f"the zeros turned, {', '.join(shown)} degrees"
+        straight = [*range(arm.n_joints)]
+        one = _Candidate(arm.n_joints, words, other, straight, _AXES, angle_unit)
+        found = [calibrated(one, "--take zeros")]
+        if (least := found[0].scatter_mm) > limit:
+            return None
     first, *equals = (one for one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
+    place = _places(first, raw)
+    equals = [replace(one, is_mirror=_are_mirrored(place, _places(one, raw))) for one in equals]
+    first, *equals = _with_questions([first, *equals], raw)
     return replace(first, equals=tuple(equals))
 
 
-def _options(arm, other, columns, unit):
+def _few_rows(n, positions, points):
+    """Some of n rows, for speed, the codes of their positions, and their points."""
+    if points is None:  # whole positions, as many as fit
+        codes = encode_groups(positions, n)[1]
+        rows = np.argsort(codes, kind="stable")[:_RANKED_ROWS]
+        return rows, codes[rows], None
+    rows = np.linspace(0, n - 1, min(n, _RANKED_ROWS)).astype(int)  # some from everywhere
+    return rows, None, np.asarray(points, dtype=float)[rows]
+
+
+def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
+    """The arm changed as a finding proposes, see `TableChange.options`.
+
+    `measured` are angles, positions, points and the unit of the angles: "zeros" are found there.
+    """
+    check_arm(arm)
+    if code == "zeros":
+        angles, positions, points, unit = measured
+        if positions is None and points is None:
+            raise ValueError(
+                "zeros are found from labels of positions, or from a tracker's points."
+            )
+        angles = check_angles(angles, arm.n_joints, unit)
+        rows, codes, few_points = _few_rows(len(angles), positions, points)
+        return with_found_zeros(arm, angles[rows], codes, few_points)
+    word, *numbers = code.split("-")
+    joints = [str(i + 1) for i in range(arm.n_joints)]
+    if code == "other-convention":
+        return arm.replace(convention=_OTHER_CONVENTION[arm.convention])
+    if word == "reversed" and numbers and set(numbers) <= set(joints):
+        return arm.replace(joint_signs=arm.joint_signs * np.where(np.isin(joints, numbers), -1, 1))
+    if word in _SUMS and len(numbers) == 2 and numbers[0] != numbers[1] and {*numbers} <= {*joints}:
+        other, joint = map(int, numbers)
+        return arm.replace(couplings=(*arm.couplings, (joint, other, _SUMS[word])))
+    if word == "zero" and len(numbers) == 2 and numbers[0] in joints and numbers[1].isdigit():
+        turns = np.isin(joints, numbers[:1]) * float(numbers[1])
+        return arm.replace(theta_offset=_turned(arm, turns))
+    raise ValueError(
+        f"take needs reversed with joints of 1 to {arm.n_joints}, such as reversed-2-4, zero with "
+        f"a joint and degrees, such as zero-2-180, coupled or uncoupled with two joints, such as "
+        f"coupled-2-3 for J3 + J2, zeros, or other-convention, got {code!r}."
+    )
+
+
+def _turned(arm, degrees):
+    """Zeros of an arm, rad; of the joints that are turned within half a turn."""
+    offset = arm.theta_offset + np.deg2rad(degrees)
+    return np.where(degrees, np.angle(np.exp(1j * offset)), arm.theta_offset)
+
+
+def ask_for_the_hand(
+    given: Arm, arm: Arm, angles: Any, positions: Any, points: Any, angle_unit: str
+) -> None:
+    """Say that what was taken may be the mirror image of the arm, if the data cannot tell."""
+    change = search_table(given, angles, positions, points, angle_unit=angle_unit)
+    if change is None:
+        return
+    straight = tuple(range(arm.n_joints))
+    own = replace(change, arm=arm, columns=straight, axes=_AXES, angle_unit=angle_unit)
+    place = _places(own, angles)
+    for other in (change, *change.equals):
+        if _are_mirrored(place, _places(other, angles)):
+            own, other = _with_questions([own, other], angles)
+            Finding(
+                "mirror-image",
+                "The data fit the arm as it was taken and its mirror image alike, that with "
+                f"{other.change}.",
+                f"{' '.join(own.questions)} If it is {', '.join(own.answers) or 'as taken'}, "
+                f'accept "mirror-image"; else learn with {other.options}.',
+            ).report()
+            return
+
+
+def _places(one, angles):
+    """Points (n, 3), in the base frame, of an arm that was changed."""
+    return one.arm.forward(angles[:, one.columns], angle_unit=one.angle_unit)
+
+
+def _are_mirrored(places, others):
+    """Whether points (n, 3) are next to the mirror image of others, rather than to them turned."""
+    others = others - others.mean(axis=0)
+    return bool(np.linalg.det((places - places.mean(axis=0)).T @ others) < 0)
+
+
+def _with_questions(ones, angles):
+    """Changed arms with the questions that tell them apart, and with their answers."""
+    heights = [_places(one, angles) @ one.arm.up for one in ones]
+    high, low = np.argmax(heights[0]), np.argmin(heights[0])
+    asked = {
+        "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": [
+            _sense_of_first_joint(one.arm) > 0 for one in ones
+        ],
+        "Was the probe higher in row {} than in row {}?".format(*row_numbers([high, low])): [
+            height[high] > height[low] for height in heights
+        ],
+    }
+    asked = {question: said for question, said in asked.items() if len({*said}) > 1}
+    found = []
+    for i, one in enumerate(ones):
+        answers = tuple("yes" if said[i] else "no" for said in asked.values())
+        found.append(replace(one, questions=tuple(asked), answers=answers))
+    return found
+
+
+def _sense_of_first_joint(arm):
+    """1 where the angle of joint 1 grows counter-clockwise, seen from above; -1 where it falls."""
+    frame = arm.frames(np.zeros((1, arm.n_joints)))[0, int(arm.convention == "modified")]
+    return round(arm.joint_signs[0] * frame[:, 2] @ arm.up)
+
+
+def _options(arm, one, unit):
     """Options of `raacmm learn` that change an arm, the order of its angles and their unit."""
-    reversed_ = np.flatnonzero(arm.joint_signs != other.joint_signs) + 1
-    order = ",".join(str(i + 1) for i in columns)
+    reversed_ = np.flatnonzero(arm.joint_signs != one.arm.joint_signs) + 1
+    turns = np.rad2deg(one.arm.theta_offset - arm.theta_offset).round().astype(int) % 360
+    order, own = ",".join(str(i + 1) for i in one.columns), arm.couplings
     words = [
         ("--take " + "-".join(["reversed", *map(str, reversed_)])) * bool(len(reversed_)),
-        "--take other-convention" * (arm.convention != other.convention),
-        f"--angles with the columns {order}" * (columns != sorted(columns)),
-        f"--unit {unit}" * bool(unit),
+        *(f"--take {_CODE_OF[f]}-{j}-{i}" for i, j, f in one.arm.couplings if (i, j, f) not in own),
+        *(f"--take zero-{i + 1}-{turns[i]}" for i in np.flatnonzero(turns)),
+        "--take other-convention" * (arm.convention != one.arm.convention),
+        f"--angles with the columns {order}" * (one.columns != sorted(one.columns)),
+        f"--unit {one.angle_unit}" * (one.angle_unit != unit),
+        "--points with two of its columns exchanged" * (one.axes != _AXES),
     ]
     return " ".join(word for word in words if word)
 
@@ -177,45 +334,75 @@ def _scatter(arm, angles, positions, points, unit):
     return calibrate(arm, angles, angle_unit=unit, **where).typical_scatter_mm
 
 
-def _candidates(arm, unit, largest):
-    """Yield (number of changes, words, arm, order of columns, unit) of every candidate."""
-    n, as_given, straight = arm.n_joints, np.ones(arm.n_joints), [*range(arm.n_joints)]
+class _Candidate(NamedTuple):
+    """A changed arm, the order of angles and of the points' axes, and the unit of the angles."""
+
+    price: float
+    change: str
+    arm: Arm
+    columns: list[int]
+    axes: tuple[int, ...]
+    angle_unit: str
+
+
+def _candidates(arm, unit, largest, has_points):
+    """Yield every candidate, the arm as it is given left out."""
+    n, straight = arm.n_joints, [*range(arm.n_joints)]
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    joints: list[Any] = [(1, "the joints in reverse order", straight[::-1], as_given)]
+    joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], {})]
     for i, j in combinations(range(n), 2):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
-        joints.append((1, f"joints {i + 1} and {j + 1} exchanged", columns, as_given))
+        joints.append(([f"joints {i + 1} and {j + 1} exchanged"], 1, columns, {}))
+    # Zeros of the first joint and the last are free: base and probe go with them.
+    single = [{j: degrees} for j in straight[1:-1] for degrees in (90, 180, 270)]
+    pairs = [{**a, **b} for a, b in combinations(single, 2) if a.keys() != b.keys()]
     for signs in product((1.0, -1.0), repeat=n):  # the first are those given
         which = [str(i + 1) for i in range(n) if signs[i] < 0]
-        words = f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed" * bool(which)
-        joints.append((len(which), words, straight, signs))
-    other = {"standard": "modified", "modified": "standard"}[arm.convention]
-    conventions = [("", arm.convention), (f"the {other} convention", other)]
-    units = [("", unit)]
+        zeros = [{}, *single * (len(which) <= 2), *pairs * (len(which) == 0)]
+        for turned in zeros:
+            words = [f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"] * bool(which)
+            words += [f"the zero of joint {j + 1} turned by {turned[j]} degrees" for j in turned]
+            offset = _turned(arm, np.array([turned.get(j, 0) for j in straight]))
+            changed = {"joint_signs": arm.joint_signs * signs, "theta_offset": offset}
+            joints.append((words, len(which) + _ZERO * len(turned), straight, changed))
+    for (i, j), factor, sign in product(permutations(range(n), 2), (1, -1), (1, -1)):
+        text = f"{'-' * (sign < 0)}J{i + 1} {'- +'[1 + sign * factor]} J{j + 1}"
+        words = [f"joint {i + 1} at {text}"]
+        signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
+        sums = (*arm.couplings, (i + 1, j + 1, factor))
+        joints.append((words, 1 + (sign < 0), straight, {"joint_signs": signs, "couplings": sums}))
+    conventions = [([], arm.convention)]
+    other = _OTHER_CONVENTION[arm.convention]
+    conventions.append(([f"the {other} convention"], other))
+    units = [([], unit)]
     # Read as degrees, an arm in radians hardly moves, and its points scatter little for that.
     if (largest > 2 * np.pi) == (unit == "rad"):
-        words = {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}
-        units.append(words[unit])
-    for (n_changes, *moved), form, angle_unit in product(joints, conventions, units):
-        words = [one for one in (moved[0], form[0], angle_unit[0]) if one]
-        if words:
-            changed = arm.replace(joint_signs=arm.joint_signs * moved[2], convention=form[1])
-            n_changes += bool(form[0]) + bool(angle_unit[0])
-            yield n_changes, " and ".join(words), changed, moved[1], angle_unit[1]
+        wrong = {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}
+        units.append(([wrong[unit][0]], wrong[unit][1]))
+    # Two exchanged columns make left-handed points right-handed, whatever mirrored them.
+    hands = [([], _AXES)]
+    if has_points:
+        hands.append((["the points mirrored (an axis negated, or two exchanged)"], _MIRRORED))
+    for (words, price, columns, changed), *rest in product(joints, conventions, units, hands):
+        if said := [*words, *(word for one, _ in rest for word in one)]:
+            form, angle_unit, axes = (value for _, value in rest)
+            other = arm.replace(convention=form, **changed)
+            price += len(said) - len(words)
+            yield _Candidate(price, " and ".join(said), other, columns, axes, angle_unit)
 
 
-def _quick_scatter(candidate, angles, codes, points):
+def _quick_scatter(one, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
-    arm, columns, unit = candidate
-    angles = np.deg2rad(angles[:, columns]) if unit == "deg" else angles[:, columns]
+    angles = angles[:, one.columns]
+    angles = np.deg2rad(angles) if one.angle_unit == "deg" else angles
     if points is None:
-        frames = arm.frames(angles)[:, -1]
+        frames = one.arm.frames(angles)[:, -1]
         # Points are linear in the probe: origin + turn @ probe.
         parts = centred(frames[:, :3], codes)
         A, left = parts[:, :, :3].reshape(-1, 3), parts[:, :, 3]
         left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
-        ours = arm.forward(angles)
+        ours, points = one.arm.forward(angles), points[:, one.axes]
         rotation, shift = align(ours, points)
         left = ours @ rotation.T + shift - points
     return float(np.linalg.norm(left, axis=1).mean())

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm
+from sklearn_raacmm.arm import Arm, angles_for, check_arm, own_angles
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
-from sklearn_raacmm.error_model._fit import fit_with_vertical, offered_harmonics
+from sklearn_raacmm.error_model._fit import offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
     Judgement,
     find_fading,
@@ -29,6 +29,7 @@ from sklearn_raacmm.error_model._left_out import (
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
+from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import (
     Floats,
@@ -157,6 +158,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
     [6.1, 4.0]
     """
 
+    # What `learn_correction` says of fits of some of its rows: where gravity points, as the `up` of
+    # `Terms`, where a fit of all rows knows it; whether more than robust weights is asked for.
+    _vertical: Any = None
+    _judged: bool = True
+
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__fit = {"groups": True}
 
@@ -259,18 +265,18 @@ class ArmResidualRegressor(PointCorrectionMixin):
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
-        offered = offered_harmonics(rows.X[:, : arm.n_joints], self.orders)
+        offered = offered_harmonics(own_angles(arm, rows.X[:, : arm.n_joints]), self.orders)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
         columns = columns_of(arm, terms)
-        fitted = fit_with_vertical(rows, of_constants, columns, with_field)
+        fitted = fit_with_vertical(rows, of_constants, columns, with_field, self._vertical)
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
-        left_out = leave_out(fitted, positions)
+        left_out = leave_out(fitted, positions) if self._judged else None
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)

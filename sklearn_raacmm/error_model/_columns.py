@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, points_of
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, own_angles, points_of
 from sklearn_raacmm.utils import chunks, group_sums
 
 ARCSEC = np.pi / 180 / 3600
@@ -380,7 +380,7 @@ class Columns:
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
-        phase = angles[:, plan.wave_joint] * plan.wave_order
+        phase = own_angles(self.arm, angles)[:, plan.wave_joint] * plan.wave_order
         wave = np.empty((len(angles), 2 * phase.shape[1]))
         np.cos(phase, out=wave[:, 0::2])
         np.sin(phase, out=wave[:, 1::2])

@@ -16,14 +16,24 @@ import numpy as np
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
-    GRAVITY,
-    OF_LOADS,
+    KINEMATICS,
     Columns,
+    Terms,
     columns_of,
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.inference import Problem, State, Structures, beside_field, refit, search
+from sklearn_raacmm.error_model._sums import Rows, explicit_gram, less_constants, without_motions
+from sklearn_raacmm.inference import (
+    Problem,
+    State,
+    Structures,
+    beside_field,
+    combined,
+    refit,
+    search,
+    sums_of_gram,
+    sums_of_pairs,
+)
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
@@ -50,22 +60,28 @@ UNUSED_SD = 1e-6
 # One degree, in square arc seconds: beyond it an arm's errors are not linear; directions that the
 # data do not show would carry the variance beyond all bounds by their rounding.
 _LARGEST_VARIANCE = 3600.0**2
-# Standard deviation of the families at which a second search begins: any from 10 to 300 arc seconds
-# leads to the same models (``benchmarks/bench_few_poses.py --narrow``).
-WIDE_SD = 30.0
+# Prior standard deviation of the kinematic columns, what a drawing leaves open: in arc seconds, and
+# for lengths what these span at the arm's reach. It is given, not found: a calibration has taken
+# these directions out of the residuals, which then say that it is 0
+# (``benchmarks/bench_few_poses.py --few`` and ``--narrow``).
+KINEMATICS_SD = 50.0
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6
 # Orders above this are offered where a joint's angles, those nearer than 0.001 rad counted as one,
 # are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
-# Rounds of robust weights at one choice, and choices with what they have become. Weights that
-# change by less than this have settled.
-_ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
+# Rounds of robust weights at one choice, and choices with what they have become. A weight that
+# changes by less than this has settled; with so little change of all, in the mean, a choice is the
+# same.
+_ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT, _SETTLED_CHOICE = 4, 3, 0.05, 0.01
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
-# Poses whose columns are held at a time.
-_POSES = 256
+# Where more than this share of the poses has new weights, all are summed up anew: of positions with
+# offsets the old and the new ones are, which costs twice as much.
+_MANY_CHANGED = 0.5
+# Poses whose columns are made at a time, and most poses of which all are held: some 50 MB.
+_POSES, _HELD_POSES = 256, 5000
 # Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
 _SHARES = np.arange(0.0, 0.99, 0.02)
 # Rows of which that is compared at a time: 5 MB for an array of all shares.
@@ -80,8 +96,10 @@ _SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
 # Steps of the other variances at each, and rounds with a fit at what was found
-# (``benchmarks/bench_few_poses.py --constants``).
-_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(-4.0, 0.5, 0.5), 3, 2
+# (``benchmarks/bench_few_poses.py --constants``). The evidence has one top over the sizes, as that
+# of a variance has as a rule: where it has fallen by so many nats, larger constants are not tried.
+_KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(0.0, -4.5, -0.5), 3, 2
+_FAR_BELOW = 20.0
 # Variance of means that are 0 but for rounding, in parts of that of the residuals. What it costs,
 # in nats, that means say nothing of the arm: of four to seven positions that a calibration has
 # drawn together it came to 18, of twelve and deviations from a median to 55 (same script).
@@ -89,26 +107,6 @@ _LEAST_MEANS, _PRICE_OF_DEVIATIONS = 1e-6, 30.0
 # The fewest positions at which a share of the correction is found: of three the rest is hardly the
 # model that is judged. With fewer it is used as a whole, if it helped at each of them.
 LEAST_POSITIONS = 4
-
-# Where gravity points is found by the evidence. The columns of gravity turn with the direction as
-# one: two more numbers, not three times as many columns. Their products are quadratic in it and
-# those with other columns linear: sums at the six axes of an icosahedron are those at all.
-_GOLDEN = (1 + np.sqrt(5)) / 2
-_AXES = np.array([[0, 1, _GOLDEN], [0, -1, _GOLDEN], [1, _GOLDEN, 0], [-1, _GOLDEN, 0],
-                  [_GOLDEN, 0, 1], [_GOLDEN, 0, -1]]) / np.hypot(1, _GOLDEN)  # fmt: skip
-# Poses of which a direction is found at most: more take time and turn it by less than a degree.
-_ENOUGH = 600
-# Rounds of a fit and a search: of a direction that is far off the fit has taken poses for outliers.
-_VERTICAL_ROUNDS = 4
-# Log evidence that another direction has to add, in nats: of upright arms, real and simulated, it
-# came to at most 10; of those inclined by 45 degrees or on a wall to at least 170. Cosine of 2
-# degrees: gravity's columns change by less than 4 % (``benchmarks/bench_after_the_lab.py mounts``).
-_PRICE_OF_VERTICAL, _NEAR = 20.0, np.cos(np.deg2rad(2))
-# Where the fit leaves less than this share of the residuals there is nothing to be gained.
-_NOTHING_LEFT = 1e-3
-# Steps of the variances at a direction; steps of the search in rad, the last of which finds it to a
-# quarter of a degree; moves in units of a step.
-_VERTICAL_STEPS, _LADDER, _FARTHEST = 3, (0.3, 0.3, 0.1, 0.03), 3.0
 
 
 def offered_harmonics(angles, orders):
@@ -159,7 +157,7 @@ def structures_of(columns, with_field, unused):
     order, given = columns.terms.harmonics[:, 1], np.full(len(FAMILIES), np.nan)
     if not len(order) and not len(columns.family):
         raise ValueError("The model has no columns: no orders are offered and no causes are named.")
-    given[unused] = UNUSED_SD**2
+    given[KINEMATICS], given[unused] = KINEMATICS_SD**2, UNUSED_SD**2
     return Structures(
         family=columns.family,
         price=order_price(order),
@@ -167,7 +165,6 @@ def structures_of(columns, with_field, unused):
         field_price=_PRICE_OF_FIELD,
         given=given,
         largest=_LARGEST_VARIANCE,
-        wide=WIDE_SD**2,
     )
 
 
@@ -198,121 +195,6 @@ class Fitted(NamedTuple):
     rows: Rows
     columns: Columns  # their harmonics are those that were offered
     structures: Structures
-
-
-def fit_with_vertical(rows, positions, columns, with_field):
-    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show."""
-    # A force that is always there is not told from gravity in its direction.
-    terms = columns.terms
-    may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
-    fitted, rounds = fit_with_constants(rows, positions, columns, with_field), 0
-    while may_turn and rounds < _VERTICAL_ROUNDS and (up := _higher(fitted)):
-        columns, rounds = columns_of(rows.arm, terms._replace(up=up)), rounds + 1
-        fitted = fit_with_constants(rows, positions, columns, with_field)
-    if rounds:
-        shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
-        said = (
-            f"Gravity seems to pull against {shown[0]} of the base frame, not against up = "
-            f"{shown[1]}: its columns follow the data."
-        )
-        advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
-        Finding("vertical", said, advice).report()
-    return fitted
-
-
-@stage("direction of gravity")
-def _higher(fitted):
-    """A direction against gravity of higher evidence than that of a fit, or ().
-
-    The harmonics that the fit chose stay. To turn the direction round changes signs only: of both
-    the one is taken along which the arm gives way.
-    """
-    rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
-    if state.noise_variance < _NOTHING_LEFT**2 * np.square(fitted.rows.y).mean():
-        return ()
-    if len(rows.X) > _ENOUGH:
-        rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
-    few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
-    loads = np.isin(few.table["kind"][few.n_waves :], OF_LOADS)
-    if rows.y.shape[1] * len(np.unique(rows.X, axis=0)) < loads.sum():
-        return ()  # along any direction so many columns explain so few poses
-
-    def along(up):
-        return columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
-
-    parts = [rows.sums(along(axis)) for axis in _AXES]
-    variance = state.variance.copy()
-    explains_all = parts[0].square / parts[0].gram.diagonal()[loads].mean()
-    variance[GRAVITY] = max(variance[GRAVITY], min(WIDE_SD**2, explains_all))
-    start = state._replace(variance=variance)
-
-    def at(up):
-        return refit(_sums_at(up, parts, loads), structures, start, lines, _VERTICAL_STEPS)
-
-    # A direction that has paid already is only made better.
-    stated, price = few.up, 0.0 if few.terms.up else _PRICE_OF_VERTICAL
-    up = max([stated, *_AXES], key=lambda axis: at(axis).log_evidence)
-    for step in _LADDER:
-        higher, rise = _climbed(up, step, lambda near: at(near).log_evidence)
-        if up is stated and rise < price:
-            return ()
-        up = higher
-    there = at(up)
-    if there.log_evidence - at(stated).log_evidence < price:
-        return ()
-    # A probe sags, whatever the pose: the arm measures it above where it is.
-    columns = along(up).at(rows.X)[:, :, few.n_waves :][:, :, loads]
-    above = columns @ there.coef[: len(loads)][loads] @ up
-    up = up * np.sign(above.sum())
-    return () if stated @ up > _NEAR else tuple(up.tolist())
-
-
-def _climbed(up, step, value):
-    """Direction of the top of a parabola through a direction and five that are a step away.
-
-    And by how much the parabola is higher there. Far from the top the evidence is no parabola: the
-    highest of the six, where that is higher.
-    """
-    across = np.linalg.svd(up[None])[2][1:]
-
-    def turned(two):
-        there = up + step * two @ across
-        return there / np.linalg.norm(there)
-
-    points = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1], [1, 1]])
-    f = [value(turned(two)) for two in points]
-    slope = np.array([f[1] - f[2], f[3] - f[4]]) / 2
-    cross = f[5] - f[1] - f[3] + f[0]
-    bend = np.array([[f[1] + f[2] - 2 * f[0], cross], [cross, f[3] + f[4] - 2 * f[0]]])
-    best = turned(points[np.argmax(f)]), max(f) - f[0]
-    if not np.all(np.linalg.eigvalsh(bend) < 0):
-        return best
-    move = -np.linalg.solve(bend, slope)
-    top, rise = turned(move / max(np.linalg.norm(move) / _FARTHEST, 1.0)), 0.5 * slope @ move
-    return (top, rise) if value(top) > max(f) else (best[0], max(rise, best[1]))
-
-
-def _sums_at(up, parts, loads):
-    """Sums at a direction, of those at the `_AXES`."""
-    pairs = np.triu_indices(3)
-    square = np.linalg.solve(
-        np.array([np.outer(axis, axis)[pairs] for axis in _AXES]).T, np.outer(up, up)[pairs]
-    )
-    linear = np.linalg.pinv(_AXES.T) @ up
-    # Shares of the six in products with none, one and two columns of gravity.
-    shares = np.array([np.eye(len(_AXES))[0], linear, square])
-    one = loads.astype(int)
-    gram, moment, cross = (np.array(p) for p in zip(*(part[:3] for part in parts), strict=True))
-    whole = parts[0]._replace(
-        gram=np.einsum("ijp,pij->ij", shares[one[:, None] + one], gram),
-        moment=np.einsum("ip,pi->i", shares[one], moment),
-        cross=np.einsum("ip,piw->iw", shares[one], cross),
-    )
-    if whole.extra is None:
-        return whole
-    one = np.r_[np.zeros(cross.shape[2], int), one]
-    rows = np.einsum("ip,pni->ni", shares[one], np.array([part.extra.rows for part in parts]))
-    return whole._replace(extra=whole.extra._replace(rows=rows))
 
 
 def fit_with_constants(rows, positions, columns, with_field):
@@ -380,23 +262,31 @@ def _known_of_constants(rows, positions, fitted):
     state = fitted.state._replace(noise_variance=fitted.state.noise_variance / weight)
     few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
 
-    def evidence(given):
-        return refit(given.sums(few), structures, state, lines, _CONSTANT_STEPS).log_evidence
-
     total = np.bincount(positions, rows.weights)
-    n = 3 * len(total)
-    found = {np.inf: evidence(rows)}
+    n, n_observations = 3 * len(total), 3.0 * rows.weights.sum()
+    gram, of_positions = explicit_gram(rows, few.at, positions)
+
+    def evidence(known):
+        left = less_constants(gram, of_positions, total, known)
+        n_left = n_observations if known else n_observations - n
+        sums = sums_of_gram(left, len(state.pairs), n_left)
+        sums = sums if known else without_motions(sums, few)
+        return refit(sums, structures, state, lines, _CONSTANT_STEPS).log_evidence
+
+    found = {np.inf: evidence(np.inf)}
     for known in _KNOWN.tolist():
         taken = 1.5 * np.log1p(total / known).sum() + 0.5 * np.log(n)
-        found[known] = evidence(rows._replace(codes=positions, known=known)) - taken
+        found[known] = evidence(known) - taken
+        if found[known] < max(found.values()) - _FAR_BELOW:
+            break
     squares = np.square(group_means(rows.y, positions, rows.weights)) * total[:, None]
     least = _LEAST_MEANS * np.average(np.square(rows.y).mean(axis=1), weights=rows.weights)
     variance = max(squares.mean(), least)
     taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
-    found[0.0] = evidence(rows._replace(codes=positions)) - taken - _PRICE_OF_DEVIATIONS
+    found[0.0] = evidence(0.0) - taken - _PRICE_OF_DEVIATIONS
     known = max(found, key=found.__getitem__)
     # Constants that are no larger than the noise are none.
-    return np.inf if known == _KNOWN[-1] else known * weight
+    return np.inf if known == _KNOWN[0] else known * weight
 
 
 @stage("linear error model")
@@ -469,7 +359,7 @@ def _fit(rows, columns, structures) -> tuple[Any, Any]:
             beside = _beside_field(rows, columns, structures, sums, state, factor)
             if beside is not None:
                 state, factor, sums = _settled(rows, columns, structures, sums, beside, factor)
-        if np.all(factor == start):
+        if np.abs(factor - start).mean() < _SETTLED_CHOICE:
             break
     return state, factor
 
@@ -479,7 +369,14 @@ def _beside_field(rows, columns, structures, sums, state, factor):
     problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
     few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
-    some = rows.weighted(factor).sums(few)
+    some = sums_of_pairs(sums, pairs)
+    if rows.codes is not None:
+        # With offsets, rows of the Gram matrix of all candidates cost more than a matrix of these.
+        rows = rows.weighted(factor)
+        waves = columns_of(rows.arm, Terms(few.terms.harmonics, False, False, False))
+        total = np.bincount(rows.codes, rows.weights)
+        gram = less_constants(*explicit_gram(rows, waves.at, rows.codes), total, rows.known)
+        some = some._replace(rows=sums_of_gram(gram, len(pairs), sums.n_observations).rows)
     alone = state._replace(lines=lines, pairs=lines)
     return beside_field(problem, state, Problem(some, of_field), alone)
 
@@ -496,26 +393,60 @@ def _settled(rows, columns, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
+    some, expected = sums_of_pairs(sums, pairs), _expected(rows, few)
     for _ in range(_ROUNDS):
-        left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
+        left = centred(rows.y - expected(state), rows.codes, rows.weights * factor)
         old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break
-        found = refit(rows.weighted(factor).sums(few), structures, state, lines, _REFIT_STEPS)
+        some = _reweighted(rows, few, some, old, factor)
+        found = refit(some, structures, state, lines, _REFIT_STEPS)
         state = found._replace(lines=state.lines, pairs=pairs)
     if np.any(factor != before):
-        sums = rows.weighted(factor).sums(columns)
+        sums = _reweighted(rows, columns, sums, before, factor)
     return state, factor, sums
 
 
-def _expected(rows, columns, state):
-    """Residuals (n, 3) that a state of these columns expects at the rows."""
-    coef = np.roll(state.coef, columns.n_waves)
-    found = np.empty_like(rows.y)
-    for part in chunks(len(rows.X), _POSES):
-        found[part] = columns.factored(rows.X[part]).dot(coef)
-    return found
+def _reweighted(rows, columns, sums, old, new):
+    """Sums at new factors of the weights, of those at old ones, by the poses that have changed.
+
+    Where positions have offsets all rows of a position change together.
+    """
+    changed = old != new
+    if rows.codes is not None:
+        changed = np.isin(rows.codes, rows.codes[changed])
+    if rows.lengths or changed.mean() > _MANY_CHANGED:
+        return rows.weighted(new).sums(columns)
+    part, old, new = rows.at(changed), old[changed], new[changed]
+    if rows.codes is None:
+        more = part._replace(weights=part.weights * (new - old)).sums(columns)
+        return combined((sums, more), (1, 1))
+    parts = [(sums, 1)]
+    for factor, sign in ((old, -1), (new, 1)):
+        if factor.any():
+            parts.append((part.weighted(factor).sums(columns), sign))
+    return combined(*zip(*parts, strict=True))
+
+
+def _expected(rows, columns):
+    """Function of a state of these columns: the residuals (n, 3) that it expects at the rows.
+
+    The columns are held, not multiplied out, unless there are very many poses.
+    """
+
+    def made():
+        return ((part, columns.factored(rows.X[part])) for part in chunks(len(rows.X), _POSES))
+
+    held = list(made()) if len(rows.X) <= _HELD_POSES else None
+
+    def expected(state):
+        coef, found = np.roll(state.coef, columns.n_waves), np.empty_like(rows.y)
+        for part, factored in made() if held is None else held:
+            found[part] = factored.dot(coef)
+        return found
+
+    return expected
 
 
 def model_of(rows, columns, state):
@@ -541,4 +472,4 @@ def model_of(rows, columns, state):
     )
     if rows.codes is None:
         return model
-    return model.constrained(rows.X, rows.weights, rows.codes, keep_scale=not rows.lengths)
+    return model.constrained(rows.X[rows.weights > 0], keep_scale=not rows.lengths)

@@ -26,7 +26,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
-from sklearn_raacmm.utils import check_shapes, chunks, group_means
+from sklearn_raacmm.utils import check_shapes, chunks
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
@@ -35,6 +35,8 @@ _CHUNK = 2**17
 _FULL = 0.6
 # Poses at which fields are compared with columns: three equations each, for some 200 columns.
 _POSES = 150
+# Poses in the range of those of a fit at which fields are told from columns: a number for speed.
+_TRIED = 200
 # Share of a field that columns may leave for it to be one of theirs: bending about the second
 # joint's axis is one only nearly.
 _LEFT = 0.01
@@ -124,6 +126,13 @@ class LinearModel:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         values = dict(state)
+        # A default would be a guess at what another version knew of this model.
+        wanted = {"arm", "terms", *(f.name for f in fields(self)[1:])}
+        if missing := sorted(wanted.difference(values)):
+            raise ValueError(
+                f"The file does not say {', '.join(missing)} of the linear model: another version "
+                "wrote it, or it is damaged."
+            )
         arm, terms = values.pop("arm"), values.pop("terms")
         pairs = np.asarray(terms.harmonics)
         check_shapes("LinearModel", {"harmonics": pairs}, {"harmonics": ("pairs", 2)}, {})
@@ -264,30 +273,28 @@ class LinearModel:
             variance[rows] = ((columns @ basis) * (columns @ other)).sum(axis=1).reshape(-1, 3)
         return np.maximum(variance, 0.0)  # both together may be known better than what is shown
 
-    def constrained(
-        self, X: np.ndarray, weights: np.ndarray, codes: np.ndarray, keep_scale: bool = True
-    ) -> Self:
+    def constrained(self, X: np.ndarray, keep_scale: bool = True) -> Self:
         """Model without what positions with offsets cannot show: the scale, where the base stands.
 
         Unless known lengths show the scale, distances between positions stay on the average as the
         calibration has them (an inner constraint, as geodesists have it in free networks).
 
-        Other columns imitate the fields of `place_fields` at the positions of the test. With M the
-        mean columns over the positions and F = M W those of the fields W, ``G = lstsq(F, M)`` is
+        Other columns imitate the fields of `place_fields`. With M the columns at poses anywhere in
+        the ranges of the rows X of a fit and F = M W those of the fields W, ``G = lstsq(F, M)`` is
         the field in every column, and ``A - A W G`` are the columns without it: `gauge_free_half`
-        is the root with these. Fields that the positions hardly tell from others are left: with few
-        positions G would explode.
+        is the root with these. Mean poses of few positions would leave fields in it
+        (``benchmarks/bench_few_poses.py``). Fields that are hardly told from others are left.
         """
         columns, half = self.layout, self.half
         changes: dict[str, Any] = {}
-        means = columns.means(X, codes, weights)
+        tried = _poses_in_range(X)
+        flat = columns.at(tried).reshape(3 * len(tried), -1)
         if columns.terms.kinematics:
-            points = group_means(columns.points(X), codes, weights)
-            spread = points - points.mean(axis=0)
-            size = np.square(spread).sum()
-            if size > 0:
-                scale_of = np.einsum("gc,gcp->p", spread, means) / size
-                along, unit = scale_of @ half, columns.scale
+            points = columns.points(tried)
+            spread = (points - points.mean(axis=0)).ravel()
+            if size := spread @ spread:
+                scale_of, unit = spread @ flat / size, columns.scale
+                along = scale_of @ half
                 if keep_scale:
                     half = half - np.outer(unit, along)
                     changes = {"coef": self.coef - unit * (scale_of @ self.coef), "half": half}
@@ -295,7 +302,6 @@ class LinearModel:
                     changes = {"scale_sd": float(np.linalg.norm(along))}
         of_place = place_fields(columns)
         if of_place.shape[1]:
-            flat = means.reshape(-1, means.shape[2])
             shown = np.linalg.lstsq(flat @ of_place, flat @ half, rcond=_LEAST_SHOWN)[0]
             half = half - of_place @ shown
         return replace(self, **changes, gauge_free_half=half, fading_half=half)
@@ -343,6 +349,12 @@ class LinearModel:
         family = [FAMILIES[column.family] for column in others]
         values = size * self.coef[n:], size * self.coef_sd[n:]
         return np.array([*zip(family, self.layout.names, *values, strict=True)], dtype=dtype)
+
+
+def _poses_in_range(X):
+    """Rows each number of which is anywhere in the range that it has in X."""
+    rng = np.random.default_rng(0)
+    return rng.uniform(X.min(axis=0), X.max(axis=0), (_TRIED, X.shape[1]))
 
 
 def _triangle(half, n_pairs):

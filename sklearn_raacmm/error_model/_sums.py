@@ -32,10 +32,10 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, own_angles
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
-from sklearn_raacmm.utils import chunks, group_means
+from sklearn_raacmm.utils import chunks, group_means, group_sums
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
@@ -105,6 +105,7 @@ def candidate_sums(rows, columns):
         parts = _parts_of_positions(codes[order])
         angles, y, weights = angles[order], y[order], weights[order]
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
+    own_of_joints = own_angles(rows.arm, angles)
     spans = []  # joint, orders, and which of those offered they are
     for joint in np.unique(offered[:, 0]).tolist():
         pairs = np.flatnonzero(offered[:, 0] == joint)
@@ -121,14 +122,14 @@ def candidate_sums(rows, columns):
         weighted = _weighted_deviations(always, weights[part], starts, known)
         gram += always.reshape(-1, m).T @ weighted.reshape(-1, m)
         for joint, orders, pairs in spans:
-            turn, wave = turns[part, :, joint], waves(angles[part, joint], orders)
+            turn, wave = turns[part, :, joint], waves(own_of_joints[part, joint], orders)
             share = np.einsum("ncm,nc->nm", weighted, turn)
             cross[:, pairs] += _products(share, wave)
             own[:, pairs] += _own_blocks(turn, wave, weights[part], starts, known)
     cross = cross.view(float)
 
     def rows_of(pairs):
-        return _gram_rows(angles, turns, weights, parts, known, spans, offered[pairs])
+        return _gram_rows(own_of_joints, turns, weights, parts, known, spans, offered[pairs])
 
     n_taken = 0 if known or codes is None else len(np.unique(codes))
     return Sums(
@@ -137,10 +138,42 @@ def candidate_sums(rows, columns):
         cross[:-1],
         own,
         cross[-1],
-        max(float(gram[-1, -1]), 0.0),
-        max(float(y.shape[1]) * (weights.sum() - n_taken), 0.0),
+        float(gram[-1, -1]),
+        float(y.shape[1] * (weights.sum() - n_taken)),
         GramRows(rows_of, 2 * len(offered)),
     )
+
+
+def explicit_gram(rows, columns_at, positions=None):
+    """Gram matrix of few columns and y, summed up as they stand, and their sums over positions.
+
+    `columns_at` makes the columns (n, 3, p) of rows of X, y is the last one. Returns the matrix (p
+    + 1, p + 1), and the weighted sums (n_positions, 3, p + 1) of which `less_constants` takes what
+    constants of the positions explain; None without `positions` (n,) from 0.
+    """
+    gram: Any = 0.0
+    of_positions: Any = None if positions is None else 0.0
+    for part in chunks(len(rows.X), _CHUNK):
+        columns = np.concatenate([columns_at(rows.X[part]), rows.y[part, :, None]], axis=2)
+        weights = rows.weights[part]
+        if positions is not None:
+            n_positions = int(positions.max()) + 1
+            of_positions = of_positions + group_sums(columns, positions[part], weights, n_positions)
+        columns *= np.sqrt(weights)[:, None, None]
+        flat = columns.reshape(-1, columns.shape[2])
+        gram = gram + flat.T @ flat
+    return gram, of_positions
+
+
+def less_constants(gram, of_positions, total, known):
+    """The Gram matrix of `explicit_gram` without what constants of the positions explain.
+
+    `total` (n_positions,) are the weights of the positions; the constants are drawn to 0 as by rows
+    of the weight `known`. The same as of deviations from such means (Frisch-Waugh theorem).
+    """
+    size = np.sqrt(np.maximum(total + known, _TINY))[:, None, None]
+    scaled = (of_positions / size).reshape(-1, len(gram))
+    return gram - scaled.T @ scaled
 
 
 def without_motions(sums, columns):
@@ -151,14 +184,14 @@ def without_motions(sums, columns):
     """
     if not columns.terms.kinematics:
         return sums
-    keep = _beside_motions(columns.alone)
+    keep = beside_motions(columns.alone)
     return sums._replace(
         gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
     )
 
 
 @lru_cache(maxsize=64)
-def _beside_motions(columns):
+def beside_motions(columns):
     """Projection (m, m) of coefficients to what is no motion of the base and no scale."""
     # What comes before the first joint in the modified convention moves the arm, too.
     before = ["a1", "alpha1", "beta1"] * (columns.arm.convention == "modified")

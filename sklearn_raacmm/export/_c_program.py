@@ -11,12 +11,13 @@ from functools import partial
 
 import numpy as np
 
+from sklearn_raacmm.export._program import NEAR
 from sklearn_raacmm.utils import LARGEST
 
 # Beyond this exp(-x) is 0, and 0 times what overflows would be NaN: the smallest normal number is
 # exp(-708.4) in double precision.
 _MOST = {"double": 708.0, "float": 87.0}
-_ROOTS = {"gaussian": 1, "matern32": 3, "matern52": 5}
+_ROOTS = {"gaussian": 1, "matern12": 1, "matern32": 3, "matern52": 5}
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
 _VECTOR = 8
@@ -257,11 +258,12 @@ class _Writer:
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", centers, note)
-        most, root = (self.tables.literal(x) for x in (_MOST[self.real], np.sqrt(_ROOTS[kernel])))
+        numbers = {"most": _MOST[self.real], "root": np.sqrt(_ROOTS[kernel]), "near": NEAR}
+        numbers = {name: self.tables.literal(value) for name, value in numbers.items()}
         self.declare(number, fill=" = {0}")
         self.fill(
             "radial", v=v, x=x, d=d, k=k, shift=shift, width=width, center=center, kernel=kernel,
-            body=self.tables.c(kernel, v=v, most=most, root=root),
+            body=self.tables.c(kernel, v=v, **numbers),
         )  # fmt: skip
 
     def _variances(self, number, op):

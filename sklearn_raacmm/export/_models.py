@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM
+from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles
 from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
@@ -50,10 +50,18 @@ class _Chain:
         angles = self.x if self.p.size(self.x) == n else self.p.take(self.x, np.arange(n))
         return angles if self.unit == "rad" else self.p("mul", angles, np.pi / 180)
 
+    def own_angles(self):
+        """Angle of each joint itself in rad, where some are sums of what is given."""
+        angles = self.angles()
+        if not self.arm.couplings:
+            return angles
+        unit = np.eye(self.arm.n_joints)
+        return self.p.affine(angles, own_angles(self.arm, unit).T)
+
     def frames(self):
         """Axes and origin of every frame, 12 numbers each, the base first."""
         arm = self.arm
-        theta = self.p("add", self.p("mul", self.angles(), arm.joint_signs), arm.theta_offset)
+        theta = self.p("add", self.p("mul", self.own_angles(), arm.joint_signs), arm.theta_offset)
         table = np.stack([np.cos(arm.alpha), np.sin(arm.alpha), arm.a, arm.d], axis=1)
         return self.p("frames", theta, table=table, convention=arm.convention)
 
@@ -327,7 +335,7 @@ def _of_joints(chain, vectors, joints, about, series, means):
     orders = np.arange(1, q // 2 + 1)
     waves = p(
         "waves",
-        chain.angles(),
+        chain.own_angles(),
         joint=np.repeat(joints, q),
         order=np.tile(np.concatenate([orders, -orders]), n),
     )
@@ -364,7 +372,7 @@ def _sizes(chain, linear, table, vectors):
     n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
     sizes = p.constant(table["unit"])
     if np.any(table["order"]):
-        waves = p("waves", chain.angles(), joint=table["joint"], order=table["order"])
+        waves = p("waves", chain.own_angles(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
     loaded = np.flatnonzero(np.isin(table["kind"], OF_LOADS))
     if len(loaded):

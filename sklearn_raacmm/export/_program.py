@@ -218,10 +218,13 @@ def _waves(angles, joint, order):
     return both[:, place.ravel() + len(of) * (order < 0)]
 
 
+# Squared distance up to which rows are the same, as `network` has it for the kernel that shows it.
+NEAR = 1e-12
 _RADIAL = {
     "gaussian": lambda s: np.exp(-0.5 * s),
     "matern32": lambda s: (1.0 + np.sqrt(3.0 * s)) * np.exp(-np.sqrt(3.0 * s)),
     "matern52": lambda s: (1.0 + np.sqrt(5.0 * s) + 5 / 3 * s) * np.exp(-np.sqrt(5.0 * s)),
+    "matern12": lambda s: np.exp(-np.sqrt(np.where(s >= NEAR, s, 0.0))),
 }
 
 

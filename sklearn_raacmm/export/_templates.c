@@ -113,6 +113,9 @@ $body
 //// matern52
     const $real d = $root * sqrt$f($v[c]), r = d > $most ? $most : d;
     $v[c] = (1 + r + r * r / 3) * exp$f(-r);
+//// matern12
+    const $real r = $v[c] > $near ? sqrt$f($v[c]) : 0;
+    $v[c] = exp$f(-(r > $most ? $most : r));
 //// variances
 {
     $kind dot[3][$r] = {{0}};

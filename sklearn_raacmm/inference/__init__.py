@@ -13,6 +13,9 @@ from sklearn_raacmm.inference._linear import (
     combined,
     evidence_variance,
     refit,
+    root_of,
+    sums_of_gram,
+    sums_of_pairs,
 )
 from sklearn_raacmm.inference._search import beside_field, search, search_at
 
@@ -27,6 +30,9 @@ __all__ = [
     "combined",
     "evidence_variance",
     "refit",
+    "root_of",
     "search",
     "search_at",
+    "sums_of_gram",
+    "sums_of_pairs",
 ]

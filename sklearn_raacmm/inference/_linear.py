@@ -90,7 +90,6 @@ class Structures(NamedTuple):
     field_price: float  # in nats
     given: np.ndarray  # (n_families + 2,) variances that are known, NaN for those to be found
     largest: float  # variance beyond which a coefficient makes no sense
-    wide: float  # variance of the families at which a second search begins
 
 
 class State(NamedTuple):
@@ -142,6 +141,37 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
 
     whole = [total(values) for values in zip(*(part[:7] for part in parts), strict=True)]
     return Sums._make([*whole, GramRows(sum_up, parts[0].cross.shape[1]), None])
+
+
+def sums_of_pairs(sums: Sums, pairs: np.ndarray) -> Sums:
+    """The same sums with some of the candidates only."""
+    columns, n, extra = columns_of(pairs), sums.cross.shape[1], sums.extra
+    if extra is not None:
+        always = np.arange(n, extra.rows.shape[1])
+        extra = extra._replace(rows=extra.rows[:, np.r_[columns, always]])
+    return sums._replace(
+        cross=sums.cross[:, columns],
+        own=sums.own[:, pairs],
+        candidate_moment=sums.candidate_moment[columns],
+        rows=GramRows(lambda some: sums.rows(pairs[some], (), pairs), len(columns)),
+        extra=extra,
+    )
+
+
+def sums_of_gram(gram: np.ndarray, n_pairs: int, n_observations: float) -> Sums:
+    """`Sums` of one Gram matrix of the candidates, of the columns that are always in, and of y."""
+    n = 2 * n_pairs
+    waves, (first, second) = gram[:n, :n], np.arange(n).reshape(-1, 2).T
+    return Sums(
+        gram=gram[n:-1, n:-1],
+        moment=gram[n:-1, -1],
+        cross=gram[n:-1, :n],
+        own=np.array([waves[first, first], waves[second, second], waves[first, second]]),
+        candidate_moment=gram[:n, -1],
+        square=float(gram[-1, -1]),
+        n_observations=n_observations,
+        rows=GramRows(lambda pairs: waves[columns_of(pairs)], n),
+    )
 
 
 def columns_of(pairs: ArrayLike) -> np.ndarray:
@@ -219,20 +249,10 @@ class Problem:
         return variance
 
     def nothing(self) -> State:
-        """The state without lines and field, with the variances that it has the evidence for.
-
-        Where another fit has explained most of y, the guess is far too small, and the fixed point
-        ends at zero; from large variances it finds what that fit could not explain.
-        """
-        families = np.arange(self.line + 2) < self.line
-        wide = np.where(families & ~self.known, self.structures.wide, self.guess)
-
-        def found_from(variance):
-            variance = np.minimum(variance, self.structures.largest)
-            start = self.state(np.empty(0, dtype=int), False, variance, self.start)
-            return self.with_variances(start)
-
-        return max(map(found_from, (self.guess, wide)), key=lambda state: state.log_evidence)
+        """The state without lines and field, with the variances that it has the evidence for."""
+        variance = np.minimum(self.guess, self.structures.largest)
+        start = self.state(np.empty(0, dtype=int), False, variance, self.start)
+        return self.with_variances(start)
 
     def pairs_and_shares(
         self, lines: np.ndarray, with_field: bool

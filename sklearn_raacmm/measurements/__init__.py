@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
+    EQUAL,
     FAR,
     PRICE,
     UNITS,
@@ -24,6 +25,7 @@ from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
 __all__ = [
+    "EQUAL",
     "FAR",
     "LEAST_ROWS",
     "PRICE",

@@ -21,7 +21,7 @@ from sklearn_raacmm.utils import Finding, align, centred, row_numbers
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
 # many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
 # that nothing is wrong with. Within the second nothing tells two explanations apart: a choice.
-PRICE, _EQUAL = 11.0, 7.0
+PRICE, EQUAL = 11.0, 7.0
 UNITS = {25.4: "inches", 10.0: "centimetres", 1000.0: "metres", 1e-3: "micrometres"}
 _FILES = "Are angles and points from two files, of which one has a row more, or another order?"
 WORDS = {
@@ -113,7 +113,7 @@ def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> l
     """
     ranked = sorted(explained, key=lambda one: -one[0])
     best = ranked[0][0]
-    return [one for nats, one in ranked if nats > best - _EQUAL] if best > given else []
+    return [one for nats, one in ranked if nats > best - EQUAL] if best > given else []
 
 
 def explanations(
@@ -192,10 +192,14 @@ def _late(y, expected, codes):
 
 def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
     """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
-    middle = np.zeros_like(values)
-    if codes is not None:
-        for code in np.unique(codes):
-            middle[codes == code] = np.median(values[codes == code], axis=0)
+    if codes is None:
+        return np.zeros_like(values)
+    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
+    for i, column in enumerate(values.T):
+        column = column[np.lexsort((column, of))]  # by position, and there by size
+        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
+        middle[:, i] = median[of]
     return middle
 
 

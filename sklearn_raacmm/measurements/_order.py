@@ -8,8 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.ensemble import ExtraTreesRegressor
-from sklearn.model_selection import GroupKFold, cross_val_predict
 
 from sklearn_raacmm.arm import Arm, check_angles, points_of
 from sklearn_raacmm.measurements._dwells import within_turn
@@ -95,6 +93,10 @@ def order_explained_by(angles: np.ndarray, codes: np.ndarray) -> float:
     At most 1; about 0 or less where the run mixes its poses. `angles` are (n, n_joints), `codes`
     (n,) the positions, from 0.
     """
+    # Here: they take a third of a second, and few need them.
+    from sklearn.ensemble import ExtraTreesRegressor
+    from sklearn.model_selection import GroupKFold, cross_val_predict
+
     number = np.arange(len(angles), dtype=float)
     trees = ExtraTreesRegressor(_TREES, min_samples_leaf=3, random_state=0)
     folds = GroupKFold(min(_FOLDS, int(codes.max()) + 1))

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 from sklearn import get_config
-from sklearn.metrics import make_scorer
 
 from sklearn_raacmm.utils import (
     Floats,
@@ -307,6 +306,8 @@ def repeatability_scorer(
             "Enable it first by sklearn.set_config(enable_metadata_routing=True), or tell the "
             "scorer the groups: repeatability_scorer(X, groups)."
         )
+    from sklearn.metrics import make_scorer  # here: it takes long to import
+
     scorer = make_scorer(_routed_scatter, greater_is_better=False, **options)
     return scorer.set_score_request(groups=True)
 

@@ -15,6 +15,8 @@ _SOUND_PIVOT = 1e-6
 _RESERVED = 2**25
 # Squared distance from which a gaussian is nothing.
 _FARTHEST = 1414.0
+# Squared distance up to which rows are the same to `_matern12`.
+NEAR = 1e-12
 _SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
 
@@ -60,12 +62,29 @@ def _matern52(s, slope=False):
     return s, once
 
 
+def _matern12(s, slope=False):
+    # The distance of a row from itself is rounding, and its root would be seen.
+    s *= s >= NEAR
+    d = np.sqrt(s, out=s)
+    decay = np.exp(-d)
+    if not slope:
+        return decay
+    # The slope has no limit at distance 0; where it is used, times a difference of rows, it has:
+    # of opposite directions opposite ones, of which 0 is the mean.
+    same = d == 0
+    d[same] = np.inf
+    np.divide(-0.5 * decay, d, out=d)
+    return decay, d
+
+
 # Functions of the scaled squared distances, 1 at distance 0, which they may overwrite; if asked
-# for, with the derivative by the squared distance. `kernel="auto"` tries them in this order.
+# for, with the derivative by the squared distance. From smooth to rough: `kernel="auto"` tries them
+# in this order.
 KERNELS: dict[str, Callable[..., Any]] = {
     "gaussian": _gaussian,
     "matern52": _matern52,
     "matern32": _matern32,
+    "matern12": _matern12,
 }
 
 

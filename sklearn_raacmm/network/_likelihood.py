@@ -115,15 +115,21 @@ def solve_and_invert(C, y):
     return solved, log_det, half
 
 
-def left_out(data, K, alphas, ratio=0.0):
-    """Negative log density of each row, or group with a constant, that is left out.
+def likelihoods(data, K, alphas, ratio=0.0):
+    """Negative log likelihood as `exact_likelihood` has it, and of rows left out, by one factor.
 
-    In closed form (section 5.4.2 of Rasmussen and Williams), up to a constant.
+    The second is the density of each row, or group with a constant, given all the others, in closed
+    form (section 5.4.2 of Rasmussen and Williams), up to a constant. Returns, third, the signal
+    variance (q,).
     """
-    density, n, noise = 0.0, len(K), data.noise(ratio)
-    for y, within, alpha in zip(data.targets.T, data.lost, alphas, strict=True):
-        solved, _, half = solve_and_invert(K + alpha * noise, y)
-        signal = max((y @ solved + within / alpha) / data.n_total, TINY)
+    value, density, n, noise = 0.0, 0.0, len(K), data.noise(ratio)
+    signals = np.empty(len(alphas))
+    for i, (y, within, alpha) in enumerate(zip(data.targets.T, data.lost, alphas, strict=True)):
+        solved, log_det, half = solve_and_invert(K + alpha * noise, y)
+        quadratic = max(y @ solved + within / alpha, TINY)
+        log_det += (data.n_total - n) * np.log(alpha)
+        value += 0.5 * (log_det + data.n_total * np.log(quadratic))
+        signals[i] = signal = max(quadratic / data.n_total, TINY)
         if data.codes is None:
             share = 2 * half.diagonal()
             square, log_det = np.sum(np.square(solved) / share), np.log(share).sum()
@@ -135,7 +141,12 @@ def left_out(data, K, alphas, ratio=0.0):
                 square += along @ along
                 log_det += 2 * np.log(root.diagonal()).sum()
         density += 0.5 * (square / signal - log_det + n * np.log(signal))
-    return density
+    return value, density, signals
+
+
+def left_out(data, K, alphas, ratio=0.0):
+    """Negative log density of what is left out, see `likelihoods`."""
+    return likelihoods(data, K, alphas, ratio)[1]
 
 
 def width_gradient(G, A):
@@ -189,6 +200,14 @@ class Task(NamedTuple):
         widths = [width * np.sqrt(self.used.sum())] * self.n_widths
         return np.log(widths + [alpha] * self.n_alphas + [START_RATIO] * self.constants)
 
+    def pack(self, structure):
+        """Theta of a structure, or near it: what is infinite or nothing is at its bound."""
+        width, alpha = np.log(structure.length_scale / self.spread), np.log(structure.alpha)
+        widths = width[self.used]
+        widths = [widths.min()] * self.n_widths if self.isotropic else widths
+        ratio = [np.log(max(structure.ratio, RATIO_BOUNDS[0]))] * self.constants
+        return np.clip([*widths[: self.n_widths], *alpha[: self.n_alphas], *ratio], *self.bounds.T)
+
     def unpack(self, theta):
         """Logarithms of all widths (d,) and ridges (q,), and the ratio."""
         if self.length_scale is None:
@@ -222,24 +241,57 @@ def objective(task, theta, data, kernel, kappa=KAPPA):
         return np.inf, np.zeros(len(theta))
     gradient = task.reduce(gradient)
     of_signals = np.array([task.reduce(row) for row in of_signals])
+    penalty, of_penalty = _penalty(task, theta, data, kappa, signals, of_signals)
+    return value + penalty, gradient + of_penalty
+
+
+def _penalty(task, theta, data, kappa, signals, of_signals):
+    """The penalty of an end of a search, in nats, and its gradient by theta."""
     # The signal variance in units of an output's variance, on average over outputs.
     rho2, floor = np.exp(-2 * theta[: task.n_widths]), kappa**2 / data.n_total
     price, slope = PRICE * np.log1p(len(rho2)), signals.mean() * rho2
     used = slope / (slope + floor)  # of every feature, between 0 and 1
     narrow = rho2 / (NARROW / np.sqrt(task.used.sum())) ** 2
-    value += price * used.sum() + np.log1p(narrow).sum()
+    value = price * used.sum() + np.log1p(narrow).sum()
     by_slope = price * floor / (slope + floor) ** 2
-    of_penalty = (by_slope @ rho2) * of_signals.mean(axis=0)
-    of_penalty[: len(rho2)] -= 2 * by_slope * slope + 2 * narrow / (1 + narrow)
-    gradient += of_penalty
+    gradient = (by_slope @ rho2) * of_signals.mean(axis=0)
+    gradient[: len(rho2)] -= 2 * by_slope * slope + 2 * narrow / (1 + narrow)
     if task.n_alphas:
         # Noise below a part of the targets' variance has to be shown.
-        noise = signals * np.exp(log_alpha)
+        noise = signals * np.exp(task.unpack(theta)[1])
         of_log_noise = of_signals / signals[:, None]
         of_log_noise[:, task.n_widths :][:, : task.n_alphas] += np.eye(task.n_alphas)
         value += DOUBT * np.log1p(SILENT / noise).sum()
         gradient -= DOUBT * (SILENT / (SILENT + noise)) @ of_log_noise
     return value, gradient
+
+
+class End(NamedTuple):
+    """Where a search for a kernel ended, and how good that is: all in nats, less is better."""
+
+    kernel: str
+    theta: np.ndarray
+    likelihood: float  # negative log likelihood
+    value: float  # with the penalty
+    density: float  # of what is left out
+
+    @property
+    def score(self):
+        """What ends are compared by: evidence believes too long, left-out density is noisy."""
+        return self.value + self.density
+
+
+def judge(task, kernel, theta, data):
+    """How good an end is, by one factor for all that is asked."""
+    log_width, log_alpha, ratio = task.unpack(theta)
+    K = covariance(data, kernel, log_width)[0]
+    try:
+        value, density, signals = likelihoods(data, K, np.exp(log_alpha), ratio)
+    except LinAlgError:
+        return End(kernel, theta, np.inf, np.inf, 0.0)
+    no_slopes = np.zeros((len(signals), len(theta)))
+    penalty = _penalty(task, theta, data, KAPPA, signals, no_slopes)[0]
+    return End(kernel, theta, value, value + penalty, density)
 
 
 def minimise(task, theta, data, kernel, steps, kappa=KAPPA):

@@ -158,9 +158,10 @@ class Problem(NamedTuple):
         of = self.varying
         return (self.targets[:, of] - self.basis @ self.projection[:, of]) / self.spread[of]
 
-    def scaled(self, length_scale: np.ndarray) -> np.ndarray:
-        """Rows about their middle in units of widths (d,)."""
-        return (self.rows.X - self.rows.X.mean(axis=0)) / length_scale
+    def scaled(self, structure: Any) -> np.ndarray:
+        """Rows as radial functions see them, about their middle in units of the widths."""
+        X = structure.seen(self.rows.X)
+        return (X - X.mean(axis=0)) / structure.length_scale
 
     def weigh(self, columns: np.ndarray) -> np.ndarray:
         """Columns at these rows, less groups' constants, times root; may overwrite them."""

@@ -2,9 +2,10 @@
 
 The network with a ridge in the kernel's norm is the posterior mean of a Gaussian process whose
 noise variance is `alpha` times its signal variance. Candidates are noise alone, a linear part, and
-radial functions of three kernels. The likelihood of these is maximised from several starts on a few
-hundred rows (`_coarse`), then on up to 1000 for kernels that may be the best. Compared are the
-objective of `_likelihood` and leave-one-out predictions on these rows (`score`).
+radial functions of four kernels, of the features or of their ranks. The likelihood of these is
+maximised from several starts on a few hundred rows (`_first_stage`), then on up to 1000 for kernels
+that may be the best (`_second_stage`). Compared are the objective of `_likelihood` and
+leave-one-out predictions on these rows (`judge`).
 """
 
 # Authors: The sklearn_raacmm developers
@@ -22,7 +23,7 @@ from sklearn_raacmm.network._likelihood import (
     WIDTH_BOUNDS,
     Task,
     covariance,
-    exact_likelihood,
+    judge,
     left_out,
     log_likelihood,
     minimise,
@@ -31,6 +32,7 @@ from sklearn_raacmm.network._likelihood import (
     solve_and_invert,
 )
 from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
+from sklearn_raacmm.network._ranks import are_alike, to_ranks
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import stage, warn_user
 
@@ -38,6 +40,8 @@ from sklearn_raacmm.utils import stage, warn_user
 # all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
+# Iterations after which ranks as inputs have to lead on the first stage's rows to be searched.
+TRIAL_STEPS = 15
 # Starts: all widths, in units of sqrt(d) spreads, and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
 # Width from which on a start is that of a smooth function.
@@ -47,21 +51,13 @@ HOPELESS = 0.3
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
-# Nats by which a kernel may trail on the rows of the second stage before its search there: one
-# trailed by 1.4 on 300 rows and led by 150 on 1000.
-TRAILING = 20.0
-# Nats by which a kernel other than the first has to lead in the end, lest noise be followed
-# (``benchmarks/bench_accuracy.py --margins``).
-KERNEL_MARGIN = 10.0
-# And for each observation: rougher kernels take centres by the hundred, for 1 % of the error.
-KERNEL_MARGIN_OF_ROW = 0.02
-# Nats by which a process without the features whose width ended at its upper bound has to lead: 1
-# to 5 is the price of features alone, 70 to 240 were found on tables without noise.
-FLAT_MARGIN = 10.0
+# Nats by which any other choice than the first has to lead, and for each target: a rougher kernel,
+# ranks as inputs, constants of groups, features left out whose width ended at its upper bound. Lest
+# noise be followed, and centres be taken by the hundred for 1 % of the error
+# (``benchmarks/bench_accuracy.py --margins``). What trails by as much is not searched further.
+MARGIN, MARGIN_OF_TARGET = 10.0, 0.02
 # Rows of a last stage, and its steps, where so many parameters a row show a rough function.
 FINE_ROWS, FINE_STEPS, ROUGH = 2000, 12, 0.25
-# Nats by which constants of groups have to lead, lest few groups seem to have them.
-CONSTANTS_MARGIN = 20.0
 # Observations a feature below which leave-one-out densities count in part: the widths have been
 # chosen on the same rows.
 TRUSTED = 10
@@ -87,6 +83,11 @@ class Structure(NamedTuple):
     log_likelihood: float = 0.0  # of the rows on which structures were compared
     n_observations: float = 0.0
     n_found: float = 0.0  # parameters of each output that were found
+    ranks: np.ndarray | None = None  # if these are the inputs, as `mid_ranks` makes them
+
+    def seen(self, X):
+        """Rows (n, d) as the radial functions see them, not yet in units of the widths."""
+        return X if self.ranks is None else to_ranks(self.ranks, X)
 
 
 @stage("widths of the network")
@@ -99,64 +100,177 @@ def search(
     alpha: np.ndarray | None = None,
     may_be_linear: bool = False,
     random_state: Any = None,
+    ranks: np.ndarray | None = None,
+    may_be_raw: bool = True,
+    start: Any = None,
+    refit: int = 0,
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
     The data are distinct rows with targets in units of their spread. Given may be widths (d,)
-    or ridges (q,).
+    or ridges (q,). A `start` is what was found for other weights of the rows. Slips bend a
+    function, and rough kernels follow them: the first refit has the first kernel, the second
+    decides anew on kernel, inputs and groups' constants, and the others stay near the one before.
+    With `ranks`, as `mid_ranks` makes them, these may be the inputs, or have to be.
     """
-    X, (d, q) = data.X, (data.X.shape[1], data.Y.shape[1])
-    spread = robust_spread(X, data.weights)
-    used = np.ones(d, dtype=bool)
-    if length_scale is None:
-        _refuse_far(X, spread)
-        used = spread > 0
-    spread = np.where(spread > 0, spread, 1.0)
-    if not q or not used.any():  # nothing varies, nothing can be learnt
-        width = silent_widths(spread, used) if length_scale is None else length_scale
-        return Structure(kernels[0], width, np.ones(q) if alpha is None else alpha)
-    data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
+    (n, d), q = data.X.shape, data.Y.shape[1]
+    decides = start is None or refit == 2
+    if not decides:
+        may_be_raw, ranks = start.ranks is None, None if start.ranks is None else ranks
+    first_ranks = None if may_be_raw else ranks
+    sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
+    drawn = [data.draw(size, random_state) for size in sizes]
+    view = _view(data, first_ranks, drawn, length_scale)
+    if not q or not view.used.any():  # nothing varies, nothing can be learnt
+        width = silent_widths(view.spread, view.used) if length_scale is None else length_scale
+        ridge = np.ones(q) if alpha is None else alpha
+        return Structure(kernels[0], width, ridge, ranks=first_ranks)
     constants = data.codes is not None and bool(data.codes.any())
-    task = Task(spread, used, q, isotropic, length_scale, alpha, constants)
-    sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
-    few, many = (data.some(data.draw(size, random_state)) for size in sizes)
-    first, *others = kernels
-    theta = _coarse(task, first, few)
-    if constants:
-        # Constants explain what a function does between groups, too, and need not be there.
-        plain = task._replace(constants=False)
-        other = _coarse(plain, first, few)
-        lead = score(plain, first, other, few) - score(task, first, theta, few)
-        if lead < CONSTANTS_MARGIN:
-            task, theta = plain, other
-    ends = {first: theta}
-    ends |= {name: minimise(task, theta, few, name, COARSE_STEPS) for name in others}
-    if len(many.X) > len(few.X):
-        scores = {name: score(task, name, theta, many) for name, theta in ends.items()}
-        hopeful = [name for name in ends if scores[name] <= min(scores.values()) + TRAILING]
-        caps = np.full(len(theta), np.inf)
-        caps[: task.n_widths] = np.log(REVIVED * np.sqrt(used.sum()))
-        starts = {name: np.minimum(ends[name], caps) for name in hopeful}
-        ends = {name: minimise(task, starts[name], many, name, EXACT_STEPS) for name in hopeful}
-    scores = {name: score(task, name, theta, many) for name, theta in ends.items()}
-    margin = KERNEL_MARGIN + KERNEL_MARGIN_OF_ROW * many.n_total * q
-    kernel = min(scores, key=lambda name: scores[name] + margin * (name != kernels[0]))
-    theta = ends[kernel]
+    if not decides:
+        kernels = kernels[:1] if refit == 1 else (start.kernel,)
+        constants = start.ratio > 0
+
+    def look(view):
+        task = Task(view.spread, view.used, q, isotropic, length_scale, alpha, constants)
+        same_inputs = start is not None and (start.ranks is None) == (view.ranks is None)
+        known = start if same_inputs else None
+        task, ends = _first_stage(task, kernels, view.few, known, decides, refit > 2)
+        ends = _second_stage(task, ends, view.few, view.many)
+        # The first kernel, unless another one leads clearly.
+        return task, min(ends, key=_handicapped(kernels[0], view.many))
+
+    silent = silent_widths(view.spread, view.used)
+    task, end = look(view)
+    if ranks is not None and may_be_raw and task.n_widths:
+        other = _view(data, ranks, drawn, None)
+        if _may_win(task, end, view, other):
+            ranked, found = look(other)
+            if found.score < end.score - margin(view.many):
+                view, task, end = other, ranked, found
+    many = view.many
     if task.n_alphas and task.n_widths:
-        simple = _simpler(task, kernel, theta, scores[kernel], many, may_be_linear)
+        plain = many._replace(X=data.X[drawn[1]])
+        simple = _simpler(task, end, plain, silent, may_be_linear)
         if simple is not None:
             return simple
     # Parameters that the data have decided on. That some features were picked out of all counts as
     # log(1 + d) more: with 20 features and 10 rows 91 % of new observations are inside the 95 %
     # intervals with it, 80 % without.
     n_found = task.n_widths + np.log1p(d * (length_scale is None)) + task.constants + task.n_alphas
-    task, theta = _leave_out_flat(task, kernel, theta, many)
-    if len(data.X) > len(many.X) and parameters(task, kernel, theta, many) > ROUGH * len(many.X):
-        more = data.some(data.draw(FINE_ROWS, random_state))
-        theta = minimise(task, theta, more, kernel, FINE_STEPS)
+    task, end = _leave_out_flat(task, end, many)
+    theta, value = end.theta, end.likelihood
+    if n > len(many.X) and parameters(task, end, many) > ROUGH * len(many.X):
+        more = view.data.some(data.draw(FINE_ROWS, random_state))
+        theta = minimise(task, theta, more, end.kernel, FINE_STEPS)
+        value = judge(task, end.kernel, theta, many).likelihood
     log_width, log_alpha, ratio = task.unpack(theta)
     width = np.exp(log_width)
-    narrow = np.flatnonzero(width < 1.01 * WIDTH_BOUNDS[0] * spread)
+    _warn_of_narrow(task, width)
+    return Structure(
+        end.kernel,
+        width,
+        np.exp(log_alpha),
+        ratio,
+        log_likelihood=log_likelihood(many, value),
+        n_observations=many.n_total,
+        n_found=n_found / q,
+        ranks=view.ranks,
+    )
+
+
+class _View(NamedTuple):
+    """Rows as radial functions see them: all, and those of the two stages."""
+
+    ranks: np.ndarray | None  # None for features as they are
+    spread: np.ndarray  # (d,) unit of the widths
+    used: np.ndarray  # (d,) mask of the features that vary
+    data: Rows
+    few: Rows
+    many: Rows
+
+
+def _view(data, ranks, drawn, length_scale):
+    X = data.X if ranks is None else to_ranks(ranks, data.X)
+    spread = robust_spread(X, data.weights)
+    used = np.ones(len(spread), dtype=bool)
+    if length_scale is None:
+        _refuse_far(X, spread)
+        used = spread > 0
+    data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
+    return _View(ranks, np.where(used, spread, 1.0), used, data, *map(data.some, drawn))
+
+
+def _may_win(task, end, view, other):
+    """Whether ranks may be the better inputs: by a short search on few rows, if they say more."""
+    if are_alike(view.few.X, other.few.X):
+        return False
+    ranked = task._replace(spread=other.spread)
+    theta = minimise(ranked, end.theta, other.few, end.kernel, TRIAL_STEPS)
+    lead = judge(task, end.kernel, end.theta, view.few).score
+    return lead > judge(ranked, end.kernel, theta, other.few).score
+
+
+def _first_stage(task, kernels, few, start, decides, near):
+    """The task, with groups' constants or without, and an end on few rows for each kernel.
+
+    From smooth to rough, until one trails far behind: no rougher one would lead then.
+    """
+    first, *others = kernels
+
+    def find(task):
+        if start is None or not near:
+            return _coarse(task, first, few, start)
+        return judge(task, first, minimise(task, task.pack(start), few, first, COARSE_STEPS), few)
+
+    end = find(task)
+    if task.constants and decides:
+        # Constants explain what a function does between groups, too, and need not be there.
+        plain = task._replace(constants=False)
+        other = find(plain)
+        if end.score > other.score - margin(few):
+            task, end = plain, other
+    ends = [end]
+    for kernel in others:
+        theta = minimise(task, ends[0].theta, few, kernel, COARSE_STEPS)
+        ends.append(judge(task, kernel, theta, few))
+        if ends[-1].score > ends[-2].score + margin(few):
+            break
+    return task, ends
+
+
+def _second_stage(task, ends, few, many):
+    """Ends on many rows, of the kernels that may be the best there."""
+    if len(many.X) == len(few.X):
+        return ends
+    ends = [judge(task, end.kernel, end.theta, many) for end in ends]
+    handicapped = _handicapped(ends[0].kernel, many)
+    limit = min(map(handicapped, ends)) + margin(many)
+    hopeful = [end for end in ends if handicapped(end) <= limit]
+    for i, end in enumerate(hopeful):
+        theta = minimise(task, _revived(task, end.theta), many, end.kernel, EXACT_STEPS)
+        hopeful[i] = judge(task, end.kernel, theta, many)
+    return hopeful
+
+
+def _handicapped(first, data):
+    """A function of an end: its score, and the margin if its kernel is not the first."""
+    return lambda end: end.score + margin(data) * (end.kernel != first)
+
+
+def margin(data):
+    """Nats by which a choice other than the first has to lead."""
+    return MARGIN + MARGIN_OF_TARGET * data.n_total * data.Y.shape[1]
+
+
+def _revived(task, theta):
+    """Theta with widths that are no wider than a feature needs to be found again."""
+    caps = np.full(len(theta), np.inf)
+    caps[: task.n_widths] = np.log(REVIVED * np.sqrt(task.used.sum()))
+    return np.minimum(theta, caps)
+
+
+def _warn_of_narrow(task, width):
+    narrow = np.flatnonzero(width < 1.01 * WIDTH_BOUNDS[0] * task.spread)
     if task.n_widths and len(narrow):
         warn_user(
             f"The width of feature {', '.join(map(str, narrow))} ended at its lower bound, "
@@ -164,16 +278,6 @@ def search(
             "rows can show, or a few values lie far from all others.",
             ConvergenceWarning,
         )
-    value = exact_likelihood(many, kernel, log_width, log_alpha, ratio)[0]
-    return Structure(
-        kernel,
-        width,
-        np.exp(log_alpha),
-        ratio,
-        log_likelihood=log_likelihood(many, value),
-        n_observations=many.n_total,
-        n_found=n_found / q,
-    )
 
 
 def silent_widths(spread, used):
@@ -181,18 +285,11 @@ def silent_widths(spread, used):
     return np.where(used, spread * np.sqrt(max(used.sum(), 1)), np.inf)
 
 
-def score(task, kernel, theta, data):
-    """Nats by which ends are compared: evidence believes too long, left-out density is noisy."""
-    value = objective(task, theta, data, kernel)[0]
-    if not np.isfinite(value):
-        return np.inf
-    log_width, log_alpha, ratio = task.unpack(theta)
-    return value + left_out(data, covariance(data, kernel, log_width)[0], np.exp(log_alpha), ratio)
-
-
-def _coarse(task, kernel, data):
-    """Where the search for one kernel ends, from several starts on few rows."""
+def _coarse(task, kernel, data, start=None):
+    """Where the search for one kernel ends on few rows, from several starts and a given one."""
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
+    if start is not None:
+        starts.append(_revived(task, task.pack(start)))
     values = [objective(task, theta, data, kernel)[0] for theta in starts]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
@@ -203,44 +300,45 @@ def _coarse(task, kernel, data):
         if value <= limit:
             best.setdefault(middle is not None and bool(theta[0] < middle), theta)
     ends = []
-    for start in best.values():
-        # At the price of many features a weak signal in a few of them is not found from far off
-        # (tests/network/test_search.py): it has to stand out first.
-        loose = minimise(task, start, data, kernel, COARSE_STEPS, LOOSE_KAPPA)
-        ends.append(minimise(task, loose, data, kernel, COARSE_STEPS))
-    return min(ends, key=lambda theta: score(task, kernel, theta, data)) if ends[1:] else ends[0]
+    for theta in best.values():
+        if start is None:
+            # At the price of many features a weak signal in a few of them is not found from far off
+            # (tests/network/test_search.py): it has to stand out first.
+            theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA)
+        ends.append(minimise(task, theta, data, kernel, COARSE_STEPS))
+    return min((judge(task, kernel, theta, data) for theta in ends), key=lambda end: end.score)
 
 
-def parameters(task, kernel, theta, data):
+def parameters(task, end, data):
     """Effective number of parameters of a process, of the output that needs most of them."""
-    log_width, log_alpha, ratio = task.unpack(theta)
-    K, alpha = covariance(data, kernel, log_width)[0], np.exp(log_alpha.min())
+    log_width, log_alpha, ratio = task.unpack(end.theta)
+    K, alpha = covariance(data, end.kernel, log_width)[0], np.exp(log_alpha.min())
     half = solve_and_invert(K + alpha * data.noise(ratio), data.targets[:, 0])[2]
     return len(K) - 2 * alpha * np.trace(half)
 
 
-def _leave_out_flat(task, kernel, theta, data):
+def _leave_out_flat(task, end, data):
     """Leave out the features whose width ended at its upper bound, where evidence asks for it."""
-    flat = theta[: task.n_widths] == np.log(WIDTH_BOUNDS[1])
+    flat = end.theta[: task.n_widths] == np.log(WIDTH_BOUNDS[1])
     if task.isotropic or not flat.any() or flat.all():
-        return task, theta
+        return task, end
     used = task.used.copy()
     used[used] = ~flat
-    fewer, kept = task._replace(used=used), np.delete(theta, np.flatnonzero(flat))
-    before, after = objective(task, theta, data, kernel)[0], objective(fewer, kept, data, kernel)[0]
-    return (fewer, kept) if after < before - FLAT_MARGIN else (task, theta)
+    fewer = task._replace(used=used)
+    without = judge(fewer, end.kernel, np.delete(end.theta, np.flatnonzero(flat)), data)
+    return (fewer, without) if without.value < end.value - margin(data) else (task, end)
 
 
-def _simpler(task, kernel, theta, value, data, may_be_linear):
+def _simpler(task, end, data, silent, may_be_linear):
     """Noise alone or a linear model, where that is better than radial functions; or None."""
     d, q = data.X.shape[1], task.n_outputs
-    own, (noise, density_of_noise) = objective(task, theta, data, kernel)[0], of_noise(data)
+    own, value, (noise, density_of_noise) = end.value, end.score, of_noise(data)
     # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
     is_noise = noise + density_of_noise < value or noise < own
     # Where radial functions seem to have no noise at all they predict neighbours of rows far from
     # most others too well: there the density of what is left out does not count.
-    trusted = is_noise or task.unpack(theta)[1].min() > np.log(ALPHA_BOUNDS[0]) + 1
-    other, density = (noise, density_of_noise) if is_noise else (own, value - own)
+    trusted = is_noise or task.unpack(end.theta)[1].min() > np.log(ALPHA_BOUNDS[0]) + 1
+    other, density = (noise, density_of_noise) if is_noise else (own, end.density)
     linear = _linear(data, other, density if trusted else None) if may_be_linear else None
     if linear is None and not is_noise:
         return None
@@ -249,8 +347,8 @@ def _simpler(task, kernel, theta, value, data, may_be_linear):
     n_found = np.log1p(d) if linear is None else 1 + np.log1p(d) + task.constants
     ratio, evidence = linear or (0.0, noise)
     return Structure(
-        kernel,
-        silent_widths(task.spread, task.used),
+        end.kernel,
+        silent,
         np.full(q, ALPHA_BOUNDS[1]),
         ratio,
         linear=linear is not None,

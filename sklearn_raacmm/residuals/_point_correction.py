@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
-from sklearn.metrics import r2_score
 
 from sklearn_raacmm.utils import (
     Finding,
@@ -150,6 +149,8 @@ class PointCorrectionMixin(VersionedRegressor):
 
 def score_within(y, prediction, groups, sample_weight=None):
     """R2 of deviations within positions; plain R2 where the means of positions are not small."""
+    from sklearn.metrics import r2_score  # here: predicting spares the time of importing it
+
     y, prediction = floats("y", y, -1), floats("prediction", prediction, -1)
     if y.shape != prediction.shape:
         raise ValueError(f"y has shape {y.shape}, but the prediction {prediction.shape}.")

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn import get_config
 from sklearn.base import clone
-from sklearn.linear_model import LinearRegression
-from sklearn.model_selection._search import BaseSearchCV
 from sklearn.pipeline import Pipeline
 from sklearn.utils import _safe_indexing, check_array, check_consistent_length, get_tags
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
@@ -220,6 +218,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
 
     def _by_position(self, features, y, groups, codes, fit_params):
         """The regressor's parameters in `fit`, with groups where it takes them."""
+        from sklearn.model_selection._search import BaseSearchCV  # here: predicting spares the time
+
         last, prefix = last_step_of(self.regressor_)
         knows = has_fit_parameter(last, "groups")
         if get_config()["enable_metadata_routing"]:  # by request, under names without a prefix
@@ -331,6 +331,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         if self.regressor is not None:
             return self.regressor
         routing = get_config()["enable_metadata_routing"]
+        from sklearn.linear_model import LinearRegression  # here: predicting spares the time
+
         regressor = LinearRegression()
         return regressor.set_fit_request(sample_weight=True) if routing else regressor
 

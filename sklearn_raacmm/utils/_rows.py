@@ -287,6 +287,9 @@ def slip_factors(
     for of, away in zip(rows, far, strict=True):
         scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
         centre = np.median(values[of], axis=0)
+        off = np.linalg.norm(values[of].mean(axis=0) - centre)
+        if away.max() + off < TUKEY_CUT * scale:
+            continue  # no row is far from the median, nor from the mean, the next centre
         for _ in range(_ROUNDS):
             left = values[of] - centre
             factor[of] = tukey_weights(left, least_scale=scale)

@@ -9,6 +9,7 @@ import csv
 import functools
 import json
 import re
+import sys
 
 import numpy as np
 import pandas as pd
@@ -338,7 +339,7 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize("words", ["learn log.csv --arm ur10", "plan --arm ur10", "accept no.xlsx"])
 def test_missing_extras_are_said_before_the_work(monkeypatch, tmp_path, capsys, words):
     for name in ("jinja2", "skops"):
-        monkeypatch.setitem(_commands.sys.modules, name, None)
+        monkeypatch.setitem(sys.modules, name, None)
     (tmp_path / "log.csv").write_text("cone,q1\n")
     monkeypatch.chdir(tmp_path)
     assert main([*words.split(), "--out", "out"]) == 2
@@ -353,16 +354,6 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     monkeypatch.setattr(_arms, "arm", full)
     assert main(["arm", "aacmm6"]) == 2
     assert capsys.readouterr().err == "raacmm arm: /out/arm.json: no space left on device.\n"
-
-
-def test_an_arm_changed_as_a_finding_proposes():
-    arm = Arm.from_name("aacmm6")
-    take = _arms.take
-    assert take(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
-    assert take(take(arm, "other-convention"), "other-convention") == arm
-    for code in ("reversed", "reversed-7", "reversed-x", "sign-1"):
-        with pytest.raises(TableError, match=rf"joints of 1 to 6, .*, got '{code}'"):
-            take(arm, code)
 
 
 def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
@@ -442,3 +433,12 @@ def test_known_lengths_and_places_of_the_command_line(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read_places(path, sd)
+
+
+@pytest.mark.parametrize(
+    ("root", "sentence"),
+    [("mujoco", "MuJoCo's MJCF: take the URDF"), ("sdf", "Gazebo's SDF: take the URDF")],
+)
+def test_other_descriptions_of_robots_are_named(root, sentence, tmp_path, refused):
+    (tmp_path / "m.xml").write_text(f"<{root}><worldbody/></{root}>")
+    refused(sentence, "arm", tmp_path / "m.xml")

@@ -5,6 +5,7 @@ All hold the same four poses of a UR-like arm, so that one comparison judges all
 
 import datetime
 import io
+import json
 import zipfile
 
 import numpy as np
@@ -56,6 +57,32 @@ def of_places(text):
 RTDE = [
     f"{name}_{i}" for name in ("target_q", "target_qd", "actual_q", "actual_qd") for i in range(6)
 ]
+RECORDS = [
+    {"place": label, "q": row.tolist(), "tcp": {"x": 1.5, "y": 2, "z": 3, "rx": 0}}
+    for label, row in zip(LABELS, DEG, strict=True)
+]
+
+
+def lists(form, values=DEG):
+    """A line for each pose, with its numbers where the form has {}."""
+    rows = enumerate(zip(LABELS, values, strict=True))
+    return "".join(
+        form.replace("{}", ", ".join(map(str, row))).replace("LABEL", label)
+        .replace("NUMBER", str(i)) + "\n" for i, (label, row) in rows
+    )  # fmt: skip
+
+
+def echo(begin, end, separator):
+    """JointState messages, as the two generations of ROS echo them."""
+    text = ""
+    for i, row in enumerate(RAD[:, ORDER]):
+        text += f"header:\n  seq: {i}\n  stamp:\n    secs: 14{i}\n  frame_id: ''\nname:"
+        for cells in (ALPHABETICAL, row):
+            text += begin + separator.join(map(str, cells)) + end
+            text += "position:" if cells is ALPHABETICAL else "velocity: []\neffort: []\n---\n"
+    return text
+
+
 STATES = np.c_[RAD[:, ORDER], 0 * RAD, 9 * RAD]
 PROGRAM = {
     # KUKA System Software 8.x, operating and programming instructions: structure E6AXIS in a .dat.
@@ -135,6 +162,68 @@ KINDS = {
     "a separator at the end": {"text": as_table(Q, end=",\n")},
     "rapid, names of places": {"text": of_places(PROGRAM["abb rapid"])},
     "krl, names of places": {"text": of_places(PROGRAM["kuka krl"])},
+    # Programs that name places, and lists as Python, MATLAB and C++ print them.
+    "doosan posj": {"text": lists("LABEL_NUMBER = posj({})")},
+    "efort": with_points(lists("LOCAL VAR jointtarget jNUMBER = j:{{} ,0 }\t{EJ 0,0,0,0,0,0}")),
+    "staubli dtx": with_points(
+        '<?xml version="1.0"?>\n<Database><Datas><Data name="j" type="jointRx">\n'
+        + "".join(f'<Value key="{i}" ' + " ".join(f'j{j}="{v}"' for j, v in enumerate(row, 1))
+                  + " />\n" for i, row in enumerate(DEG)) + "</Data></Datas></Database>\n"),
+    "yaskawa pulses": {
+        "text": "/JOB\n//POS\n///POSTYPE PULSE\n///PULSE\n" + "".join(
+            f"C0000{i}=" + ",".join(map(str, row)) + "\n"
+            for i, row in enumerate((RAD / 2 / np.pi * 2**22).round().astype(int))) + "//INST\n",
+        "options": {"counts_per_turn": 2**22, "points": "points"},
+        "named": "counts of the encoders: say how many make a turn",
+    },
+    "lists of python": with_points(lists("[{}],")),
+    "lists behind labels": {"text": lists("LABEL: [{}]")},
+    "lists of joints and of points": {
+        "text": "".join(f"({list(q)}, {list(p)})\n" for q, p in
+                        zip(DEG.tolist(), POINTS.tolist(), strict=True)),
+        "options": {"points": ["x", "y", "z"]},
+    },
+    "pairs": {"text": "".join(
+        f"place {lab}\n" + " ".join(f"J{j}= {v:9.4f}" for j, v in enumerate(row, 1)) + "\n"
+        for lab, row in zip("ABCD", DEG, strict=True)), "options": {"points": "points"}},
+    # rostopic echo and ros2 topic echo: messages between lines of three dashes.
+    "rostopic echo": with_points(echo(" [", "]\n", ", ")),
+    "ros2 topic echo": with_points(echo("\n- ", "\n", "\n- ")),
+    # Records: positions of the tool beside the joints are no angles.
+    "json, records": {"text": json.dumps({"version": 2, "poses": RECORDS}, indent=1)},
+    "json, a record a line": {"text": "".join(json.dumps(one) + "\n" for one in RECORDS)},
+    "json, columns": {"text": json.dumps({"place": LABELS, "q": DEG.tolist()})},
+    "json, rows by label": {"text": json.dumps({"A": DEG[:2].tolist(), "B": DEG[2:].tolist()})},
+    "yaml, records": {"text": "# of a robot\nposes:\n" + lists("  - place: LABEL\n    q: [{}]")},
+    "yaml, records of blocks": {"text": "".join(
+        f"- place: '{lab}'\n  joints:\n" + "".join(f"    q{j}: {v}\n" for j, v in enumerate(row, 1))
+        for lab, row in zip(LABELS, DEG, strict=True))},
+    "yaml, rows by label": {"text": lists("pNUMBER: [{}]"), "options": {"points": "points"}},
+    # Numbers and nothing else are the joints; a counter, a point and its label are not.
+    "numbers alone": with_points(joined(DEG, " ")),
+    "numbers behind a counter": with_points(joined(np.c_[1:5, DEG])),
+    "numbers before a point": {
+        "text": joined(np.c_[DEG, POINTS], "\t"), "options": {"points": ["7", "8", "9"]}
+    },
+    "sections": {"text": "q1 [deg],q2 [deg],q3 [deg],q4 [deg],q5 [deg],q6 [deg]\n" + "".join(
+        f"# Position {lab}\n{joined(rows)}" for lab, rows in (("A", DEG[:2]), ("B", DEG[2:]))),
+        "labels": ["Position A"] * 2 + ["Position B"] * 2},
+    "units in the cells": {"text": as_table(Q, [[f"{v} deg" for v in row] for row in DEG])},
+    "a unit above": {"text": "% units: radians\n" + as_table([f"axis {q}" for q in Q], RAD)},
+    # TwinCAT Scope: a time before each value, and rows that describe each column.
+    "twincat": with_points("Name\tScope\nFile\tx.svdx\n\n" + joined(
+        [[cell for i in range(1, 7) for cell in ("Name", f"Axis{i}.ActPos")],
+         ["SampleTime[ms]", 1] * 6, ["VariableSize", 8] * 6,
+         *([x for v in row for x in (i, v)] for i, row in enumerate(DEG))], "\t")),
+    # LabVIEW Measurement: a comment that most rows leave out, and a row of counts above.
+    "labview": with_points("LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n\n" + joined(
+        [["Channels", 6], ["Samples", *[90] * 6], ["***End_of_Header***"],
+         ["X_Value", *(f"Encoder {i} (deg)" for i in range(1, 7)), "Comment"],
+         *([i / 10, *row] for i, row in enumerate(DEG))], "\t")),
+    "french": {"text": as_table([f"Axe {i} (degrés)" for i in range(1, 7)]), "encoding": "cp1252"},
+    "chinese": {"text": as_table([f"关节{i}\uff08度\uff09" for i in range(1, 7)]),
+                "encoding": "gb18030"},
+    "japanese": {"text": as_table([f"関節{i} [度]" for i in range(1, 7)]), "encoding": "cp932"},
     "ls, names of places": {"text": of_places(PROGRAM["fanuc ls"])},
 }  # fmt: skip
 
@@ -159,7 +248,7 @@ def in_rad(table):
 def test_kinds_of_text(kind, tmp_path):
     case = KINDS[kind]
     path = tmp_path / "log.txt"
-    path.write_text(case["text"], encoding="utf-8")
+    path.write_text(case["text"], encoding=case.get("encoding", "utf-8"))
     options = dict(case.get("options", {}))
     if options.get("points") == "points":
         options["points"] = write_points(tmp_path / "points.txt")
@@ -171,7 +260,40 @@ def test_kinds_of_text(kind, tmp_path):
     if "points" in options:
         np.testing.assert_allclose(table.points, POINTS, atol=1e-9)
     else:
-        assert table.positions.tolist() == LABELS
+        assert table.positions.tolist() == case.get("labels", LABELS)
+
+
+NOT_JOINTS = {
+    "a pose of Staubli": ("X,Y,Z,O,A,T", "columns X, Y, Z, O, A, T are poses of the tool"),
+    "a pose of Fanuc": ("x,y,z,w,p,r", "columns x, y, z, w, p, r are poses of the tool"),
+    "a pose of a UR": ("x,y,z,rx,ry,rz", "columns x, y, z, rx, ry, rz are poses of the tool"),
+    "a quaternion": ("tx,ty,tz,qx,qy,qz,qw", "columns tx, ty, tz, qx, qy, qz, qw are poses"),
+    "a numbered pose": ("pose_0,pose_1,pose_2,pose_3,pose_4,pose_5", "which 6 columns"),
+}
+
+
+@pytest.mark.parametrize("kind", NOT_JOINTS)
+def test_poses_of_the_tool_are_no_joint_angles(kind, tmp_path):
+    names, sentence = NOT_JOINTS[kind]
+    n = names.count(",") + 1
+    poses = np.c_[POINTS, DEG[:, 3:], np.ones(4)][:, :n]
+    (tmp_path / "log.csv").write_text(joined([names.split(","), *poses]))
+    with pytest.raises(TableError, match=sentence):
+        read_table(tmp_path / "log.csv", 6)
+
+
+def test_numbers_beyond_two_turns_are_no_angles(tmp_path):
+    np.savetxt(tmp_path / "log.txt", np.c_[POINTS, DEG[:, 3:]])
+    with pytest.raises(TableError, match="reach 3000, more than two turns"):
+        read_table(tmp_path / "log.txt", 6, points=write_points(tmp_path / "points.txt"))
+    (tmp_path / "move.script").write_text(lists("movel(p[{}], a=1.2)"))
+    with pytest.raises(TableError, match="row 1 holds a pose of the tool"):
+        read_table(tmp_path / "move.script", 6)
+    (tmp_path / "job.jbi").write_text(
+        "/JOB\n//POS\n///POSTYPE BASE\n///RECTAN\nC00000=1,2,3,4,5,6\n"
+    )
+    with pytest.raises(TableError, match="poses of the tool; joint angles are needed"):
+        read_table(tmp_path / "job.jbi", 6)
 
 
 @pytest.fixture
@@ -284,6 +406,69 @@ def test_points_are_joined_by_a_column_or_by_order(tmp_path):
     (tmp_path / "two.txt").write_text("1,2\n3,4\n")
     with pytest.raises(TableError, match="no row with 3 numbers"):
         read_table(tmp_path / "joints.csv", 6, points=tmp_path / "two.txt")
+
+
+def test_points_that_some_rows_lack_are_matched_by_their_names(tmp_path):
+    rows = [[f"p{i}", *DEG[i]] for i in range(4)]
+    (tmp_path / "joints.csv").write_text(joined([["id", *Q], *rows]))
+    lines = [[f"p{i}", *POINTS[i]] for i in (3, 0, 2)] + [["p9", 1, 2, 3]]
+    (tmp_path / "points.csv").write_text(joined([["id", "X", "Y", "Z"], *lines]))
+    table = read_table(tmp_path / "joints.csv", 6, points=tmp_path / "points.csv")
+    np.testing.assert_array_equal(table.points, POINTS[[0, 2, 3]])
+    np.testing.assert_allclose(table.angles, DEG[[0, 2, 3]])
+    assert table.rows.tolist() == [2, 4, 5]
+    said = "column id. Rows without a point, left out: p1. Points without a row: p9."
+    assert said in table.notes[-1]
+
+
+# Points as instruments write them: text, and the columns where no names say which they are.
+POINT_FILES = {
+    "total station": (
+        "HEADER\n  UNITS\n    LINEAR  METRE\n  END UNITS\nEND HEADER\n  POINTS(PointNo, PointID, "
+        'East, North, Elevation, Code)\n    100, "OR1", , , , ""\n' + "".join(
+            f'    10{i}, "p{i}", {x}, {y}, {z}, ""\n' for i, (x, y, z) in enumerate(POINTS / 1000))
+        + "  END POINTS\n", None),
+    "inches above": ("// Spatial Analyzer\n// Units: Inches, Degrees\nPoint Name,X,Y,Z\n" + joined(
+        [f"p{i}", *point] for i, point in enumerate(POINTS / 25.4)), None),
+    "names of columns": ("id;nominal;a;b;c\n" + joined(
+        ([f"p{i}", 7, *point] for i, point in enumerate(POINTS)), ";"), "a,b,c"),
+    "pairs under names": ("".join(
+        f"p{i}\nCnt=1  X= {x} Y= {y} Z= {z} RotX= 1.5\n"
+        for i, (x, y, z) in enumerate(POINTS)), None),
+    "motive": ("Format Version,1.23,Length Units,Meters\n\n,,Marker,Marker,Marker\n,,1,1,1\n"
+        "Frame,Time (Seconds),X,Y,Z\n" + joined(
+        [i, i / 120, *point] for i, point in enumerate(POINTS / 1000)), None),
+    "json": (json.dumps([{"name": f"p{i}", "measured": dict(zip("xyz", point, strict=True))}
+                         for i, point in enumerate(POINTS.tolist())]), None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", POINT_FILES)
+def test_kinds_of_points(kind, tmp_path):
+    text, columns = POINT_FILES[kind]
+    (tmp_path / "points.idx").write_text(text)
+    (tmp_path / "joints.csv").write_text(
+        joined([["id", *Q], *([f"p{i}", *r] for i, r in enumerate(DEG))])
+    )
+    points = f"{tmp_path / 'points.idx'}:{columns}" if columns else tmp_path / "points.idx"
+    table = read_table(tmp_path / "joints.csv", 6, points=points)
+    np.testing.assert_allclose(table.points, POINTS, atol=1e-9)
+    assert len(table.angles) == 4
+
+
+def test_points_whose_columns_nothing_names_are_asked_for(tmp_path):
+    (tmp_path / "joints.csv").write_text(joined([Q, *DEG]))
+    (tmp_path / "points.csv").write_text("id,u,v\n1,2,3\n")
+    with pytest.raises(TableError, match=r"Say it with --points points\.csv:X,Y,Z"):
+        read_table(tmp_path / "joints.csv", 6, points=tmp_path / "points.csv")
+
+
+def test_an_external_axis_that_moves_is_named(tmp_path):
+    for column, moves in ((np.arange(4) * 500.0, True), (np.full(4, 85943.0), False)):
+        (tmp_path / "log.csv").write_text(joined([[*Q, "E1"], *np.c_[DEG, column]]))
+        table = read_table(tmp_path / "log.csv", 6, points=write_points(tmp_path / "points.txt"))
+        said = "Column E1 varies by 1500: an external axis moves the base"
+        assert (said in " ".join(table.notes)) == moves
 
 
 def test_the_order_of_strange_names_is_not_guessed(tmp_path):

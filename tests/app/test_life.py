@@ -5,6 +5,7 @@ import io
 import json
 import re
 import shutil
+import subprocess
 import sys
 from copy import copy
 from dataclasses import replace
@@ -17,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import main, read_table
+from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
 
@@ -158,12 +160,13 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     points = read_table(out / "corrected.csv", 6, position="cone", points=["x", "y", "z"]).points
     angles = np.deg2rad(read_table(folder / "more.csv", 6).angles)
     assert_allclose(points, saved.correct(angles)[0], atol=1e-6)
-    assert (out / "corrected_before_update.csv").read_text() == "points of before"
+    (before,) = out.glob("corrected_before_update_20*.csv")
+    assert before.read_text() == "points of before"
     code, printed = run(capsys, "move", "--model", out, "--probe", "0,0,250")
     assert (code, "register the probe" in printed) == (0, True)
     moved = Correction.load(out)
     assert moved.arm.probe.tolist() == [0, 0, 250]
-    assert (out / "corrected_before_move.csv").exists()
+    assert list(out.glob("corrected_before_move_20*.csv"))
     assert not (out / "corrected.csv").exists()
     code, printed = run(capsys, "check", folder / "new.csv", "--model", out, "--json")
     assert [step["what"] for step in Correction.load(out).facts["history"]] == [
@@ -388,3 +391,60 @@ def test_senses_and_zeros_of_encoders_are_options(tmp_path, capsys):
     true = np.random.default_rng(0).uniform(-2, 2, (5, 6))
     assert_allclose(arm.forward(true * signs + np.deg2rad(zeros)), plain.forward(true), atol=1e-9)
     assert_allclose(arm.up, (-1, 0, 0))
+
+
+def test_columns_are_written_as_cells_are(folder, tmp_path, monkeypatch):
+    """A table of plain cells is cut by columns; the file is the same to the byte."""
+    rng = np.random.default_rng(0)
+    n = 300
+    angles = np.rad2deg(rng.uniform(-3, 3, (n, 6)))
+    cells = [
+        [f"{v:.4f}" if i % 3 else f"{v:+.3e}" for i, v in enumerate(row)] for row in angles.tolist()
+    ]
+    rows = [[f"cone {i % 7}", f"{i * 0.1:.1f}", *row, ""] for i, row in enumerate(cells)]
+    header = "place,t,q1 [deg],q2 [deg],q3 [deg],q4 [deg],q5 [deg],q6 [deg],remark"
+    text = "\n".join(["# a log", header, *map(",".join, rows)])
+    plain = []
+    for end, by_columns in (("\n", True), ("\r\n", True), ("\n", False)):
+        (tmp_path / "log.csv").write_bytes(text.replace("\n", end).encode())
+        if not by_columns:
+            monkeypatch.setattr(Layout, "plain_lines", lambda _: None)
+        else:
+            assert Layout(tmp_path / "log.csv", 6, labelled=False).plain_lines() is not None
+        out = tmp_path / "corrected.csv"
+        words = [tmp_path / "log.csv", "--model", folder / "cones", "--out", out]
+        assert main(["correct", *map(str, words)]) == 0
+        plain.append(out.read_bytes())
+    assert plain[0] == plain[1] == plain[2]
+    assert len(plain[0].split(b"\r\n")) == n + 2
+
+
+@pytest.mark.parametrize(
+    "row",
+    ['"a",1,2,3,4,5,6', "=a,1,2,3,4,5,6", "a, 1,2,3,4,5,6", "# a,1,2,3,4,5,6", "a,1,2,3,4,5,x"],
+)
+def test_what_needs_a_look_at_cells_is_not_cut_by_columns(row, tmp_path):
+    header = ",".join(["place", *(f"q{i} [deg]" for i in range(1, 7))])
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([header, "a,1,2,3,4,5,6", "b,7,8,9,1,2,3", row, ""]))
+    assert Layout(path, 6, labelled=False).plain_lines() is None
+
+
+def test_short_commands_leave_skops_alone(folder, tmp_path):
+    """It takes longer to import than all else that they do."""
+    code = (
+        "import sys; from sklearn_raacmm.app import main; main(sys.argv[1:]); "
+        "print(sorted({'skops', 'sklearn.ensemble', 'matplotlib'} & sys.modules.keys()))"
+    )
+    for words in (["correct", "--out", tmp_path / "out.csv"], ["check"]):
+        words[1:1] = [folder / "more.csv", "--model", folder / "cones"]
+        done = subprocess.run(
+            [sys.executable, "-c", code, *map(str, words)],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
+    history = json.loads((folder / "cones" / "correction.json").read_text())["history"]
+    assert history[-1]["what"] == "check"
+    Correction.load(folder / "cones")

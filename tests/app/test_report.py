@@ -134,3 +134,14 @@ def test_what_a_screen_reader_needs_is_there(page):
     assert all('role="img"' in figure for figure in figures)
     assert page.count("<caption>") == page.count("<table")
     assert page.count('<th scope="col"') == len(re.findall(r"<th[ >]", page))
+
+
+def test_a_notebook_shows_verdict_and_bars(result, read_page):
+    page = read_page(result._repr_html_())
+    text = "".join(page.text)
+    assert result.verdict in text
+    before, after = (result.scores.table[name] for name in ("before", "after"))
+    cells = [row[1] for row in page.rows[1:]]
+    worst = np.argsort(-before, kind="stable")[: len(cells) // 2]
+    assert cells[0::2] == [f"{before[i]:.4f}" for i in worst]
+    assert cells[1::2] == [f"{after[i]:.4f}" for i in worst]

@@ -233,3 +233,49 @@ def test_up_is_a_part_of_the_value(up):
     content = json.loads(arm.to_json())
     content.pop("up", None)  # files of earlier versions have none
     assert Arm.from_json(content) == upright
+
+
+# -- joints whose angle is a sum -------------------------------------------------------------------
+
+SUMS = [(3, 2, 1), (6, 5, -1)]
+
+
+def with_sums(angles):
+    """The angles of the joints themselves: J3 + J2 and J6 - J5."""
+    own = angles.copy()
+    own[:, 2] += angles[:, 1]
+    own[:, 5] -= angles[:, 4]
+    return own
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_joints_that_are_sums(convention):
+    bare = random_arm(convention)
+    arm, angles = bare.replace(couplings=SUMS), random_angles(bare, 20)
+    assert_allclose(arm.forward(angles), bare.forward(with_sums(angles)), atol=1e-9)
+    assert_allclose(arm.frames(angles), bare.frames(with_sums(angles)), atol=1e-9)
+    by_hand = [arm.forward(angles + h) - arm.forward(angles - h) for h in 1e-6 * np.eye(6)]
+    assert_allclose(arm.jacobian(angles), np.stack(by_hand, axis=2) / 2e-6, atol=1e-5)
+    wanted = arm.forward(angles[:5])
+    assert_allclose(arm.forward(arm.angles_for(wanted, angles[:5] + 0.05)), wanted, atol=1e-6)
+    assert Arm.from_json(arm.to_json()) == arm != bare
+    assert pickle.loads(pickle.dumps(arm)) == arm
+    assert repr(arm).endswith("joint 3 at J3 + J2, joint 6 at J6 - J5>")
+    with pytest.warns(UserWarning, match=r"the angles of the joints themselves, J3 \+ J2, J6 - J5"):
+        assert arm.to_urdf() == bare.to_urdf()
+
+
+@pytest.mark.parametrize("wrong", [[(3, 3, 1)], [(3, 7, 1)], [(3, 2, 0.5)], [(3, 2)], [(0, 2, 1)]])
+def test_what_is_no_sum_is_refused(wrong):
+    with pytest.raises(
+        ValueError, match=r"triples of two different joints from 1 to 6 and 1 or -1"
+    ):
+        random_arm("standard").replace(couplings=wrong)
+
+
+@pytest.mark.parametrize("n_joints", [2, 3, 4])
+def test_arms_of_few_joints_have_a_pose_of_their_own(n_joints):
+    """As from a URDF: nobody gave joints 3 and 4."""
+    arm = Arm.from_degrees([0.0] * n_joints, [90.0] * n_joints, [500.0, *[120.0] * (n_joints - 1)])
+    assert (arm.pose_joints, arm.pose_frames) == ((1, 2), (0, n_joints))
+    assert Arm.from_degrees([0, 0], [90, 0], [500, 120], pose_frames=(0, 1)).pose_frames == (0, 1)

@@ -13,6 +13,9 @@ from scipy.spatial.transform import Rotation
 from sklearn_raacmm import Arm, calibrate
 from sklearn_raacmm.utils import collected_findings
 
+# Of "1.5708" in these files something is said, as of any that is meant to be a right angle.
+pytestmark = pytest.mark.filterwarnings(r"ignore:.*which moves the probe by up to 0\.0")
+
 
 def urdf(*joints, name="robot"):
     """URDF text of a chain of (name, type, xyz, rpy, axis)."""
@@ -509,6 +512,34 @@ def test_up_is_written_and_read(angles):
     assert "world" not in Arm.from_name("panda").to_urdf()
 
 
+@pytest.mark.parametrize("up", [(0, 0, -1), (1, 0, 0), (1, 2, -3)])
+@pytest.mark.filterwarnings("ignore:The first axis does not start")
+def test_an_arm_that_hangs_stands_where_it_stood(up, angles):
+    """Its own file is read from the base that it has, without being told."""
+    arm = Arm.from_name("panda", up=up)
+    again = Arm.from_urdf(arm.to_urdf())
+    assert_allclose(again.up, arm.up, atol=1e-12)
+    assert_allclose(again.forward(angles), arm.forward(angles), atol=1e-9)
+    room = Arm.from_urdf(arm.to_urdf(), base="world")
+    assert_allclose(
+        np.ptp(room.forward(angles) @ room.up - arm.forward(angles) @ arm.up), 0, atol=1e-9
+    )
+
+
+@pytest.mark.filterwarnings("ignore:.*which moves the probe by up to")
+def test_a_file_is_written_with_the_right_angles_of_the_arm():
+    """Other programs read what stands there: rounded angles of fixed joints, too, are replaced."""
+    text = urdf(
+        ("j1", "revolute", "0 0 0.3", "0 0 0", "0 0 1"),
+        ("turned", "fixed", "0 0 0.1", "1.5708 0 0", ""),
+        ("j2", "revolute", "0.2 0 0", "0 -1.57079 0", "0 0 1"),
+        ("tool", "fixed", "0 0.1 0.9", "0 0 3.1416", ""),
+    )
+    arm, q = Arm.from_urdf(text), POSES
+    assert np.abs(forward(text, q, False) - arm.forward(q)).max() > 0.003
+    assert_allclose(forward(arm.update_urdf(text), q, False), arm.forward(q), atol=1e-9)
+
+
 def test_a_file_without_a_mount_says_nothing_of_another_up():
     arm = Arm.from_urdf(PANDA)
     with pytest.warns(UserWarning, match="no fixed joint above the base could say that up is"):
@@ -586,10 +617,11 @@ def test_points_are_those_by_hand(text, ends, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("angle", "off", "weight"), [("1.5708", "3.7e-06", "note"), ("1.57", "0.0008", "doubt")]
+    ("angle", "off", "weight"),
+    [("1.570796", "3.3e-07", "note"), ("1.5708", "3.7e-06", "doubt"), ("1.57", "0.0008", "doubt")],
 )
 def test_rounding_of_angles_is_told_with_its_size(angle, off, weight):
-    """The second joint is tilted: half a metre of arm times the difference, 2 um and 0.4 mm."""
+    """The second joint is tilted: half a metre of arm times the difference: .2 um, 2 um, .4 mm."""
     text = change(PLAIN, '<origin xyz="0.3 0 0"/>', f'<origin xyz="0.3 0 0" rpy="{angle} 0 0"/>')
     with collected_findings() as found:
         arm = Arm.from_urdf(text)
@@ -599,3 +631,32 @@ def test_rounding_of_angles_is_told_with_its_size(angle, off, weight):
     said = re.search(r"by up to (\S+) rad, which moves the probe by up to (\S+) mm", finding.text)
     assert said[1] == off
     assert 500 < float(said[2]) / abs(np.pi / 2 - float(angle)) < 600
+
+
+def test_a_macro_left_over_in_a_link_moves_nothing():
+    text, space = Arm.from_name("ur10").to_urdf(), 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+    material = f"<visual><material><xacro:color {space}/></material></visual>"
+    left = text.replace('<link name="link1"/>', f'<link name="link1">{material}</link>')
+    assert left != text
+    assert Arm.from_urdf(left) == Arm.from_urdf(text)
+    with pytest.raises(ValueError, match="holds xacro macros"):
+        Arm.from_urdf(text.replace("</robot>", f"<xacro:arm {space}/></robot>"))
+
+
+def test_without_limits_a_joint_is_one_number_all_the_same():
+    """Of a continuous joint some programs make two numbers, a cosine and a sine."""
+    free = Arm.from_name("aacmm6").replace(limits=None)
+    text = free.to_urdf()
+    assert "continuous" not in text
+    assert text.count('type="revolute"') == 6
+    assert Arm.from_urdf(text).limits is None
+    limits = np.tile([-2 * np.pi, 2 * np.pi], (6, 1))
+    np.testing.assert_allclose(
+        Arm.from_urdf(free.replace(limits=limits).to_urdf()).limits, limits, atol=1e-12
+    )
+
+
+def test_a_small_table_in_degrees_is_an_arm():
+    arm = Arm.from_degrees([0, 0], [90, 0], [500, 120])
+    np.testing.assert_allclose(arm.forward([[0.0, 0.0]]), [[0, -120, 500]], atol=1e-9)
+    assert arm.pose_joints == (1, 2)

@@ -64,6 +64,16 @@ def test_posterior_is_that_of_the_joint_normal_distribution(n):
     assert after.half.shape[1] <= len(mean)
 
 
+def test_means_alone_are_those_of_the_whole_from_another_start():
+    given = problem()
+    whole, fewer = condition(*given), condition(*problem(seed=0, n=24))
+    assert fewer.logs.shape == whole.logs.shape
+    found = condition(*given, start=fewer.logs, means_only=True)
+    assert found.half is None
+    assert_allclose(found.mean, whole.mean, atol=1e-4 * np.abs(whole.mean).max())
+    assert found.noise_sd == pytest.approx(whole.noise_sd, rel=1e-3)
+
+
 @pytest.mark.parametrize("n", [2, 30])
 def test_taus_and_noise_have_the_highest_posterior(n):
     """As high as another optimiser finds; on a flat ridge the places may differ."""

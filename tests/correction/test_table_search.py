@@ -2,14 +2,21 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, calibrate, search_table
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction, search_table
+from sklearn_raacmm.correction._table_search import taken
 from sklearn_raacmm.datasets import make_single_point
 
 
 @pytest.fixture(scope="module")
 def data():
     return make_single_point(n_positions=8, n_poses=15)
+
+
+def take(arm, code):
+    """The arm changed by a code that needs no data."""
+    return taken(arm, code, (None, None, None, "rad"))
 
 
 EXCHANGED = [0, 1, 4, 3, 2, 5]
@@ -46,19 +53,123 @@ def test_what_was_done_is_named(data, signs, columns, factor, change):
     )
 
 
+def hand(arm, other, angles):
+    """Whether the points of two arms are the same ones turned (1), or mirrored (-1): best fits."""
+    first, second = (one - one.mean(axis=0) for one in (arm.forward(angles), other.forward(angles)))
+    left = [Rotation.align_vectors(first, sign * second)[1] for sign in (1, -1)]
+    return 1 if left[0] < left[1] else -1
+
+
 def test_the_mirror_image_is_named_beside_it(data):
-    """Roll joints turned round and y the other way: no scatter tells, a place does."""
+    """Roll joints turned round and y the other way: no scatter tells, the sense of joint 1 does."""
     wrong = data.nominal_arm.replace(joint_signs=[1, -1, 1, 1, 1, 1])
     found = search_table(wrong, data.data, data.groups)
-    (mirror,) = found.equals
+    (mirror,) = (one for one in found.equals if one.is_mirror)
     assert mirror.options == "--take reversed-1-2-3-5"
     assert mirror.scatter_mm == pytest.approx(found.scatter_mm, rel=0.01)
-    x, y, z = data.arm.forward(data.data[:1])[0]
-    np.testing.assert_allclose(found.first_point, [x, y, z], atol=10)
-    apart = np.linalg.norm(np.subtract(found.first_point, mirror.first_point))
-    assert apart > 20
-    assert f"joint 2 reversed, {found.first_point[0]:.0f}, " in str(found)
-    assert "Others do it as well; x, y and z of the first row in mm tell which is" in str(found)
+    np.testing.assert_allclose(found.first_point, data.arm.forward(data.data[:1])[0], atol=10)
+    assert "Its mirror image: joints 1 and 2 and 3 and 5 reversed" in str(found)
+    assert "joint 1 counter-clockwise, seen from above: does its angle grow?" in found.questions[0]
+    assert (found.answers[0], mirror.answers[0]) == ("yes", "no")
+
+
+@pytest.mark.parametrize("degrees", [90, 180, 270])
+def test_a_joint_that_is_counted_from_upright_or_horizontal(data, degrees):
+    """Each table that explains the data is said to be of the right hand, or of the other."""
+    zero = np.deg2rad([0, degrees, 0, 0, 0, 0])
+    found = search_table(data.nominal_arm, data.data - zero, data.groups)
+    assert found.change == f"the zero of joint 2 turned by {degrees} degrees"
+    assert take(data.nominal_arm, found.options.split()[1]) == found.arm
+    np.testing.assert_allclose(
+        found.arm.forward(data.data - zero), data.nominal_arm.forward(data.data), atol=1e-9
+    )
+    hands = [one.is_mirror for one in found.equals]
+    assert True in hands
+    assert False in hands
+    for one in found.equals:
+        assert one.is_mirror == (hand(one.arm, found.arm, data.data - zero) < 0)
+    # No two of them have the same answers, but for what no question can tell.
+    mirrors = {one.answers for one in found.equals if one.is_mirror}
+    assert found.answers not in mirrors
+    assert not mirrors & {one.answers for one in found.equals if not one.is_mirror}
+
+
+@pytest.mark.parametrize("frame", [[1, -1, 1], [0, 2, 1]])
+def test_a_mirrored_tracker_comes_before_three_reversed_joints(frame):
+    rng = np.random.default_rng(5)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    angles = rng.uniform(-1.2, 1.2, (120, 6))
+    points = arm.forward(angles) + rng.normal(scale=0.03, size=(120, 3)) + [700, 0, 0]
+    points = points * frame if -1 in frame else points[:, frame]
+    found = search_table(arm, angles, points=points)
+    assert found.change.startswith("the points mirrored")
+    assert (found.arm, found.axes) == (arm, (1, 0, 2))
+    assert calibrate(arm, angles, points=points[:, found.axes]).typical_scatter_mm < 0.1
+    assert all(one.is_mirror for one in found.equals if one.axes == (0, 1, 2))
+
+
+def test_what_was_taken_asks_for_its_hand(data):
+    """Until the question is answered, and not where the data tell."""
+    wrong = data.nominal_arm.replace(joint_signs=[1, -1, 1, 1, 1, 1])
+    given = wrong, data.data, data.groups
+    small = {"model": ArmResidualRegressor(orders=2), "cv": 2}
+    with pytest.warns(UserWarning, match="its mirror image alike, .* joint 2 reversed") as caught:
+        learned = learn_correction(*given, take="reversed-1-2-3-5", **small)
+    assert "does its angle grow? If the answer is no, accept" in str(caught[0].message)
+    assert "mirror-image" in {one["code"] for one in learned.facts["findings"]}
+    answered = learn_correction(*given, take="reversed-2", accept="mirror-image", **small)
+    assert "mirror-image" not in {one.code for one in answered.findings}
+    assert answered.arm.joint_signs.tolist() == [1] * 6
+
+
+@pytest.mark.parametrize(
+    ("own", "change", "options"),
+    [
+        (lambda q: q[:, 2] - q[:, 1], "joint 3 at J3 + J2", "--take coupled-2-3"),
+        (lambda q: q[:, 2] + q[:, 1], "joint 3 at J3 - J2", "--take uncoupled-2-3"),
+        (
+            lambda q: q[:, 1] - q[:, 2],
+            "joint 3 at -J3 + J2",
+            "--take reversed-3 --take uncoupled-2-3",
+        ),
+    ],
+)
+def test_a_joint_that_counts_from_the_horizontal(own, change, options):
+    """What a controller shows as J3 is a sum, as on arms with a parallelogram."""
+    rng = np.random.default_rng(8)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    angles = rng.uniform(-1.2, 1.2, (100, 6))
+    points = arm.forward(angles)[:, [1, 2, 0]] + rng.normal(scale=0.03, size=(100, 3)) + 500
+    shown = angles.copy()
+    shown[:, 2] = own(angles)
+    found = search_table(arm, shown, points=points)
+    assert (found.change, found.options) == (change, options)
+    np.testing.assert_allclose(found.arm.forward(shown), arm.forward(angles), atol=1e-9)
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+    for code in options.replace("--take", "").split():
+        arm = take(arm, code)
+    assert arm == found.arm
+
+
+def test_codes_of_changes():
+    arm = Arm.from_name("aacmm6")
+    assert take(arm, "coupled-2-3").couplings == ((3, 2, 1),)
+    assert take(arm, "uncoupled-5-6").couplings == ((6, 5, -1),)
+    assert take(arm, "reversed-2-4").joint_signs.tolist() == [1, -1, 1, -1, 1, 1]
+    assert take(take(arm, "other-convention"), "other-convention") == arm
+    turn = np.exp(1j * (take(arm, "zero-3-270").theta_offset - arm.theta_offset))
+    np.testing.assert_allclose(turn, [1, 1, -1j, 1, 1, 1], atol=1e-12)
+    for code in (
+        "reversed",
+        "reversed-7",
+        "reversed-x",
+        "sign-1",
+        "zero-2",
+        "zero-7-90",
+        "zero-2-x",
+    ):
+        with pytest.raises(ValueError, match=rf"joints of 1 to 6, .*, got '{code}'"):
+            take(arm, code)
 
 
 def test_the_other_convention_against_a_tracker():
@@ -86,3 +197,34 @@ def test_nothing_is_proposed_for_a_right_table_or_no_arm_at_all(data):
     assert search_table(data.nominal_arm, data.data, data.groups) is None
     rng = np.random.default_rng(1)
     assert search_table(data.nominal_arm, rng.uniform(-2, 2, (60, 6)), np.arange(60) // 10) is None
+
+
+@pytest.mark.parametrize("kind", ["cones", "tracker"])
+def test_zeros_anywhere(data, kind):
+    """As of encoders that were built in as they came: as good as with the right table."""
+    rng = np.random.default_rng(4)
+    zeros = rng.uniform(-np.pi, np.pi, 6)
+    where = {"positions": data.groups}
+    if kind == "tracker":
+        points = Rotation.from_rotvec([0.4, -0.7, 1.1]).apply(data.arm.forward(data.data))
+        where = {"points": points + rng.normal(scale=0.02, size=points.shape)}
+    found = search_table(data.nominal_arm, data.data - zeros, **where)
+    assert found.options == "--take zeros"
+    named = {"groups": data.groups} if kind == "cones" else where
+    right = calibrate(data.nominal_arm, data.data, **named).typical_scatter_mm
+    assert found.scatter_mm < 1.1 * right < 1 < 20 < found.scatter_given_mm
+    # The first zero and the last are free: base and probe go with them.
+    turn = np.exp(1j * (found.arm.theta_offset - data.nominal_arm.theta_offset - zeros))[1:-1]
+    np.testing.assert_allclose(turn, 1, atol=0.01)
+    measured = data.data - zeros, where.get("positions"), where.get("points"), "rad"
+    assert taken(data.nominal_arm, "zeros", measured) == found.arm
+    with pytest.raises(ValueError, match="zeros are found from labels of positions, or from"):
+        take(data.nominal_arm, "zeros")
+
+
+def test_what_leaves_centimetres_is_no_proposal():
+    """Lengths of another arm, and zeros anywhere: what is better, and wrong, is not proposed."""
+    test = make_single_point(n_positions=6, n_poses=15, random_state=3)
+    angles = test.data - np.random.default_rng(4).uniform(-np.pi, np.pi, 6)
+    other = test.nominal_arm.replace(a=test.nominal_arm.a + np.array([0, 0, 300, 0, 200, 0]))
+    assert search_table(other, angles, test.groups) is None

@@ -9,6 +9,7 @@ from sklearn.base import clone
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.error_model import _fit
 from sklearn_raacmm.error_model._columns import ARCSEC
 from sklearn_raacmm.metrics import gauge_lengths
 
@@ -145,6 +146,17 @@ def test_slipped_poses_are_left_out(eccentric):
     assert_array_equal(same.pose_weight_, 1)
 
 
+def test_columns_that_are_not_held_give_the_same_weights(eccentric, monkeypatch):
+    arm, theta, y, _ = eccentric
+    slipped = y + np.where(np.arange(len(y))[:, None] % 40 == 0, 0.5, 0.0)
+    found = []
+    for held in (_fit._HELD_POSES, 0):
+        monkeypatch.setattr(_fit, "_HELD_POSES", held)
+        found.append(ArmResidualRegressor(arm, orders=2).fit(theta, slipped).pose_weight_)
+    assert_array_equal(*found)
+    assert np.count_nonzero(found[0] == 0) == 10
+
+
 def test_few_poses_without_noise_are_no_reason_to_fail():
     """Fifteen poses, hundreds of columns, a residual that they explain entirely."""
     for seed in range(5):
@@ -185,6 +197,24 @@ def test_offsets_auto(eccentric):
     size = 0.05 * np.random.default_rng(1).normal(size=(5, 3))
     with pytest.warns(UserWarning, match=r"positions differ by constants of 0\.0"):
         assert not model.fit(theta, y + size[np.arange(len(y)) % 5], groups=groups).offsets_
+
+
+@pytest.mark.filterwarnings("ignore:The positions differ by constants")
+@pytest.mark.parametrize("size_mm", [0.0, 0.003, 0.1])
+def test_no_size_of_constants_is_missed_where_the_search_for_it_ends(size_mm, monkeypatch):
+    """The evidence has one top: with all sizes tried the predictions are the same."""
+    theta = draw_angles(ARM, 160)
+    rng = np.random.default_rng(2)
+    groups = np.arange(len(theta)) % 16
+    y = displaced(ARM, theta, np.tile([0, 5.0, -3.0, 0, 0, 0], (160, 1)))
+    y += rng.normal(0, 0.003, y.shape) + size_mm * rng.normal(size=(16, 3))[groups]
+    model, found = ArmResidualRegressor(ARM, orders=1, causes=["kinematics"]), []
+    for nats in (_fit._FAR_BELOW, np.inf):
+        monkeypatch.setattr(_fit, "_FAR_BELOW", nats)
+        found.append(clone(model).fit(theta, y, groups=groups))
+    assert_array_equal(found[0].predict(theta), found[1].predict(theta))
+    codes = [finding.code for finding in found[0].findings_]
+    assert ("constants-of-positions" in codes) == (size_mm > 0.01)
 
 
 def test_kinematic_errors_come_back_in_their_units():

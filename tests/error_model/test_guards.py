@@ -11,6 +11,7 @@ from sklearn.base import clone
 from sklearn_raacmm import Arm, ArmResidualRegressor, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import Fading, judge
+from sklearn_raacmm.utils import ignored_findings
 
 ARM = Arm.from_name("aacmm6")
 ARCSEC = np.pi / 180 / 3600
@@ -51,6 +52,20 @@ def test_a_correction_that_helps_is_judged_by_what_was_left_out(cones):
     assert small().fit(theta, y).judgement_ is None  # nobody said what a position is
 
 
+def test_robust_weights_alone_are_those_of_the_whole_fit(cones):
+    """As `learn_correction` asks for them where it looks for outliers."""
+    theta, y, groups, _ = cones
+    y = y + np.where(np.arange(len(y))[:, None] % 50 == 0, 1.0, 0.0)
+    whole, weights = small(), small()
+    weights._judged = False
+    for model in (whole, weights):
+        model.fit(theta, y, groups=groups)
+    assert_array_equal(weights.pose_weight_, whole.pose_weight_)
+    assert weights.pose_weight_.min() == 0
+    assert whole.judgement_ is not None
+    assert weights.judgement_ is None
+
+
 def test_noise_is_not_corrected(cones):
     """Nothing to learn: no harm is done, and where nothing is used everyone is warned."""
     theta, _, groups, _ = cones
@@ -78,7 +93,8 @@ def test_what_does_harm_elsewhere_is_refused():
     fitted = model.linear_model_.predict(theta)[0]
     assert np.linalg.norm(y - fitted, axis=1).mean() < 0.5 * np.linalg.norm(y, axis=1).mean()
     assert model.fading_.most < 0.5
-    assert np.linalg.norm(model.predict(theta)) < 0.5 * np.linalg.norm(fitted)
+    with ignored_findings():  # it may be refused altogether
+        assert np.linalg.norm(model.predict(theta)) < 0.5 * np.linalg.norm(fitted)
 
 
 def test_intervals_of_few_positions_with_offsets():
@@ -88,7 +104,7 @@ def test_intervals_of_few_positions_with_offsets():
     model = ArmResidualRegressor(test.arm)
     model.fit(test.data[known], test.target[known], groups=test.groups[known])
     linear = model.linear_model_
-    assert (linear.std_scale, linear.noise_scale) == (1 + 2 / 3, 1 + 2 / 3)
+    assert (linear.std_scale, linear.noise_scale) == (1 + 1 / 3, 1 + 1 / 3)
     errors = test.target[~known] - model.predict(test.data[~known])
     errors = np.abs(position_residuals(errors, test.groups[~known]))
     std = model.predict(test.data[~known], return_std=True, with_noise=True)[1]

@@ -63,13 +63,16 @@ def test_a_motion_of_the_base_is_no_uncertainty():
     columns = linear.columns(test.data)
     whole = np.sqrt(np.square(columns @ linear.half).sum(axis=2))
     assert linear.predict(test.data, return_std=True)[1].mean() < 0.5 * whole.mean()
-    # One draw of the posterior at a time, its motion fitted and taken out by hand.
-    points = test.arm.forward(test.data)
+    # One draw of the posterior at a time, its motion fitted and taken out by hand: that of poses
+    # anywhere in the ranges of the joints.
     rng = np.random.default_rng(0)
-    everywhere = np.ones(len(points), dtype=bool)
+    low, high = test.data.min(axis=0), test.data.max(axis=0)
+    poses = np.vstack([test.data, rng.uniform(low, high, (400, 6))])
+    columns, points = linear.columns(poses), test.arm.forward(poses)
+    anywhere = np.arange(len(poses)) >= len(test.data)
     draws = [
         without_motion(columns @ linear.half @ rng.normal(size=linear.half.shape[1]), points,
-                       test.groups, everywhere)
+                       np.arange(len(poses)), anywhere)[~anywhere]
         for _ in range(200)
     ]  # fmt: skip
     std = linear.predict(test.data, return_std=True)[1]

@@ -1,12 +1,23 @@
 """Sums of many orders at once, against the columns written out."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._sums import Rows, _of_orders, _spread, candidate_sums, waves
+from sklearn_raacmm.error_model._fit import _reweighted
+from sklearn_raacmm.error_model._sums import (
+    Rows,
+    _of_orders,
+    _spread,
+    candidate_sums,
+    explicit_gram,
+    less_constants,
+    waves,
+)
 
 from ._arms import ARM, draw_angles
 
@@ -66,6 +77,54 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, many, m
     for _ in range(2):  # summed up, and remembered
         assert_allclose(found.rows(asked, [1, 2]), rows[columns], atol=1e-11 * rows.max())
     assert found.n_observations == pytest.approx(3 * (weights.sum() - 6 * with_offsets))
+
+
+@pytest.mark.parametrize("codes", [None, np.arange(60) % 12])
+@pytest.mark.parametrize("known", [0.0, 0.3])
+def test_sums_at_new_weights_are_those_of_all_rows(codes, known):
+    """Rows that lose or regain all weight among them, some of them all rows of a position."""
+    rng = np.random.default_rng(5)
+    theta, y = draw_angles(ARM, 60), rng.normal(size=(60, 3))
+    rows = Rows(ARM, theta, y, rng.uniform(0.5, 2, 60), codes, known=known)
+    columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 300)]), True, True, True))
+    factors = [np.ones(60) for _ in range(3)]
+    factors[0][7] = 0.0
+    factors[1][[0, 1]] = 0.0, 0.5
+    factors[2][[3, 15, 27, 39, 51]] = 0.0  # position 3
+    sums = rows.weighted(factors[0]).sums(columns)
+    for old, new in pairwise(factors):
+        sums = _reweighted(rows, columns, sums, old, new)
+        expected = rows.weighted(new).sums(columns)
+        for found, wanted in zip(sums[:7], expected[:7], strict=True):
+            assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())
+        found, wanted = (part.rows([1, 0]) for part in (sums, expected))
+        assert_allclose(found, wanted, atol=1e-11 * wanted.max())
+
+
+@pytest.mark.parametrize("known", [0.0, 0.3, np.inf])
+def test_constants_are_those_of_a_ridge_on_dummies(known, monkeypatch):
+    """Of the columns written out once, for any weight that draws the constants to 0."""
+    monkeypatch.setattr(_sums, "_CHUNK", 7)
+    rng = np.random.default_rng(4)
+    n = 40
+    theta, y, weights = draw_angles(ARM, n), rng.normal(size=(n, 3)), rng.uniform(0.5, 2, n)
+    codes = rng.permutation(np.arange(n) % 6)
+    columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 300)]), True, False, True))
+    rows = Rows(ARM, theta, y, weights, codes)
+    total = np.bincount(codes, weights)
+    found = less_constants(*explicit_gram(rows, columns.at, codes), total, known)
+    A = np.concatenate([columns.at(theta), y[:, :, None]], axis=2)
+    dummies = np.sqrt(weights)[:, None] * (codes[:, None] == np.arange(6))
+    if np.isinf(known):
+        dummies = dummies[:, :0]
+    size = dummies.T @ dummies + (0.0 if np.isinf(known) else known) * np.eye(dummies.shape[1])
+    expected = 0.0
+    for component in range(3):
+        part = np.sqrt(weights)[:, None] * A[:, component]
+        of_constants = dummies.T @ part
+        expected = expected + part.T @ part - of_constants.T @ np.linalg.solve(size, of_constants)
+    assert_allclose(found, expected, atol=1e-12 * expected.max())
+    assert explicit_gram(rows, columns.at)[1] is None
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,23 @@
 """The vertical: stated, found by the data, and in whatever is made of a model."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
+from sklearn.base import clone
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, plan_poses, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.error_model import _vertical
+from sklearn_raacmm.error_model._columns import LOAD, Terms, columns_of
+from sklearn_raacmm.error_model._sums import Rows
+from sklearn_raacmm.error_model._vertical import _VARIANCES, _evidence_and_coef, _left_of_gravity
 from sklearn_raacmm.utils import FindingWarning
+
+from ._arms import ARM, draw_angles
 
 TURN = np.pi / 2  # of the base about its x axis: frame 0 bends about its own axes, now others
 
@@ -72,6 +82,22 @@ def test_the_data_show_where_gravity_pulls(on_a_wall):
     assert found < 1.1 * stated < 0.15 * none
 
 
+def test_a_vertical_that_is_known_is_not_sought(on_a_wall, monkeypatch):
+    """As fits of some rows have it of a fit of all; upright arms keep every bit of the model."""
+    test, found = on_a_wall
+    stood = clone(found)
+    stood._vertical = found.linear_model_.terms.up
+    upright = ArmResidualRegressor(test.arm, orders=4)
+    sought = clone(upright).fit(test.data, test.target, groups=test.groups)
+    monkeypatch.setattr(_vertical, "_better_vertical", None)
+    stood.fit(test.data, test.target, groups=test.groups)
+    assert "vertical" not in [finding.code for finding in stood.findings_]
+    assert_allclose(stood.predict(test.data), found.predict(test.data), atol=1e-6)
+    upright._vertical = ()
+    upright.fit(test.data, test.target, groups=test.groups)
+    assert_array_equal(upright.predict(test.data), sought.predict(test.data))
+
+
 def test_a_model_moves_to_another_mount():
     """Compliances are the arm's: what the wall has shown corrects the same arm upright."""
     rng = np.random.default_rng(0)
@@ -105,3 +131,38 @@ def test_the_probe_of_a_plan_leans_from_the_vertical():
     line = plan.positions[plan.groups - 1] - arm.frames(plan.angles)[:, -1, :, 3]
     lean = np.degrees(np.arccos(-line[:, 0] / np.linalg.norm(line, axis=1)))
     assert lean.max() <= 60
+
+
+@pytest.mark.parametrize("known", [None, 0.3])
+def test_evidence_of_a_direction_is_that_of_the_normal_distribution(known):
+    """With all other columns, and constants of positions, written out as one covariance."""
+    rng = np.random.default_rng(3)
+    theta, y, weights = draw_angles(ARM, 24), rng.normal(size=(24, 3)), rng.uniform(0.5, 2, 24)
+    columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 3)]), True, False, True))
+    loads = np.flatnonzero(columns.table["kind"] == LOAD)
+    prior, noise = rng.uniform(1e4, 4e4, len(columns.table)), 0.7
+    state = SimpleNamespace(prior=np.roll(prior, -columns.n_waves), noise_variance=noise)
+    codes = None if known is None else np.arange(24) % 5
+    rows = Rows(ARM, theta, y, weights, codes, known=known or 0.0)
+    left = _left_of_gravity(rows, columns, loads, state)
+    up = np.array([0.6, 0.0, 0.8])
+    rest = np.setdiff1d(np.arange(len(prior)), loads)
+    A = np.moveaxis(columns.at(theta)[:, :, rest], 1, 0)
+    turned = columns_of(ARM, columns.terms._replace(up=tuple(up.tolist())))
+    L = np.moveaxis(turned.at(theta)[:, :, loads], 1, 0)
+    covariance = np.kron(np.eye(3), np.diag(noise / weights))
+    A, L = A.reshape(72, -1), L.reshape(72, -1)
+    covariance += A * prior[rest] @ A.T
+    if known is not None:
+        same = (codes[:, None] == codes).astype(float)
+        covariance += np.kron(np.eye(3), noise / known * same)
+
+    def density(v):
+        return multivariate_normal(np.zeros(72), covariance + v * L @ L.T).logpdf(y.T.ravel())
+
+    found, coef = _evidence_and_coef(up, *left)
+    rises = [density(v) - density(0.0) for v in _VARIANCES]
+    assert found == pytest.approx(max(rises), abs=1e-6)
+    v = _VARIANCES[np.argmax(rises)]
+    expected = v * L.T @ np.linalg.solve(covariance + v * L @ L.T, y.T.ravel())
+    assert_allclose(coef, expected, atol=1e-6 * np.abs(expected).max())

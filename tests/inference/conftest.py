@@ -29,7 +29,6 @@ def structures(n_always, n_pairs, price=None, share=None, field_price=16.0):
         field_price=field_price,
         given=np.full(3, np.nan),
         largest=1e6,
-        wide=100.0,
     )
 
 

@@ -5,6 +5,7 @@ One line a mistake: the function, the mistake in words, what it does to the data
 finding. What no data can show stands here, too, as "cannot be known, because ...".
 """
 
+import re
 import warnings
 from functools import partial
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm import (
+    Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
     PoseFeatures,
@@ -96,6 +98,7 @@ FUNCTIONS = {
     "calibrate_tracker": lambda d: calibrate(d.arm, d.angles, points=d.points, angle_unit=d.unit, **d.more),
     "learn_cones": lambda d: learn_correction(d.arm, d.angles, d.groups, lengths=d.lengths, model=d.model, cv=3, angle_unit=d.unit),
     "learn_tracker": lambda d: learn_correction(d.arm, d.angles, d.groups, d.points, model=d.model, cv=3),
+    "learn_taken": lambda d: learn_correction(d.arm, d.angles, d.groups, model=d.model, cv=2, **d.more),
     "fit_cones": fit,
     "fit_tracker": fit,
     "chain": fit_chain,
@@ -415,6 +418,91 @@ MISTAKES = [
     ("learn_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
     ("learn_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
 ]  # fmt: skip
+
+
+# -- what the tool itself advises, writes and reads ------------------------------------------------
+
+
+def advised(zeros=0.0, axes=(0, 1, 2), signs=1, arm=TEST.nominal_arm, **given):
+    """The sentence that tells what is wrong with a table, or with a tracker's points."""
+    from sklearn_raacmm import search_table
+
+    where = given or {"points": (TRACKER * signs)[:, axes]}
+    return str(search_table(arm, TEST.data - np.deg2rad(zeros), **where))
+
+
+def taken(**more):
+    """Codes of findings where the mirror image of an arm was taken."""
+    arm = TEST.nominal_arm.replace(joint_signs=[1, -1, 1, 1, 1, 1])
+    given = base(arm=arm, more={"take": "reversed-1-2-3-5"} | more)
+    return " ".join(find_codes("learn_taken", given))
+
+
+def said_of_urdf(text):
+    from sklearn_raacmm.utils import collected_findings
+
+    with collected_findings() as found:
+        Arm.from_urdf(text)
+    return " ".join(map(str, found))
+
+
+def written_again(rpy, up=(0, 0, 1)):
+    """How far a file is off that was written and is read to the letter, and by the package, um."""
+    arm = Arm.from_urdf(FIXED.format(rpy)).replace(up=up)
+    text = arm.to_urdf() if up != (0, 0, 1) else arm.update_urdf(FIXED.format(rpy))
+    again, letters = Arm.from_urdf(text), re.findall(r'rpy="([^"]*)"', text)
+    off = np.abs(again.forward(TEST.data[:, :2]) - arm.forward(TEST.data[:, :2])).max()
+    off += np.abs(again.up - arm.up).max()
+    angles = np.array([one.split() for one in letters], dtype=float)
+    rounded = np.abs(angles - np.round(angles / (np.pi / 2)) * np.pi / 2)
+    off += rounded[rounded < 1e-4].max() * arm.reach_mm
+    return f"{1000 * off:.3f} um"
+
+
+def table_of(tmp_path, header):
+    from sklearn_raacmm.app import read_table
+
+    (tmp_path / "log.csv").write_text(f"{header}\nA,100,2\nA,99,3\n")
+    try:
+        return str(read_table(tmp_path / "log.csv", 2).angles)
+    except ValueError as error:
+        return str(error)
+
+
+FIXED = """<robot name="r"><joint name="a" type="revolute"><parent link="0"/><child link="1"/>
+<axis xyz="0 0 1"/></joint><joint name="f" type="fixed"><parent link="1"/><child link="2"/>
+<origin xyz="0 0 .9" rpy="{} 0 0"/></joint><joint name="b" type="revolute"><parent link="2"/>
+<child link="3"/><origin xyz=".2 0 0" rpy="0 0 0"/><axis xyz="0 0 1"/></joint>
+<joint name="t" type="fixed"><parent link="3"/><child link="4"/><origin xyz=".8 0 0" rpy="0 0 0"/>
+</joint></robot>"""
+TWICE = TEST.nominal_arm.replace(a=2 * TEST.nominal_arm.a + 100)
+FROM_UPRIGHT = {"positions": TEST.groups, "zeros": [0, 180, 0, 0, 0, 0]}
+ADVICE = [
+    ("joint 2 counted from upright", lambda _: advised(**FROM_UPRIGHT), r"\(raacmm learn --take zero-2-180\)"),
+    ("its mirror image is called so", lambda _: advised(**FROM_UPRIGHT), r"mirror image: [^.]*--take reversed-3-5\)"),
+    ("what decides is asked", lambda _: advised(**FROM_UPRIGHT), "counter-clockwise, seen from above: does its angle grow"),
+    ("joint 2 counted from horizontal", lambda _: advised([0, 90, 0, 0, 0, 0], positions=TEST.groups), "--take zero-2-90"),
+    ("a tracker's y negated", lambda _: advised(signs=[1, -1, 1]), "^With the points mirrored"),
+    ("a tracker's y and z exchanged", lambda _: advised(axes=[0, 2, 1]), "^With the points mirrored"),
+    ("zeros anywhere", lambda _: advised([0, 50, 70, 110, 160, 0], positions=TEST.groups), r"\(raacmm learn --take zeros\)"),
+    ("a proposal that leaves centimetres", lambda _: advised([0, 50, 70, 110, 160, 0], arm=TWICE, positions=TEST.groups), "^None$"),
+    ("a right table, cones", lambda _: advised(positions=TEST.groups), "^None$"),
+    ("a right table, tracker", lambda _: advised(), "^None$"),
+    ("the mirror image taken", lambda _: taken(), "mirror-image"),
+    ("the question answered", lambda _: taken(accept="mirror-image"), "^(?!.*mirror-image)"),
+    ("an arm that hangs, written and read", lambda _: written_again("0.3", (0, 0, -1)), "^0.000 um"),
+    ("rounded angles of a fixed joint, written", lambda _: written_again("1.5708"), "^0.000 um"),
+    ("1.5708 taken for a right angle", lambda _: said_of_urdf(FIXED.format("1.5708")), r"moves the probe by up to 0\.007 mm"),
+    ("a column named twice", lambda path: table_of(path, "k,q1,q1"), "'q1' is named twice"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"), [pytest.param(*rest, id=what) for what, *rest in ADVICE]
+)
+@pytest.mark.filterwarnings("ignore")
+def test_what_is_advised_makes_nothing_worse(make, expected, tmp_path):
+    assert re.search(expected, make(tmp_path), re.DOTALL)
 
 
 def find_codes(name, data):

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import of_own_points
+from sklearn_raacmm.measurements import medians_of, of_own_points
 from sklearn_raacmm.utils import centred, collected_findings
 
 NAMES = ["panda_2", "panda_3", "panda_6", "panda_7"]
@@ -101,3 +102,13 @@ def test_what_another_model_left_is_a_doubt():
     with collected_findings():
         model.fit(test.data, -test.target, groups=test.groups)
     assert [found.weight for found in model.findings_] == ["repair"]
+
+
+def test_medians_are_those_of_each_position():
+    rng = np.random.default_rng(0)
+    values, codes = rng.normal(size=(40, 3)), rng.choice([2, 5, 6, 9], 40)
+    found = medians_of(values, codes)
+    for code in (2, 5, 6, 9):
+        own = values[codes == code]
+        assert_array_equal(found[codes == code], np.tile(np.median(own, axis=0), (len(own), 1)))
+    assert_array_equal(medians_of(values, None), 0)

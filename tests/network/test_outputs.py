@@ -81,6 +81,7 @@ def test_each_output_has_the_network_that_it_would_have_alone(given):
             "gaussian": np.exp(-0.5 * r**2),
             "matern52": (1 + np.sqrt(5) * r + 5 / 3 * r**2) * np.exp(-np.sqrt(5) * r),
             "matern32": (1 + np.sqrt(3) * r) * np.exp(-np.sqrt(3) * r),
+            "matern12": np.exp(-r),
         }[kernel]
         linear = model.intercept_[i] + T @ model.linear_coef_[i]
         np.testing.assert_allclose(mean[:, i], phi @ model.coef_[i] + linear)

@@ -16,7 +16,12 @@ from ._data import smooth
 
 @pytest.mark.parametrize(
     ("name", "reference"),
-    [("gaussian", RBF(0.9)), ("matern32", Matern(0.9, nu=1.5)), ("matern52", Matern(0.9, nu=2.5))],
+    [
+        ("gaussian", RBF(0.9)),
+        ("matern52", Matern(0.9, nu=2.5)),
+        ("matern32", Matern(0.9, nu=1.5)),
+        ("matern12", Matern(0.9, nu=0.5)),
+    ],
 )
 def test_kernels_are_those_of_scikit_learn(name, reference):
     X, y, _ = smooth(40)

@@ -7,7 +7,14 @@ import pytest
 from scipy.stats import chi
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.utils import _rows, chunks, natural_order, robust_scale, tukey_weights
+from sklearn_raacmm.utils import (
+    _rows,
+    chunks,
+    natural_order,
+    robust_scale,
+    slip_factors,
+    tukey_weights,
+)
 
 
 @pytest.mark.parametrize("limit", [None, 3])
@@ -106,3 +113,23 @@ def test_rows_that_are_met_exactly_have_no_scale():
     residuals[:4] = 1.0
     assert tukey_weights(residuals).tolist() == [1.0] * 9
     assert tukey_weights(residuals, least_scale=0.1).tolist() == [0.0] * 4 + [1.0] * 5
+
+
+def test_slips_are_those_of_every_round():
+    """Groups without a far row are passed over: the weights are those of all rounds in all."""
+    rng = np.random.default_rng(0)
+    values = rng.standard_t(2.5, size=(300, 3))
+    values[rng.random(300) < 0.03] *= 20
+    codes = rng.integers(0, 30, 300)
+    groups = [np.flatnonzero(codes == code) for code in range(30)]
+    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in groups]
+    usual, expected = robust_scale(np.concatenate(far), 3), np.ones(300)
+    for of, away in zip(groups, far, strict=True):
+        centre = np.median(values[of], axis=0)
+        for _ in range(5):
+            scale = 2 * max(usual, robust_scale(away, 3))
+            expected[of] = tukey_weights(values[of] - centre, least_scale=scale)
+            centre = np.average(values[of], axis=0, weights=expected[of])
+    found = slip_factors(values, codes)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert 0 < np.count_nonzero([found[of].min() < 1 for of in groups]) < 30
