@@ -89,6 +89,7 @@ def learn(options):
             tools=read_labels(table, options, "tool"),
             points_sd=options.points_sd,
             blocks=read_labels(table, options, "block"),
+            stations=read_labels(table, options, "station"),
             accept=options.accept or (),
             take=options.take or (),
         )

@@ -253,13 +253,15 @@ def folds_of(data, outliers, cv):
             "start."
         )
     folds = []
-    for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=blocks):
-        lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
-        if len(lost):
-            raise ValueError(
-                f"all positions of tool {lost[0].item()!r} are left out together: measure each "
-                "tool at more positions, give blocks, or mend a mistyped label."
-            )
+    left_out = blocks if data.places is None else data.places
+    for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=left_out):
+        for what, labels in (("tool", data.tools), ("station", data.stations)):
+            lost = [] if labels is None else np.setdiff1d(labels[test], labels[train])
+            if len(lost):
+                raise ValueError(
+                    f"all positions of {what} {lost[0].item()!r} are left out together: measure "
+                    f"each {what} at more positions, give blocks, or mend a mistyped label."
+                )
         folds.append((np.intersect1d(train, kept), np.intersect1d(test, kept)))
     return folds
 

@@ -397,11 +397,33 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
     )  # fmt: skip
 
 
+def test_labels_of_stations_and_warm_lengths_reach_the_one_call(tmp_path, monkeypatch, refused):
+    rows = [f"{i},2,3,4,5,6,{i},0,0,{'door' if i < 9 else 3}" for i in range(12)]
+    names = [*(f"q{i} [deg]" for i in range(1, 7)), "X [mm]", "Y [mm]", "Z [mm]", "where"]
+    (tmp_path / "t.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+
+    def learn(*data, **options):
+        assert options["stations"].tolist() == ["door"] * 9 + ["3"] * 3
+        assert data[4] == [("A", "B", 500.0, 0.005, 25.0)]
+        raise ValueError("that is all")
+
+    monkeypatch.setattr("sklearn_raacmm.app._commands.learn_correction", learn)
+    words = f"learn {tmp_path}/t.csv --arm aacmm6 --out {tmp_path}/out --points X,Y,Z"
+    options = "--station where --length A:B:500:0.005@25"
+    refused("that is all", *words.split(), *options.split())
+
+
 def test_known_lengths_and_places_of_the_command_line(tmp_path):
     for text in ("A:B: 500.012:0.005", "A:B:500,012:0,005"):
         assert parse_length(text) == ("A", "B", 500.012, 0.005)
     with pytest.raises(TableError, match="such as A:B"):
         parse_length("A:B:500")
+    warm = ("A", "B", 500.012, 0.005, 25.5)
+    assert parse_length("A:B:500,012:0,005@25,5") == warm
+    assert parse_length("A:B:500.012:0.005@25.5:0.5e-6") == (*warm, 0.5e-6)
+    for wrong in ("A:B:500:0.005:1e-5", "A:B:500:0.005@", "A:B:500:0.005@20:1e-5:1"):
+        with pytest.raises(TableError, match=r"A:B:500\.012:0\.005@25:11\.5e-6"):
+            parse_length(wrong)
     path = tmp_path / "plate.csv"
     path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
     found = read_places(path, 0.004)

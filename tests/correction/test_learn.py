@@ -25,7 +25,8 @@ from sklearn_raacmm import (
     learn_correction,
     position_residuals,
 )
-from sklearn_raacmm.correction._scores import coverage_of
+from sklearn_raacmm.correction._one_fit import Data
+from sklearn_raacmm.correction._scores import _folds, coverage_of
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -263,10 +264,50 @@ def test_tracker_points_without_labels_are_left_out_by_region():
         warnings.simplefilter("ignore")
         learned = learn_correction(arm, X, points=tracker, model=QUICK, cv=3)
     labels = learned.scores.table["position"].tolist()
-    assert labels == [f"region {i:02d}" for i in range(1, 11)]
+    assert labels == [f"region {i:02d}" for i in range(1, 31)]
     # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
     spread = [np.ptp(tracker[learned.positions == label], axis=0).max() for label in labels]
     assert max(spread) < np.ptp(tracker, axis=0).max()
+
+
+def test_names_of_single_poses_are_judged_as_without_names():
+    rng = np.random.default_rng(3)
+    arm = Arm.from_name("ur10")
+    X = rng.uniform(-2, 2, (60, 6))
+    tracker = arm.forward(X) + rng.normal(0, 0.05, (60, 3))
+    names = np.array([f"P{i}" for i in range(60)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)  # SciPy warns of means of one number
+        warnings.simplefilter("ignore", UserWarning)
+        with_names, without = (
+            learn_correction(arm, X, given, tracker, model=QUICK, cv=3) for given in (names, None)
+        )
+    assert with_names.verdict == without.verdict
+    assert len(with_names.scores.table["position"]) == 15  # of four poses each
+    assert with_names.scores.table["n_points"].min() > 1
+    for learned, why in ((with_names, "name single poses"), (without, "are no labels")):
+        (said,) = [f.text for f in learned.findings if f.code == "judged-at-regions"]
+        assert said.startswith("Judged at 15 regions of neighbouring points: the")
+        assert why in said
+    # Two poses of a name are a position; blocks hold names of single poses.
+    data = (arm, X, np.repeat(names[:30], 2), tracker, (), "rad", None, (), None, None, None)
+    assert len(np.unique(Data(*data).positions)) == 30
+    blocks = np.repeat(["left", "right", "top"], 20)
+    data = (arm, X, names, tracker, (), "rad", None, (), None, blocks, None)
+    assert_array_equal(Data(*data).positions, blocks)
+
+
+def test_places_without_labels_are_left_out_as_a_whole():
+    rng = np.random.default_rng(4)
+    arm = Arm.from_name("ur10")
+    nest = rng.permutation(np.repeat(np.arange(12), 6))
+    X = rng.uniform(-2, 2, (72, 6))
+    points = rng.uniform(-800, 800, (12, 3))[nest] + rng.normal(0, 0.1, (72, 3))
+    data = Data(arm, X, None, points, (), "rad", None, (), None, None, None)
+    pairs = np.unique(np.column_stack([nest, data.places]), axis=0)
+    assert len(pairs) == len(np.unique(data.places)) == 12
+    for train, test in _folds(data, np.arange(72), None):
+        assert not set(nest[train]) & set(nest[test])
 
 
 @pytest.mark.parametrize(
