@@ -291,6 +291,22 @@ class Columns:
         return np.concatenate([np.zeros(self.n_waves), sizes])
 
     @cached_property
+    def of_up(self) -> np.ndarray:
+        """Which of the others (m,) depend on `up`; ValueError if one is not linear in it.
+
+        Sums along any vertical are made of those along a few: this holds of linear columns only.
+        """
+        width, terms = self.arm.n_joints + len(self.terms.extra), self.alone.terms
+        rows = np.linspace(-1.0, 2.0, 4 * width).reshape(4, width)
+        ups = map(tuple, [*np.eye(3).tolist(), [3**-0.5] * 3])
+        x, y, z, between = (columns_of(self.arm, terms._replace(up=up)).at(rows) for up in ups)
+        depends = np.any((x != y) | (y != z), axis=(0, 1))
+        off = np.abs(3**0.5 * between - x - y - z) > 1e-9 * np.abs(between).max(axis=(0, 1))
+        if wrong := [self.names[i] for i in np.flatnonzero(depends & off.any(axis=(0, 1)))]:
+            raise ValueError(f"The column {wrong[0]!r} depends on up, but is not linear in it.")
+        return depends | (self.alone.table["kind"] == LOAD)
+
+    @cached_property
     def forces(self) -> np.ndarray:
         """Force on the probe in the base frame by one of each extra column, (n_extra, 3)."""
         forces = np.zeros((len(self.terms.extra), 3))

@@ -17,7 +17,6 @@ from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
     GRAVITY,
-    LOAD,
     Columns,
     columns_of,
 )
@@ -233,7 +232,7 @@ def _higher(fitted):
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
     few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
-    loads = few.table["kind"][few.n_waves :] == LOAD
+    loads = few.alone.of_up
     if rows.y.shape[1] * len(np.unique(rows.X, axis=0)) < loads.sum():
         return ()  # along any direction so many columns explain so few poses
 

@@ -1,0 +1,65 @@
+"""Columns that somebody adds to the table: those that depend on the vertical, and the others."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import ArmResidualRegressor
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.error_model import _columns
+from sklearn_raacmm.error_model._columns import (
+    ARCSEC,
+    LOAD,
+    TURN,
+    WOBBLE,
+    Column,
+    Columns,
+    columns_of,
+)
+
+TEST = make_single_point(9, 16, machine="gravity", random_state=2)  # simulated
+
+
+def add_column(monkeypatch, power):
+    """A turn in the elbow that grows with a power of the slope of the third frame's x axis."""
+    wobble, factored = _columns._wobble, Columns.factored
+
+    def with_own(arm):
+        yield from wobble(arm)
+        yield Column("own", WOBBLE, TURN, 2, 0, ARCSEC)
+
+    def with_slope(self, rows, out=None):
+        found = factored(self, rows, out)
+        if "own" in self.names:
+            slope = self.arm.frames(rows[:, : self.arm.n_joints])[:, 2, :3, 0] @ self.up
+            found.rest[:, :, self.names.index("own") - len(self.names)] *= slope[:, None] ** power
+        return found
+
+    monkeypatch.setattr(_columns, "_wobble", with_own)
+    monkeypatch.setattr(Columns, "factored", with_slope)
+    _columns._alone.cache_clear()
+    _columns._with_harmonics.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def _without_own_columns():
+    yield
+    _columns._alone.cache_clear()
+    _columns._with_harmonics.cache_clear()
+
+
+def test_a_column_that_is_linear_in_the_vertical_is_fitted_along_any(monkeypatch):
+    add_column(monkeypatch, 1)
+    model = ArmResidualRegressor(TEST.arm, orders=2)
+    model.fit(TEST.data, TEST.target, groups=TEST.groups)
+    columns = columns_of(TEST.arm, model.linear_model_.terms)
+    assert columns.alone.of_up.sum() == sum(c.kind == LOAD for c in columns.others) + 1
+    assert columns.alone.of_up[columns.names.index("own")]
+    left = TEST.target - model.predict(TEST.data)
+    assert np.square(left).mean() < 0.5 * np.square(TEST.target).mean()
+
+
+def test_a_column_that_is_not_linear_in_it_is_refused(monkeypatch):
+    add_column(monkeypatch, 2)
+    model = ArmResidualRegressor(TEST.arm, orders=2)
+    with pytest.raises(ValueError, match="The column 'own' depends on up, but is not linear in it"):
+        model.fit(TEST.data, TEST.target, groups=TEST.groups)
