@@ -15,7 +15,7 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
-    coarse_angles,
+    angle_faults,
     directions_of,
     drift_of,
     order_explained_by,
@@ -26,9 +26,9 @@ __all__ = [
     "FAR",
     "PRICE",
     "UNITS",
+    "angle_faults",
     "base_motions",
     "check_targets",
-    "coarse_angles",
     "directions_of",
     "drift_of",
     "explanations",
