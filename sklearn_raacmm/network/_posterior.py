@@ -82,7 +82,7 @@ class Network:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        shapes = dict(_SHAPES)
+        shapes: dict[str, Any] = dict(_SHAPES)
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
         shapes |= {} if self.codes is None else {"codes": ("k",)}
         shapes |= {} if self.ranks is None else {"ranks": ("m", 3)}
