@@ -126,10 +126,9 @@ def learn_correction(
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
     stations : array-like of shape (n_samples,), default=None
-        Label of the set-up of each row, where the tracker or the arm was moved between `points`:
-        each has a base of its own, as in :func:`calibrate`. Corrected points are in the frame of
-        the arm's base at every station; ``learned.at_station(label)`` knows the tracker's frame of
-        one.
+        Label of the set-up of each row, where tracker or arm were moved between `points`; see
+        :func:`calibrate`. Corrected points are in the arm's base frame;
+        ``learned.at_station(label)`` knows the tracker's.
     accept : str or list of str, default=()
         Codes of findings, such as "moved-position", with which the correction is handed over all
         the same. "mirror-image" says that the arm is as it was taken, see `take`.
