@@ -114,7 +114,8 @@ def learn(options):
     say(f"Written to {out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
-    return OK if result.helps else NO_HELP, result.facts
+    useful = result.helps or result.scores.calibration_helps
+    return OK if useful else NO_HELP, result.facts
 
 
 def export(options):

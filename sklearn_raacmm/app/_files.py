@@ -50,6 +50,11 @@ def load_arm(source, base=None, tip=None):
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")
     if path.exists():
+        if "delta_theta" in path.read_text(encoding="utf-8", errors="replace"):
+            raise TableError(
+                f"{source} holds what a UR's own calibration adds to a nominal arm, and not which "
+                "arm that is: take the YAML file that UR's ur_calibration makes of it."
+            )
         return Arm.from_json(path)
     try:
         return Arm.from_name(str(source))

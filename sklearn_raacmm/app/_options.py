@@ -14,7 +14,7 @@ from typing import Any
 from sklearn_raacmm._version import __version__
 
 _EPILOG = (
-    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change, "
+    "Exit codes: 0 done, 2 bad input, 3 nothing that was learnt helps, or a check found a change, "
     "4 of accept: not judged."
 )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM
 from sklearn_raacmm.calibration._problem import Problem, rows_of
-from sklearn_raacmm.measurements import UNITS, coarse_angles, find_poses
+from sklearn_raacmm.measurements import UNITS, angle_faults, find_poses
 from sklearn_raacmm.utils import Finding, encode_groups, floats
 
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -156,7 +156,7 @@ def one_row_a_pose(angles, problem):
 def wrong_units(arm, angles, problem):
     """Measured points, or the arm's table, are in another unit."""
     reach, points = arm.reach_mm, problem.points
-    yield from coarse_angles(angles, reach)
+    yield from angle_faults(angles, reach)
     if points is not None and len(points) > 1:
         shown = arm.forward(angles)
         sizes = [np.sqrt(np.square(p - p.mean(axis=0)).sum(axis=1).mean()) for p in (shown, points)]

@@ -43,7 +43,17 @@ _CONSTRAINTS = {
     "take": ["array-like", str],
 }
 # Scores that are kept as they are.
-_KEPT = ("verdict", "helps", "measure", "std_factor", "coverage", "share", "n_folds")
+_KEPT = (
+    "verdict",
+    "helps",
+    "calibration_helps",
+    "changes",
+    "measure",
+    "std_factor",
+    "coverage",
+    "share",
+    "n_folds",
+)
 
 
 def learn_correction(

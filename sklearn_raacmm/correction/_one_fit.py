@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_places, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
@@ -199,11 +199,11 @@ class Data:
         named = zip(self.given, parts, strict=True)
         return {name: None if part is None else part[rows] for name, part in named}
 
-    def calibrate(self, rows=None, accept=()):
-        """Calibrate on some rows; on None on all, as they were given."""
+    def calibrate(self, rows=None, accept=(), free=FIELDS):
+        """Calibrate on some rows, the fields `free`; on None on all, as they were given."""
         given = self.given if rows is None else self._at(rows)
         lengths = self.lengths_of_model(slice(None) if rows is None else rows)
-        return calibrate(self.arm, **given, lengths=lengths, accept=accept)
+        return calibrate(self.arm, **given, lengths=lengths, accept=accept, free=free)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""

@@ -96,3 +96,16 @@ def test_a_link_mistyped_is_named_with_a_known_length():
     assert (found.code, found.joints) == ("table-off", (3,))
     assert f"(d3) is 750.4 mm, the table says {d[2]:.6g} mm" in found.text
     assert not findings((), mistyped)
+
+
+@pytest.mark.parametrize(("factor", "weight"), [(1.08, "doubt"), (1.12, "repair")])
+def test_a_long_link_that_is_another_one_is_not_handed_over(factor, weight):
+    """A tenth of a long link is more than any tape gets wrong; a tracker knows its length."""
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-1.5, 1.5, (80, 6))
+    points = TEST.arm.forward(angles) + rng.normal(scale=0.02, size=(80, 3)) + [500, 0, 0]
+    d = TEST.nominal_arm.d * np.where(np.arange(6) == 2, factor, 1.0)
+    with collected_findings() as found:
+        calibrate(TEST.nominal_arm.replace(d=d), angles, points=points)
+    (table,) = (one for one in found if one.code == "table-off")
+    assert (table.weight, 3 in table.joints) == (weight, True)

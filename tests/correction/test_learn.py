@@ -71,7 +71,10 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     assert_allclose(learned.scores.table["after"], after, rtol=1e-9)
     assert learned.helps
     better, least = np.sum(after < before), np.argmax(after / before)
-    assert f"2S {before.mean():.3f} -> {after.mean():.3f} mm, {better} of 7" in learned.verdict
+    assert (
+        f", {before.mean():.3f} calibrated, {after.mean():.3f} corrected, {better} of 7"
+        in learned.verdict
+    )
     assert f"least went from {before[least]:.3f} to {after[least]:.3f} mm" in learned.verdict
 
 
@@ -398,3 +401,25 @@ def test_an_arm_of_another_table_is_refused_and_named(test_data, signs, unit, ch
     message = rf"mm after calibration.*With {change} the points scatter by 0\.0\d+ mm instead"
     with pytest.raises(ValueError, match=message):
         learn_correction(arm, test_data.data, test_data.groups, model=QUICK, angle_unit=unit)
+
+
+def test_a_joint_that_is_five_degrees_off_is_mended_by_calibration():
+    """The verdict has what the table left, and says which joint; the correction adds nothing."""
+    rng = np.random.default_rng(7)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    X = rng.uniform(-1.2, 1.2, (80, 6))
+    tracker = arm.forward(X)[:, [2, 0, 1]] + rng.normal(scale=0.03, size=(80, 3))
+    off = X + np.deg2rad([0, 0, 0, 0, 5, 0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        learned = learn_correction(arm, off, points=tracker, model=QUICK)
+    assert learned.scores.calibration_helps
+    given, before = (learned.scores.summary[when][0] for when in ("given", "before"))
+    assert before < 0.06 < 1 < given
+    assert f"mean deviation {given:.3f} mm as given, {before:.3f} calibrated, " in learned.verdict
+    first, _, last = learned.scores.changes[0].partition(" degrees")
+    name, _, change = first.rpartition(" ")
+    assert (name, float(change)) == ("zero of joint 5", pytest.approx(-5, abs=0.05))
+    assert last.startswith(" (sd 0.0")
+    if not learned.helps:
+        assert learned.verdict.startswith("Use the calibrated table without the correction")
