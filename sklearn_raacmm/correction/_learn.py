@@ -136,8 +136,8 @@ def learn_correction(
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
     stations : array-like of shape (n_samples,), default=None
-        Label of the set-up of each row, where tracker or arm were moved. Corrected points are in the arm's base frame;
-        ``learned.at_station(label)`` knows the tracker's.
+        Label of the set-up of each row, where tracker or arm were moved. Corrected points are in
+        the arm's base frame; ``learned.at_station(label)`` knows the tracker's.
     accept : str or list of str, default=()
         Codes of findings, such as "moved-position", with which the correction is handed over all
         the same. "mirror-image" says that the arm is as it was taken, see `take`.
