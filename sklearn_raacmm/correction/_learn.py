@@ -89,8 +89,8 @@ def learn_correction(
         Joint angles.
     positions : array-like of shape (n_samples,), default=None
         Label of the position at which the probe was held. With `points`, regions of neighbouring
-        points take the place of labels that are None, or names of single poses; without, None
-        stands for the places that :func:`calibrate` finds.
+        points replace names of single poses, and None; without, None stands for the places that
+        :func:`calibrate` finds.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -136,10 +136,8 @@ def learn_correction(
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
     stations : array-like of shape (n_samples,), default=None
-        Label of the set-up of each row, where the tracker or the arm was moved between `points`:
-        each has a base of its own, as in :func:`calibrate`. Corrected points are in the frame of
-        the arm's base at every station; ``learned.at_station(label)`` knows the tracker's frame of
-        one.
+        Label of the set-up of each row, where tracker or arm were moved. Corrected points are in
+        the arm's base frame; ``learned.at_station(label)`` knows the tracker's.
     accept : str or list of str, default=()
         Codes of findings, such as "moved-position", with which the correction is handed over all
         the same. "mirror-image" says that the arm is as it was taken, see `take`.
