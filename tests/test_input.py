@@ -458,7 +458,7 @@ def refused():
         yield function, "date", dates, "'date' parameter"
     for function in (
         calibrated,
-        partial(harmonics().fit, ANGLES, CENTRED, groups=GROUPS),
+        partial(harmonics().fit, ANGLES, CENTRED, groups=GROUPS, **UNRELATED),
         partial(learn_correction, ARM, ANGLES, GROUPS),
     ):
         no_lists = [[5.0], 5.0, "400 mm", ["0-1: 400"], None]
@@ -761,6 +761,7 @@ def refused_in_acceptance():
     yield partial(predict_acceptance, LINEAR, plan), "n_draws", [1], "n_draws"
 
 
+@pytest.mark.filterwarnings("ignore:Within a position")
 @pytest.mark.parametrize(("function", "option", "values", "sentence"), refused())
 def test_what_an_option_cannot_take_gets_a_sentence(
     function, option, values, sentence, tmp_path, monkeypatch
