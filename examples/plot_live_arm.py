@@ -39,7 +39,7 @@ data = make_single_point(n_positions=12, n_poses=40, random_state=0)
 model = make_pipeline(
     PoseFeatures(data.arm, joints="all", encoding="periodic", append_azimuth=True),
     CylindricalResidualTarget(RBFNetRegressor(random_state=0)),
-).fit(data.data, data.target)
+).fit(data.data, data.target, cylindricalresidualtarget__groups=data.groups)
 
 # %%
 # Three ways to answer

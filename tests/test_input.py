@@ -108,6 +108,7 @@ def harmonics(**params):
 FITTED = network().fit(ANGLES, RESIDUALS)
 LINEAR = harmonics().fit(ANGLES, RESIDUALS)
 NO_ARM = {"accept": "no-such-arm"}
+UNRELATED = {"accept": "rows-unrelated"}
 RESULT = calibrate(ARM, ANGLES, points=POINTS - RESIDUALS, free=["probe"])
 
 
@@ -161,7 +162,7 @@ FUNCTIONS = [
     ("ArmResidualRegressor.fit, X", partial(fit_rows, harmonics, ANGLES), "angles"),
     (
         "ArmResidualRegressor.fit, positions",
-        lambda groups: harmonics().fit(ANGLES, CENTRED, groups=groups).coef_,
+        lambda groups: harmonics().fit(ANGLES, CENTRED, groups=groups, **UNRELATED).coef_,
         "groups",
     ),
     ("ArmResidualRegressor.predict", LINEAR.predict, "angles"),
@@ -367,6 +368,7 @@ def close_figures():
 
 
 @pytest.mark.filterwarnings("ignore:The points still scatter")  # of no arm
+@pytest.mark.filterwarnings("ignore:Within a position")
 @pytest.mark.parametrize(("name", "argument"), table(FUNCTIONS))
 def test_form_of_the_same_values_does_not_matter(name, argument):
     expected = call(name)
@@ -456,7 +458,7 @@ def refused():
         yield function, "date", dates, "'date' parameter"
     for function in (
         calibrated,
-        partial(harmonics().fit, ANGLES, CENTRED, groups=GROUPS),
+        partial(harmonics().fit, ANGLES, CENTRED, groups=GROUPS, **UNRELATED),
         partial(learn_correction, ARM, ANGLES, GROUPS),
     ):
         no_lists = [[5.0], 5.0, "400 mm", ["0-1: 400"], None]
@@ -759,6 +761,7 @@ def refused_in_acceptance():
     yield partial(predict_acceptance, LINEAR, plan), "n_draws", [1], "n_draws"
 
 
+@pytest.mark.filterwarnings("ignore:Within a position")
 @pytest.mark.parametrize(("function", "option", "values", "sentence"), refused())
 def test_what_an_option_cannot_take_gets_a_sentence(
     function, option, values, sentence, tmp_path, monkeypatch

@@ -53,7 +53,7 @@ def find_faults(test: str, readings, arm: Any = None, limit: float | None = None
     if gap := next(_gaps(test, readings), ""):
         advice = "Measure what is missing: a test is whole or it has no value."
         return [_finding("acceptance-incomplete", f"{test}: {gap}", advice, readings.rows)]
-    faults: list[Any] = []
+    faults: list[Finding] = []
     if test in (*SPHERES, *BARS):
         faults = _unknown(test, readings) or list(_implausible(test, readings, limit))
         faults = faults or _wrong_sizes(test, readings)

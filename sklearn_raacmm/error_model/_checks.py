@@ -64,8 +64,10 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
     if groups is None and not lengths:
         groups = found_positions(points_of(arm, X[:, : arm.n_joints], probes), y, weights)
     groups = None if groups is False else groups
-    labels, positions = (None, None) if groups is None else encode_groups(groups, len(y))
-    if labels is not None and positions is not None:
+    labels: Any = None
+    positions: Any = None
+    if groups is not None:
+        labels, positions = encode_groups(groups, len(y))
         positions, old = numbered_by_rows(positions, np.argsort(weights == 0, kind="stable"))
         labels = labels[old]
     codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
