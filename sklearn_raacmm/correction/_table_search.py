@@ -371,16 +371,15 @@ def _candidates(arm, unit, largest, has_points):
         signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
         sums = (*arm.couplings, (i + 1, j + 1, factor))
         joints.append((words, 1 + (sign < 0), straight, {"joint_signs": signs, "couplings": sums}))
-    conventions = [([], arm.convention)]
     other = _OTHER_CONVENTION[arm.convention]
-    conventions.append(([f"the {other} convention"], other))
-    units = [([], unit)]
+    conventions: Any = [([], arm.convention), ([f"the {other} convention"], other)]
+    units: Any = [([], unit)]
     # Read as degrees, an arm in radians hardly moves, and its points scatter little for that.
     if (largest > 2 * np.pi) == (unit == "rad"):
         wrong = {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}
         units.append(([wrong[unit][0]], wrong[unit][1]))
     # Two exchanged columns make left-handed points right-handed, whatever mirrored them.
-    hands = [([], _AXES)]
+    hands: Any = [([], _AXES)]
     if has_points:
         hands.append((["the points mirrored (an axis negated, or two exchanged)"], _MIRRORED))
     for (words, price, columns, changed), *rest in product(joints, conventions, units, hands):

@@ -360,6 +360,16 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch, capsys):
     assert capsys.readouterr().err == "raacmm arm: /out/arm.json: no space left on device.\n"
 
 
+def test_a_code_that_names_no_change_is_refused(tmp_path, refused):
+    readings, cones = OtherMake(2, error=0).test(6, 4)
+    write_log(tmp_path / "log.csv", readings, cones)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    words = "--arm", tmp_path / "arm.urdf", "--out", tmp_path / "out", "--take"
+    for code in ("sign-1", "coupled-3-3", "reversed-8"):
+        refused(f"or other-convention, got '{code}'", "learn", tmp_path / "log.csv", *words, code)
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
     table = tmp_path / "dh.csv"
     table.write_text(
