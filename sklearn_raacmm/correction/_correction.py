@@ -58,8 +58,8 @@ class Correction:
     model : estimator
         Fitted: ``model.predict(angles)``, in rad, is to be subtracted from ``arm.forward(angles)``.
     base : (ndarray of shape (3, 3), ndarray of shape (3,)) or None
-        Rotation and translation in mm of the arm's base in the tracker's frame; None where no
-        tracker has measured it.
+        Rotation and translation in mm of the arm's base in the tracker's frame, of several
+        stations at the first; None where no tracker has measured it.
     facts : dict
         Scores, verdict and versions as plain values: what ``correction.json`` holds.
     scores : CorrectionScores or None
@@ -445,6 +445,27 @@ class Correction:
                 f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
             )
         return self.move(self.tools[str(tool)])
+
+    def at_station(self, station: str) -> Self:
+        """The same with the base of another of the stations that it was learnt at.
+
+        Parameters
+        ----------
+        station : str
+            Its label.
+
+        Raises
+        ------
+        ValueError
+            If there is none of this label.
+        """
+        bases = self.facts.get("stations", {})
+        if str(station) not in bases:
+            known = ", ".join(bases) or "one only"
+            raise ValueError(
+                f"the correction knows no station {str(station)!r}; it was learnt at {known}."
+            )
+        return replace(self, base=tuple(np.array(part) for part in bases[str(station)]))
 
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None

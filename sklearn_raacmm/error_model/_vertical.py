@@ -114,14 +114,15 @@ def _better_vertical(fitted):
 def _left_of_gravity(rows, columns, loads, state):
     """What the other columns leave of those of gravity: products (3, L, 3, L), and (3, L) with y.
 
-    Of the L columns `loads` along x, y and z each, over the noise variance.
+    Of the L columns `loads` along x, y and z each, over the noise variance. The others stay as the
+    fit has them, even if they depend on the vertical.
     """
-    axes = [columns_of(rows.arm, columns.terms._replace(up=axis)) for axis in _AXES]
+    axes = [columns_of(rows.arm, columns.terms._replace(up=axis)).alone for axis in _AXES]
     n, size, n_waves = len(columns.table), len(loads), columns.n_waves
 
     def columns_at(X):
-        others = [axis.alone.at(X)[:, :, loads - n_waves] for axis in axes[1:]]
-        return np.concatenate([axes[0].at(X), *others], axis=2)
+        of_gravity = [axis.at(X)[:, :, loads - n_waves] for axis in axes]
+        return np.concatenate([columns.at(X), *of_gravity], axis=2)
 
     gram, of_positions = explicit_gram(rows, columns_at, rows.codes)
     if rows.codes is not None:
@@ -133,7 +134,7 @@ def _left_of_gravity(rows, columns, loads, state):
         gram = keep @ gram @ keep
     gram /= state.noise_variance
     rest = np.setdiff1d(np.arange(n), loads)
-    of_axes = np.r_[loads, n : n + 2 * size + 1]  # and y
+    of_axes = np.arange(n, n + 3 * size + 1)  # and y
     S = gram[np.ix_(rest, rest)]
     S[np.diag_indices(len(S))] += 1 / np.roll(state.prior, n_waves)[rest]
     beside = gram[np.ix_(rest, of_axes)]

@@ -16,7 +16,7 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
-    coarse_angles,
+    angle_faults,
     directions_of,
     drift_of,
     order_explained_by,
@@ -30,10 +30,10 @@ __all__ = [
     "LEAST_ROWS",
     "PRICE",
     "UNITS",
+    "angle_faults",
     "base_motions",
     "best_split",
     "check_targets",
-    "coarse_angles",
     "directions_of",
     "drift_of",
     "explanations",

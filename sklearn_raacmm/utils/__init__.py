@@ -59,6 +59,7 @@ from sklearn_raacmm.utils._rows import (
     group_sums,
     many_without_weight,
     natural_order,
+    numbered_by_rows,
     robust_scale,
     slip_factors,
     tukey_weights,
