@@ -120,15 +120,24 @@ def find_header(source, n_numbers):
     names = _names_of_columns(above, len(usual), n_numbers)
     if not names:
         names = _fields_of_joint_states(data[0][1], source, n_numbers)
+    if len(names) == len(usual) - 1 and _is_index(source, [cells[0] for _, cells in data]):
+        names = ["", *names]  # as R and pandas write names of rows
     names += [""] * (len(usual) - len(names))
     return [name or f"column {i}" for i, name in enumerate(names, 1)], row, data, rows
 
 
 def _texts(source, cells):
-    """Cells of text that is no number."""
-    return [
-        cell for cell in cells if isinstance(cell, str) and cell and source.number(cell) is None
-    ]
+    """Cells of text that is no number, nor a line under a header."""
+    texts = [cell for cell in cells if isinstance(cell, str) and cell.strip(":-")]
+    return [cell for cell in texts if source.number(cell) is None]
+
+
+def _is_index(source, cells):
+    """Whether the cells of a column are words, or count the rows."""
+    values = [source.number(cell) for cell in cells]
+    if all(value is None for value in values):
+        return True
+    return None not in values and len(values) > 1 and bool(np.all(np.diff(values) == 1))
 
 
 def _names_of_columns(above, width, n_numbers):

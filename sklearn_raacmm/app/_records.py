@@ -383,6 +383,9 @@ def _records(value, n_numbers):
             keys = list(value)
             return [dict(zip(keys, cells, strict=True)) for cells in zip(*parts, strict=True)]
     dicts = all(isinstance(one, dict) for one in parts)
+    if dicts and all(str(key).isdigit() for one in parts for key in one):  # columns of pandas
+        keys = list(dict.fromkeys(key for one in parts for key in one))
+        return [{name: one.get(key, "") for name, one in value.items()} for key in keys]
     if dicts and len(parts) > 2 and len({tuple(one) for one in parts}) == 1:
         return [{"name": key, **one} for key, one in value.items()]
     inner = [_records(one, n_numbers) for one in parts if isinstance(one, list | dict)]

@@ -109,7 +109,8 @@ class Dialect:
         """Yield (line number from 1, cells) of lines of text."""
         lines = (line.translate(_PLAIN) for line in lines)
         if self.separator is None:
-            yield from enumerate(map(str.split, lines), 1)
+            # MATLAB ends the rows of a matrix by semicolons.
+            yield from enumerate((line.rstrip("\r\n ;]").split() for line in lines), 1)
             return
         reader = csv.reader(lines, delimiter=self.separator, skipinitialspace=True)
         try:

@@ -9,6 +9,7 @@ import json
 import zipfile
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
@@ -210,6 +211,15 @@ KINDS = {
         "labels": ["Position A"] * 2 + ["Position B"] * 2},
     "units in the cells": {"text": as_table(Q, [[f"{v} deg" for v in row] for row in DEG])},
     "a unit above": {"text": "% units: radians\n" + as_table([f"axis {q}" for q in Q], RAD)},
+    # Tables as pandas, R and MATLAB show them: names of rows have no header.
+    "pandas, printed": with_points(pd.DataFrame(DEG, columns=Q).to_string() + "\n"),
+    "pandas, json of columns": with_points(pd.DataFrame(DEG, columns=Q).to_json()),
+    "pandas, json of the index": with_points(pd.DataFrame(DEG, columns=Q).to_json(orient="index")),
+    "names of rows of R": with_points(joined([Q, *([f"r{i}", *row] for i, row in enumerate(DEG))])),
+    "matlab": with_points("q = [\n" + joined(DEG, " ").replace("\n", ";\n") + "];\n"),
+    "a list in a cell": with_points("t,q\n" + lists('NUMBER,"[{}]"')),
+    "messages of a trajectory": with_points("points:\n" + lists(
+        "- positions: [{}]\n  velocities: [0, 0, 0, 0, 0, 0]\n  time:\n    sec: NUMBER")),
     # TwinCAT Scope: a time before each value, and rows that describe each column.
     "twincat": with_points("Name\tScope\nFile\tx.svdx\n\n" + joined(
         [[cell for i in range(1, 7) for cell in ("Name", f"Axis{i}.ActPos")],
