@@ -18,8 +18,8 @@ thousandth counts as a thousandth.
 
 ``--noise`` (two minutes): ten kinds of noise alone and of weak signals; error against the truth in
 standard deviations of the targets, and the share of new observations inside the 95 % interval, over
-ten draws. Then such intervals of a smooth function. ``--margins``: errors by the lead that a
-rougher kernel has to have.
+ten draws. Then such intervals of a smooth function. ``--margins``: errors by the lead that
+any other choice of the search than the first has to have.
 """
 
 import argparse
@@ -356,7 +356,7 @@ def margins(args):
     for name, n in cases:
         found = []
         for margin in (0.0, 3.0, 6.0, 10.0):
-            _search.KERNEL_MARGIN = margin
+            _search.MARGIN = margin
             errors = []
             for seed in range(10, 13):
                 X, y, X_test, truth, _ = generated(name, n, seed)
@@ -385,7 +385,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--tables", type=int, nargs="?", const=25, help="so many of R's packages")
     parser.add_argument("--noise", action="store_true", help="where little is to be known")
-    parser.add_argument("--margins", action="store_true", help="leads that kernels need")
+    parser.add_argument("--margins", action="store_true", help="leads that choices need")
     args = parser.parse_args()
     with threadpool_limits(1):
         if args.noise or args.margins:

@@ -43,7 +43,12 @@ def _one_network(p, net, x, std):
             y = p("add", y, p.affine(phi, net.coef.T))
         else:
             y = p.affine(phi, net.coef.T, net.polynomial[0])
-    return y, _network_variance(p, net, x, phi) if std else None
+    if not std:
+        return y, None
+    variance = _network_variance(p, net, x, phi)
+    if np.any(net.of_outliers()):
+        variance = p("add", variance, p.constant(net.of_outliers()))
+    return y, variance
 
 
 def _seen(p, net, x):

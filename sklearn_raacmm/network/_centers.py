@@ -56,10 +56,11 @@ STALE = 1e-7
 TIE = 1e-9
 
 
-def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
+def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, scaled=False):
     """Indices of centres among `rows`, in order of how much they explain, and why it ended.
 
-    Where all rows may become centres (`or_all`) None is returned if a moderate number is too small.
+    Outputs count in their own units, or, if `scaled`, in units of their spread. Where all rows may
+    become centres (`or_all`) None is returned if a moderate number is too small.
     """
     alpha, asked = structure.alpha, int(n_centers) if isinstance(n_centers, Integral) else 0
     if asked > len(rows):
@@ -83,8 +84,9 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all):
         problem, rows, structure, ridge, rank, asked or None
     )
     explained, total = np.square(target).sum(axis=0), float(problem.n_total)
-    # The trace of the error reduction, of targets in their own units.
+    # The trace of the error reduction.
     units, goal = np.square(problem.spread[of].max() / problem.spread[of]), np.zeros(len(of))
+    units = np.ones(len(of)) if scaled else units
     if n_centers == "auto":
         # Centres are enough as soon as what further ones could still gain, summed over all samples,
         # is below `TOLERANCE` times the noise variance times the effective number of parameters of

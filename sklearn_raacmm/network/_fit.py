@@ -95,8 +95,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
         found = found._replace(length_scale=width, alpha=alpha / problem.unit)
         if found.linear or found.ratio:
             sample, problem = set_up(1 if found.linear else degree, found.ratio)
-    limits = estimator.n_centers, estimator.max_centers
-    return fit_network(problem, outputs, found, *limits, rng), value
+    limits, scaled = (estimator.n_centers, estimator.max_centers), estimator.shared == "scaled"
+    return fit_network(problem, outputs, found, *limits, rng, scaled), value
 
 
 def _as_start(network, varying):
@@ -109,8 +109,10 @@ def _as_start(network, varying):
 
 
 @stage("centres of the network")
-def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
+def fit_network(problem, outputs, structure, n_centers, max_centers, rng, scaled=False):
     """Choose the centres, or take all rows, and fit the weights.
+
+    Outputs count in their own units, or, if `scaled`, in units of their spread.
 
     Returns the network; the centres (k,), rows of the problem; the share of the variance by which
     each lowered the objective, empty if all rows are centres; the share that the objective leaves
@@ -121,7 +123,8 @@ def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
     order, stop = None, ""
     all_rows = n_centers == "auto" and max_centers is None and takes_all_rows(problem, structure)
     if not all_rows or len(kept) > MODERATE:
-        order, stop = choose_centers(problem, kept, structure, n_centers, max_centers, all_rows)
+        limits = n_centers, max_centers
+        order, stop = choose_centers(problem, kept, structure, *limits, all_rows, scaled)
     if order is None:
         few = problem
         if len(kept) < problem.n_rows:
@@ -131,7 +134,7 @@ def fit_network(problem, outputs, structure, n_centers, max_centers, rng):
             structure = structure._replace(alpha=structure.alpha * problem.unit / few.unit)
         none = np.empty(0)
         return process_of(few, outputs, structure), kept, none, none, "all rows"
-    return network_of(problem, outputs, order, structure, n_centers, stop)
+    return network_of(problem, outputs, order, structure, n_centers, stop, scaled)
 
 
 def takes_all_rows(problem, structure):
@@ -200,7 +203,7 @@ def _network(problem, outputs, structure, centers, solution, objective, plain=0.
     )
 
 
-def network_of(problem, outputs, order, structure, n_centers, stop):
+def network_of(problem, outputs, order, structure, n_centers, stop, scaled=False):
     """What `fit_network` returns, of centres in order of selection, the first that are enough."""
     p, k, Z = problem.n_tail, len(order), problem.scaled(structure)[order]
     columns = features_at(problem, Z, structure)
@@ -212,10 +215,11 @@ def network_of(problem, outputs, order, structure, n_centers, stop):
     found = nested_least_squares(R, p, root, structure.alpha, problem.within)
     rss, objective, rotated, triangles = found
     of = problem.varying
-    unit = np.sum(np.square(problem.spread[of])) * problem.n_total if len(of) else 1.0
-    left = objective[:, of].sum(axis=1) / unit
+    size = np.square(problem.spread[of])
+    unit = problem.n_total * (len(of) * size if scaled else size.sum())  # of each output
+    left = (objective[:, of] / unit).sum(axis=1)
     if not isinstance(n_centers, str | Integral) and k:
-        reached = np.flatnonzero(rss[1:, of].sum(axis=1) / unit <= n_centers)
+        reached = np.flatnonzero((rss[1:, of] / unit).sum(axis=1) <= n_centers)
         k, stop = (int(reached[0]) + 1, "criterion") if len(reached) else (k, stop)
     solution = first_weights(rotated, triangles, p + k)
     plain = rss[k] / max(problem.n_total - p - k, 1)

@@ -75,6 +75,8 @@ class Network:
     tail_ridge: float = 0.0  # of the polynomial's linear part, in units of an observation
     # Knots (m, 3), a feature's number, value and rank, where radial functions see ranks; else None.
     ranks: np.ndarray | None = None
+    # What rows without weight add to the variance of a new observation, (q,) in squared units of y.
+    outlier_variance: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what `_roots` keeps from one call to the next.
@@ -86,6 +88,7 @@ class Network:
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
         shapes |= {} if self.codes is None else {"codes": ("k",)}
         shapes |= {} if self.ranks is None else {"ranks": ("m", 3)}
+        shapes |= {} if self.outlier_variance is None else {"outlier_variance": ("q",)}
         sizes = {"d1": 1 + np.size(state.get("length_scale", ()))}
         check_shapes("Network", state, shapes, sizes, ("length_scale", "noise_variance"))
         known = np.arange(sizes["d1"] - 1.0) if self.ranks is None else np.unique(self.ranks[:, 0])
@@ -194,8 +197,14 @@ class Network:
         """Mean (n, q) at rows (n, d)."""
         return predict_mean(pack([self]), X)
 
-    def std(self, X: np.ndarray, with_noise: bool = True) -> np.ndarray:
-        """Standard deviation (n, q) at rows (n, d), with noise or not."""
+    def of_outliers(self, with_noise: bool = True, with_outliers: bool = True) -> np.ndarray:
+        """What outliers add to the variance of an observation, (q,); 0 where they do not count."""
+        if self.outlier_variance is None or not (with_noise and with_outliers):
+            return np.zeros(len(self.alpha))
+        return self.outlier_variance
+
+    def std(self, X: np.ndarray, with_noise: bool = True, with_outliers: bool = True) -> np.ndarray:
+        """Standard deviation (n, q) at rows (n, d), with noise or not, and with its outliers."""
         variance = np.empty((len(X), len(self.alpha)))
         size = _CHUNK_OF_STD if self.all_rows else _CHUNK
         for part in chunks(len(X), size // max(len(self.centers), 1)):
@@ -204,9 +213,11 @@ class Network:
                 of_weights = np.square(solved).sum(axis=1) + float(with_noise)
                 variance[part, of] = np.outer(outside, self.signal_variance[of])
                 variance[part, of] += np.outer(of_weights, self.noise_variance[of])
-        return np.sqrt(variance)
+        return np.sqrt(variance + self.of_outliers(with_noise, with_outliers))
 
-    def covariance(self, X: np.ndarray, with_noise: bool = True) -> np.ndarray:
+    def covariance(
+        self, X: np.ndarray, with_noise: bool = True, with_outliers: bool = True
+    ) -> np.ndarray:
         """Covariance (n, n, q) of predictions at some rows, with noise on its diagonal or not."""
         n, Z = len(X), self.scaled(X)
         found = np.empty((n, n, len(self.alpha)))
@@ -218,6 +229,7 @@ class Network:
             of_weights[diagonal] += float(with_noise)
             found[:, :, of] = np.multiply.outer(outside, self.signal_variance[of])
             found[:, :, of] += np.multiply.outer(of_weights, self.noise_variance[of])
+        found[diagonal] += self.of_outliers(with_noise, with_outliers)
         return found
 
     def sample(
@@ -234,7 +246,7 @@ class Network:
             half = vectors * np.sqrt(np.maximum(values, 0.0))
             draws[:, i] = mean[:, i, None] + half @ rng.standard_normal((len(X), n_samples))
             if with_noise:
-                noise = np.sqrt(self.noise_variance[i])
+                noise = np.sqrt(self.noise_variance[i] + self.of_outliers()[i])
                 draws[:, i] += noise * rng.standard_normal((len(X), n_samples))
         return draws
 

@@ -52,8 +52,8 @@ def _each_network(name: str) -> Any:
 class RBFNetRegressor(VersionedRegressor):
     r"""Radial basis function network with centres chosen by orthogonal least squares.
 
-    A smooth function of a few features, from up to a million noisy rows, with its standard
-    deviation: a Gaussian process whose structure is chosen by evidence, compressed to few centres,
+    A smooth function of a few features, from up to a million noisy rows: a Gaussian process whose
+    structure is chosen by evidence, compressed to few centres,
 
     .. math:: f(x) = p(x) + \sum_{j=1}^{k} w_j\, \varphi\bigl(\|(x - c_j) / \ell\|\bigr).
 
@@ -63,20 +63,18 @@ class RBFNetRegressor(VersionedRegressor):
     ----------
     n_centers : int, float or "auto", default="auto"
         Number of centres of each output, or of all together with `shared`; or below 1 the share of
-        the variance that they may leave [1]_. "auto" takes as many as make the network about as
-        good as the process; more than 300 only where these are worth 2 % of the noise.
+        the variance that they may leave [1]_. "auto": about as good as the process; more than
+        300 where these are worth 2 % of the noise.
 
     kernel : str, default="auto"
         Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "matern32",
-        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern12", :math:`e^{-r}`, which has a kink at
-        each centre, where its gradient is given as 0; "auto" takes the most probable, with a given
-        `length_scale` "gaussian".
+        :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern12", :math:`e^{-r}`, of gradient 0 at its
+        centre. "auto": the most probable, with a given `length_scale` "gaussian".
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width, in the units of X: a number, or one for each feature; infinity leaves a feature out.
-        "auto" finds one for each feature, "isotropic" one for all, in units of their standard
-        deviations.
+        "auto" finds one for each feature, "isotropic" one for all, in standard deviations.
 
     alpha : float or array-like of shape (n_outputs,) or "auto", default="auto"
         Ridge, in units of the sum of sample weights: noise variance over signal variance. "auto"
@@ -90,10 +88,9 @@ class RBFNetRegressor(VersionedRegressor):
     max_centers : int, default=None
         Most centres found. None: 2000, or all of up to 10 000 rows.
 
-    shared : bool, default=False
-        Whether outputs share kernel, widths and centres, chosen by the trace of the error
-        reduction: the published form, in which outputs of large numbers count most. By default each
-        output has the network that it would have alone.
+    shared : bool or "scaled", default=False
+        Whether outputs share a network, by the trace of the error reduction in units of `y`, where
+        large numbers count most (True), or of standard deviations ("scaled").
 
     loss : {"auto", "squared", "tukey"}, default="auto"
         "tukey": rows more than 5.5 standard deviations off get no weight, by the biweight [3]_.
@@ -101,11 +98,9 @@ class RBFNetRegressor(VersionedRegressor):
         an eighth of the rows. It needs widths or ridge to be found, and at most 100 000 rows.
 
     inputs : {"auto", "raw", "ranks"}, default="auto"
-        What the radial functions see: "raw", the features; "ranks", the share of the training rows
-        below a value and half of those that have it, for features of few or unevenly spread values.
-        Between training values it is interpolated, and beyond them continued. Widths are then in
-        units of ranks, 1 from the least value to the largest. "auto" takes what is more probable,
-        with a given `length_scale` "raw".
+        What radial functions see: "raw", the features; "ranks", for few or uneven values: the share
+        of the training rows below a value and half of those that have it, which is the unit of the
+        widths. "auto": the more probable.
 
     random_state : int, RandomState instance or None, default=None
         Draws rows for the search of widths, and candidates for centres.
@@ -202,7 +197,7 @@ class RBFNetRegressor(VersionedRegressor):
         "alpha": [Interval(Real, 0, None, closed="left"), StrOptions({"auto"}), "array-like"],
         "degree": [Interval(Integral, -1, 1, closed="both"), StrOptions({"auto"})],
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
-        "shared": ["boolean"],
+        "shared": ["boolean", StrOptions({"scaled"})],
         "loss": [StrOptions({"auto", "squared", "tukey"})],
         "inputs": [StrOptions({"auto", "raw", "ranks"})],
         "random_state": ["random_state"],
@@ -220,7 +215,7 @@ class RBFNetRegressor(VersionedRegressor):
         alpha: float | str = "auto",
         degree: int | str = "auto",
         max_centers: int | None = None,
-        shared: bool = False,
+        shared: bool | str = False,
         loss: str = "auto",
         inputs: str = "auto",
         random_state: Any = None,
@@ -322,11 +317,21 @@ class RBFNetRegressor(VersionedRegressor):
     def predict(self, X: ArrayLike, return_std: Literal[False] = False) -> Floats: ...
     @overload
     def predict(
-        self, X: ArrayLike, return_std: Literal[True], *, with_noise: bool = True
+        self,
+        X: ArrayLike,
+        return_std: Literal[True],
+        *,
+        with_noise: bool = True,
+        with_outliers: bool = True,
     ) -> Pair: ...
     @overload
     def predict(
-        self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = True
+        self,
+        X: ArrayLike,
+        *,
+        return_cov: Literal[True],
+        with_noise: bool = True,
+        with_outliers: bool = True,
     ) -> Pair: ...
     def predict(
         self,
@@ -334,6 +339,7 @@ class RBFNetRegressor(VersionedRegressor):
         return_std: bool = False,
         return_cov: bool = False,
         with_noise: bool = True,
+        with_outliers: bool = True,
     ) -> Any:
         """Predict targets.
 
@@ -349,6 +355,9 @@ class RBFNetRegressor(VersionedRegressor):
 
         with_noise : bool, default=True
             Whether they are of new observations; else they are of the mean.
+
+        with_outliers : bool, default=True
+            Whether these include outliers like those of the fit.
 
         Returns
         -------
@@ -367,7 +376,9 @@ class RBFNetRegressor(VersionedRegressor):
             If the model is not fitted; if X has another number of features than in fit, or holds
             NaN or infinity; if both the standard deviation and the covariance are asked for.
         """
-        check_flags(return_std=return_std, return_cov=return_cov, with_noise=with_noise)
+        check_flags(return_std=return_std, return_cov=return_cov)
+        of = {"with_noise": with_noise, "with_outliers": with_outliers}
+        check_flags(**of)
         if return_std and return_cov:
             raise ValueError("Ask for one of return_std and return_cov, not for both.")
         X = check_features(self, X, dtype=np.float64, reset=False)
@@ -377,9 +388,9 @@ class RBFNetRegressor(VersionedRegressor):
         mean = predict_mean(packed[1], X)
         mean = mean[:, 0] if self._flat else mean
         if return_cov:
-            return mean, self._shaped([part.covariance(X, with_noise) for part in self.networks_])
+            return mean, self._shaped([part.covariance(X, **of) for part in self.networks_])
         if return_std:
-            return mean, self._shaped([part.std(X, with_noise) for part in self.networks_])
+            return mean, self._shaped([part.std(X, **of) for part in self.networks_])
         return mean
 
     def sample_y(

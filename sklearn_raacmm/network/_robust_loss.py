@@ -3,13 +3,17 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
+from scipy.stats import yeojohnson_llf, yeojohnson_normmax
 
 from sklearn_raacmm.network import _read
 from sklearn_raacmm.network._blocks import ArrayChunks
 from sklearn_raacmm.network._posterior import pack, predict_mean
-from sklearn_raacmm.network._search import EXACT_ROWS
-from sklearn_raacmm.utils import many_without_weight
+from sklearn_raacmm.network._search import EXACT_ROWS, MARGIN, MARGIN_OF_TARGET
+from sklearn_raacmm.utils import Finding, many_without_weight
 
 # Residual, in standard deviations, from which a row has no weight; while none is as far off, all
 # rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.
@@ -73,17 +77,50 @@ def reweigh(estimator, blocks, codes):
             lead = evidence(estimator.log_marginal_likelihood_value_, n, far)
             lead -= evidence(first["log_marginal_likelihood_value_"], n, far[:0])
             if lead < LEAD * n * Y.shape[1]:
-                estimator.__dict__ = first
-                return
+                return _keep(estimator, first, Y[counted], residuals[counted], factor[counted])
     if auto and np.sum(factor[counted] == 0) > MOST_FAR * counted.sum():
-        estimator.__dict__ = first
-        return
+        return _keep(estimator, first, Y[counted], residuals[counted], factor[counted])
     if np.any(factor < 1):
-        parts = (network.with_noise(1 / NORMAL_SQUARE) for network in estimator.networks_)
-        estimator.networks_ = tuple(parts)
+        far = residuals * (factor == 0)[:, None]
+        added = np.average(np.square(far), axis=0, weights=given)
+        share = np.average(factor == 0, weights=given)
+        estimator.networks_ = tuple(_with_outliers(n, added, share) for n in estimator.networks_)
     estimator.row_weight_ = factor
     for finding in many_without_weight(factor[counted]):
         finding.report()
+
+
+def _keep(estimator, first, *far_rows):
+    """Keep the fit of least squares, and say what the rows far off are instead of slips."""
+    estimator.__dict__ = first
+    for finding in _heavy_tails(*far_rows):
+        finding.report()
+
+
+def _with_outliers(network, added, share):
+    """A network of rows near to it, with what far rows, a share of all, add to the variance."""
+    network = network.with_noise(1 / NORMAL_SQUARE)
+    of_outliers = np.maximum(added[network.outputs] - share * network.noise_variance, 0.0)
+    return replace(network, outlier_variance=of_outliers)
+
+
+def _heavy_tails(Y, residuals, factor) -> Iterator[Finding]:
+    """Finding of targets (n, q) that are far more probable as a power of a normal variable."""
+    n, far = len(Y), np.flatnonzero(factor == 0)
+    for y, left in zip(Y.T, residuals.T, strict=True):
+        gain = yeojohnson_llf(yeojohnson_normmax(y), y) - yeojohnson_llf(1.0, y)
+        if gain > MARGIN + MARGIN_OF_TARGET * n:
+            size = np.abs(left[far]).max() / (_SD_OF_MEDIAN * np.median(np.abs(left)))
+            yield Finding(
+                "heavy-tails",
+                f"The targets have heavy tails: {len(far)} of {n} rows lie more than {CUT:g} "
+                f"standard deviations of the others off, up to {size:.3g}.",
+                "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
+                "transformer=PowerTransformer()).",
+                "note",
+                rows=tuple(far),
+            )
+            return
 
 
 def _gain(residuals, near):

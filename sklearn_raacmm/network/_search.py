@@ -22,22 +22,21 @@ from sklearn_raacmm.network._likelihood import (
     LOOSE_KAPPA,
     WIDTH_BOUNDS,
     Task,
-    covariance,
     judge,
     left_out,
     log_likelihood,
     minimise,
     objective,
     of_noise,
-    solve_and_invert,
 )
 from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
 from sklearn_raacmm.network._ranks import are_alike, to_ranks
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import stage, warn_user
 
-# Rows and iterations of the first stage, and of the second. Of up to `WHOLE_ROWS` the first takes
-# all (``benchmarks/bench_rows.py --cliffs``).
+# Rows and iterations of the first stage, and of the second: with 2000 rows for rough functions of 8
+# and 6 features 2 and 3 % less error took 2.5 and 3 times as long. Of up to `WHOLE_ROWS` the first
+# takes all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
 # Iterations after which ranks as inputs have to lead on the first stage's rows to be searched.
@@ -56,8 +55,6 @@ REVIVED = 3.0
 # noise be followed, and centres be taken by the hundred for 1 % of the error
 # (``benchmarks/bench_accuracy.py --margins``). What trails by as much is not searched further.
 MARGIN, MARGIN_OF_TARGET = 10.0, 0.02
-# Rows of a last stage, and its steps, where so many parameters a row show a rough function.
-FINE_ROWS, FINE_STEPS, ROUGH = 2000, 12, 0.25
 # Observations a feature below which leave-one-out densities count in part: the widths have been
 # chosen on the same rows.
 TRUSTED = 10
@@ -158,12 +155,7 @@ def search(
     # intervals with it, 80 % without.
     n_found = task.n_widths + np.log1p(d * (length_scale is None)) + task.constants + task.n_alphas
     task, end = _leave_out_flat(task, end, many)
-    theta, value = end.theta, end.likelihood
-    if n > len(many.X) and parameters(task, end, many) > ROUGH * len(many.X):
-        more = view.data.some(data.draw(FINE_ROWS, random_state))
-        theta = minimise(task, theta, more, end.kernel, FINE_STEPS)
-        value = judge(task, end.kernel, theta, many).likelihood
-    log_width, log_alpha, ratio = task.unpack(theta)
+    log_width, log_alpha, ratio = task.unpack(end.theta)
     width = np.exp(log_width)
     _warn_of_narrow(task, width)
     return Structure(
@@ -171,7 +163,7 @@ def search(
         width,
         np.exp(log_alpha),
         ratio,
-        log_likelihood=log_likelihood(many, value),
+        log_likelihood=log_likelihood(many, end.likelihood),
         n_observations=many.n_total,
         n_found=n_found / q,
         ranks=view.ranks,
@@ -207,7 +199,7 @@ def _may_win(task, end, view, other):
     ranked = task._replace(spread=other.spread)
     theta = minimise(ranked, end.theta, other.few, end.kernel, TRIAL_STEPS)
     lead = judge(task, end.kernel, end.theta, view.few).score
-    return lead > judge(ranked, end.kernel, theta, other.few).score
+    return lead - judge(ranked, end.kernel, theta, other.few).score > margin(view.few)
 
 
 def _first_stage(task, kernels, few, start, decides, near):
@@ -307,14 +299,6 @@ def _coarse(task, kernel, data, start=None):
             theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA)
         ends.append(minimise(task, theta, data, kernel, COARSE_STEPS))
     return min((judge(task, kernel, theta, data) for theta in ends), key=lambda end: end.score)
-
-
-def parameters(task, end, data):
-    """Effective number of parameters of a process, of the output that needs most of them."""
-    log_width, log_alpha, ratio = task.unpack(end.theta)
-    K, alpha = covariance(data, end.kernel, log_width)[0], np.exp(log_alpha.min())
-    half = solve_and_invert(K + alpha * data.noise(ratio), data.targets[:, 0])[2]
-    return len(K) - 2 * alpha * np.trace(half)
 
 
 def _leave_out_flat(task, end, data):

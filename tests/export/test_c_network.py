@@ -80,3 +80,15 @@ def test_too_many_centres_for_a_table_are_refused(model, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="a network of 11 centres would need a table of"):
         export_c(model, tmp_path / "arm.c", std=True)
     assert export_c(model, tmp_path / "arm.c")
+
+
+def test_outliers_count_in_the_standard_deviation(tmp_path):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (150, 2))
+    y = np.sin(X[:, 0]) + X[:, 1] ** 2 + 0.02 * rng.normal(size=150)
+    y[::15] += 3
+    model = RBFNetRegressor(loss="tukey", random_state=0).fit(X, y)
+    std, near = (model.predict(X, True, with_outliers=with_)[1] for with_ in (True, False))
+    assert np.all(std > 10 * near)
+    found = in_c(tmp_path, COMPILERS[0], model, X, True)[1][:, 0]
+    np.testing.assert_allclose(found, std, rtol=1e-9)

@@ -115,6 +115,21 @@ def test_the_order_of_outputs_does_not_matter(data, networks, shared):
     np.testing.assert_allclose(other.predict(T), one.predict(T)[:, order], rtol=0, atol=atol)
 
 
+@pytest.mark.parametrize("n_centers", [12, 0.3])
+def test_scaled_outputs_count_alike_whatever_their_units(n_centers):
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-2, 2, (80, 2))
+    Y = np.column_stack([np.sin(3 * X[:, 0]), 1000 * np.sin(3 * X[:, 1])])
+    given = {"length_scale": 0.5, "alpha": 0.01, "kernel": "gaussian"}
+    scaled = RBFNetRegressor(n_centers, shared="scaled", **given).fit(X, Y)
+    raw = RBFNetRegressor(n_centers, shared=True, **given).fit(X, Y)
+    known = RBFNetRegressor(n_centers, shared=True, **given).fit(X, Y / Y.std(axis=0))
+    np.testing.assert_array_equal(scaled.center_indices_, known.center_indices_)
+    np.testing.assert_allclose(scaled.criterion_path_, known.criterion_path_, rtol=1e-9)
+    np.testing.assert_allclose(scaled.predict(X), known.predict(X) * Y.std(axis=0), rtol=1e-7)
+    assert not np.array_equal(scaled.center_indices_, raw.center_indices_)
+
+
 def test_what_has_been_found_can_be_given(data, networks):
     X, Y, T = data
     model = networks[True]

@@ -5,6 +5,7 @@ import pytest
 
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._robust_loss import CUT, NORMAL_SQUARE
+from sklearn_raacmm.utils import collected_findings
 
 
 def truth(X):
@@ -54,3 +55,36 @@ def test_constant_of_the_noise_by_quadrature():
     density, weight = np.exp(-0.5 * z**2), (1 - (z / CUT) ** 2) ** 2
     expected = np.sum(density * weight * z**2) / np.sum(density * weight)
     assert expected == pytest.approx(NORMAL_SQUARE, rel=1e-5)
+
+
+def test_deviations_hold_for_new_rows():
+    """Of rows with outliers as many and as large as those of the fit."""
+    X, y, *_ = table(0.1, 400)
+    model = RBFNetRegressor(random_state=0).fit(X, y)
+    rng = np.random.default_rng(5)
+    T = rng.uniform(-1, 1, (4000, 2))
+    left = truth(T) + rng.choice(y - truth(X), 4000) - model.predict(T)
+    std, near = (model.predict(T, True, with_outliers=with_)[1] for with_ in (True, False))
+    assert np.mean(np.square(left / std)) == pytest.approx(1, abs=0.2)
+    assert np.median(near) < 0.1 < std.min()
+    of_mean = [model.predict(T, True, with_noise=False, with_outliers=w)[1] for w in (True, False)]
+    np.testing.assert_array_equal(*of_mean)
+    added = model.predict(T[:3], return_cov=True)[1].diagonal() - near[:3] ** 2
+    np.testing.assert_allclose(added, float(model.networks_[0].outlier_variance[0]), rtol=1e-9)
+
+
+def test_heavy_tails_are_named_with_what_helps():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-1, 1, (300, 2))
+    y = np.exp(2 * np.sin(3 * X[:, 0]) + 0.7 * rng.standard_normal(300))
+    with collected_findings() as found:
+        RBFNetRegressor(random_state=0).fit(X, y)
+    (finding,) = found
+    assert finding.code == "heavy-tails"
+    assert len(finding.rows) == 21
+    assert "PowerTransformer" in finding.advice
+    # Errors that are not normal are something else.
+    with collected_findings() as found:
+        noise = 0.1 * rng.standard_t(3, 300)
+        RBFNetRegressor(random_state=0).fit(X, np.sin(3 * X[:, 0]) + noise)
+    assert not found
