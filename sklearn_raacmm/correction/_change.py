@@ -434,7 +434,8 @@ def _pooled(linears, layout):
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
     # Both roots together: their difference is what a single-point test does not show.
-    roots = [np.vstack([one.half, one.gauge_free_half]) / np.sqrt(n) for one in aligned]
+    kept = np.where(of_table, 0.0, 1 / np.sqrt(n))[:, None]
+    roots = [np.vstack([kept * one.half, kept * one.gauge_free_half]) for one in aligned]
     pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r")
     half, gauge_free = np.vsplit(np.asarray(pooled).T, 2)
     return replace(
