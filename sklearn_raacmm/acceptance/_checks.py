@@ -1,10 +1,11 @@
-"""Bad runs: what is missing, in another unit, of another artefact, or slipped."""
+"""Bad runs: what is missing, in another unit, of another artefact, copied, or slipped."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 import itertools
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,19 @@ _OTHER_MM = 2.0
 # would be that of few places only, and errors of an arm differ from place to place.
 _SLIP_RATIO, _SLIP_MM, _SHARE = 8.0, 0.1, 0.8
 _OF_SHARE = 1.2816  # standard deviations that hold this share
+# What is stated of an artefact: least and largest number, their unit, and how many of it one of the
+# field's unit is. An expansion is 0 or no less than 1e-9 / K: that of Zerodur is 5e-9. Uncertainty
+# and form are this share of the limit at least, and at most the limit: without one, this many mm.
+_RANGES = {
+    "temperature_degc": (5.0, 45.0, "degC", 1.0),
+    "expansion_per_k": (-2.0, 30.0, "1e-6/K", 1e6),
+}
+_LEAST_EXPANSION, _SHARE_OF_LIMIT, _NO_LIMIT_MM = 1e-9, 1e-4, 0.1
+# Places that are nearer are one, mm. Turns of the first two joints, rad, by which the elbow has not
+# swung. Cones far and near are apart by this part of the reach: simulated ones are by 0.18.
+_ONE_PLACE_MM, _SWING_RAD, _ZONES_APART = 10.0, 0.1, 0.1
+# Standard deviations of the mean, the tester's and the scatter's, beyond which sizes are off.
+_OFF_RATIO = 10.0
 # Measured over stated size, and what that says.
 _RATIOS = {
     "the points are in inches": 1 / 25.4,
@@ -31,15 +45,20 @@ _RATIOS = {
 }
 
 
-def find_faults(test: str, readings) -> list[Finding]:
-    """What keeps a test from having values, the first kind of fault that is found."""
+def find_faults(test: str, readings, arm: Any = None, limit: float | None = None) -> list[Finding]:
+    """What keeps a test from having values, the first kind of fault that is found; or a doubt.
+
+    `limit` is the largest of the values' limits, mm.
+    """
     if gap := next(_gaps(test, readings), ""):
         advice = "Measure what is missing: a test is whole or it has no value."
         return [_finding("acceptance-incomplete", f"{test}: {gap}", advice, readings.rows)]
     faults = []
     if test in (*SPHERES, *BARS):
-        faults = _unknown(test, readings) or _wrong_sizes(test, readings)
-    return faults or _slips(test, readings)
+        faults = _unknown(test, readings) or list(_implausible(test, readings, limit))
+        faults = faults or _wrong_sizes(test, readings)
+    taken = itertools.chain(_copies(test, readings), _ways(test, readings, arm))
+    return faults or list(taken) or _slips(test, readings) or list(_off_means(test, readings))
 
 
 def _finding(code, text, advice, rows=(), size_mm=None):
@@ -76,11 +95,97 @@ def _unknown(test, readings):
     for (name,), rows in readings.groups("artefact").items():
         artefact = readings.run.by_name.get(name)
         missing = ("everything",) if artefact is None else artefact.missing
+        if test in SPHERES and artefact is not None and not artefact.form_mm:
+            missing = (*missing, "form_mm")
         if missing:
             text = f"{test}: of the artefact {name!r} is not stated: {', '.join(missing)}."
             advice = "State what its certificate says, and its temperature."
             found.append(_finding("artefact-unknown", text, advice, readings.rows[rows]))
     return found
+
+
+def _implausible(test, readings, limit):
+    """Numbers of artefacts that are of another unit than that which is asked for."""
+    limit = limit or _NO_LIMIT_MM
+    size = _SHARE_OF_LIMIT * limit, limit, "um", 1e3
+    ranges = _RANGES | {"expanded_mm": size, "form_mm": size if test in SPHERES else (0, *size[1:])}
+    for (name,), rows in readings.groups("artefact").items():
+        for field, (low, high, unit, factor) in ranges.items():
+            value = getattr(readings.run.by_name[name], field)
+            shown = value if unit == "degC" else factor * value
+            bounds = (factor * low, factor * high) if unit == "um" else (low, high)
+            tiny = field == "expansion_per_k" and 0 < abs(value) < _LEAST_EXPANSION
+            if tiny or not bounds[0] <= shown <= bounds[1]:
+                text = (
+                    f"{test}: of the artefact {name!r} {field} is {shown:.3g} {unit}, where "
+                    f"{bounds[0]:.3g} to {bounds[1]:.3g} {unit} can be."
+                )
+                advice = "Is it in the unit that its heading names?"
+                yield _finding("artefact-implausible", text, advice, readings.rows[rows])
+
+
+def _copies(test, readings):
+    """Readings that are others, to the last digit."""
+    angles = readings.run.angles
+    values = readings.points if angles is None else angles[readings.rows]
+    first = np.unique(values, axis=0, return_index=True)[1]
+    again = np.setdiff1d(np.arange(len(values)), first)
+    if len(again) and test != "pose":  # which commands one pose many times
+        text = f"{test}: {len(again)} readings are copies of others, to the last digit."
+        advice = "Each reading is taken anew: measure them again."
+        yield _finding("copied-readings", text, advice, readings.rows[again])
+
+
+def _ways(test, readings, arm):
+    """Where readings were taken, and how differently, against what the test asks."""
+    columns = ("artefact", "position", "end") if test in BARS else ("position",)
+    means = {k: readings.points[rows].mean(axis=0) for k, rows in readings.groups(*columns).items()}
+    places: dict[Any, Any] = {}
+    for key, mean in means.items():  # of a bar both ends
+        places.setdefault(key[:2] if test in BARS else key, []).append(mean)
+    for (key, one), (other, two) in itertools.combinations(places.items(), 2):
+        if key[:-1] == other[:-1] and np.abs(np.subtract(one, two)).max() < _ONE_PLACE_MM:
+            text = f"{test}: positions {key[-1]} and {other[-1]} are one place: nothing was moved"
+            advice = "Move the artefact between positions, and measure them again."
+            yield _finding("one-place", f"{text} by {_ONE_PLACE_MM:g} mm.", advice, readings.rows)
+            return
+    if arm is None or readings.run.angles is None or test not in ("single-point", "articulation"):
+        return
+    angles, far = readings.run.angles[readings.rows], {}
+    for (name,), rows in readings.groups("position").items():
+        frames = arm.frames(angles[rows])[:, arm.pose_frames[0], :3, 3]
+        far[name.lower()] = np.linalg.norm((readings.believed[rows] - frames).mean(axis=0))
+        if np.ptp(angles[rows][:, :2], axis=0).max() < _SWING_RAD:
+            text = f"{test}: at position {name} the elbow was not swung: joints 1 and 2 stand still"
+            advice = "Take each reading with another pose of the arm."
+            yield _finding("one-pose", f"{text}.", advice, readings.rows[rows])
+    zones = [far.get(zone, 0.0) / arm.reach_mm for zone in ("near", "middle", "far")]
+    apart = np.diff(zones)
+    if test == "single-point" and (apart.min() <= 0 or apart.sum() < _ZONES_APART):
+        shown = ", ".join(f"{zone:.2f}" for zone in zones)
+        text = f"{test}: near, middle and far are at {shown} of the reach from the shoulder."
+        advice = "Put the cone near, in the middle and far, and name the positions so."
+        yield _finding("wrong-zones", text, advice, readings.rows)
+
+
+def _off_means(test, readings):
+    """Lengths that agree with one another, but not with what is stated."""
+    if test not in BARS:
+        return
+    lengths, artefacts, last = readings.lengths()
+    tip = readings.run.tip_mm if test == "bidirectional" else 0.0
+    for artefact in dict.fromkeys(artefacts):
+        own = np.array([one is artefact for one in artefacts])
+        error = lengths[own] - tip - artefact.size_in_test
+        u = np.hypot(artefact.u_size, artefact.fixture_mm)
+        if abs(error.mean()) > _OFF_RATIO * np.hypot(u, error.std() / np.sqrt(own.sum())):
+            text = (
+                f"{test}: {own.sum()} lengths of {artefact.name!r} are off by {error.mean():.3g} "
+                f"mm on average, and agree to {error.std():.2g} mm."
+            )
+            advice = "Look whether the stated size is this artefact's, or the arm's scale is off."
+            finding = _finding("mean-off", text, advice, readings.rows[last[own]], error.mean())
+            yield replace(finding, weight="doubt")
 
 
 def _measured(test, readings):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import load_arm, parse_numbers
+from sklearn_raacmm.app._files import load_arm, parse_numbers, print_notes
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import Arm, usual_pose
 from sklearn_raacmm.utils import check_places, write_whole
@@ -25,6 +25,9 @@ _COLUMNS = {
     "names": ("joint", "name", "joint name"),
 }
 _ANGLES = ("alpha", "theta_offset")
+# How near to a quarter turn in rad a twist has to be, and the largest length in metres, by which
+# units are known that no header names.
+_QUARTER, _MOST_METRES = 1e-2, 10.0
 _FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
 _DRAWING = r"""
            elbow: axes 2 and 3 cross, or pass at the elbow offset
@@ -119,23 +122,37 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
     """Arm of a table, text or a spreadsheet, with one row for each joint.
 
     Columns are a, alpha, d and, if there are any, theta_offset, sign and joint, in mm and degrees
-    or what the header says; the probe (3,) is in mm.
+    or what the header says; the probe (3,) is in mm. Without a unit, twists of a quarter turn in
+    rad and lengths below ten show that they are in rad and in metres, and a note says so.
     """
     table = Columns(path, 3)
-    found = {}
+    found, guessed = {}, {}
+    names = [name.rpartition(".")[2].removeprefix("dh_") for name in table.names]
     for field, words in _COLUMNS.items():
-        if words := [word for word in words if word in table.names]:
-            found[field] = table.names.index(words[0])
+        if words := [word for word in words if word in names]:
+            found[field] = names.index(words[0])
         elif field in ("a", "alpha", "d"):
             raise TableError(f"{path} has no column {field!r}; it has {table}.")
     rows = list(table.rows([found["a"]]))
+    sizes = {field: np.abs(table.numbers(rows, [found[field]])) for field in ("a", "alpha", "d")}
+    if np.any(np.abs(sizes["alpha"] - np.pi / 2) < _QUARTER) and sizes["alpha"].max() < 2 * np.pi:
+        guessed |= dict.fromkeys(_ANGLES, "rad")
+    # Of axes that are nearly parallel d may be a hundred metres; a says how large the arm is.
+    if 0 < (sizes["a"].max() or sizes["d"].max()) < _MOST_METRES:
+        guessed |= dict.fromkeys(("a", "d"), "m")
+    guessed = {f: unit for f, unit in guessed.items() if f in found and not table.units[found[f]]}
+    if guessed:
+        shown = ", ".join(f"{table.header[found[f]]} in {unit}" for f, unit in guessed.items())
+        print_notes([f"Taken by their size, for the header names no unit: {shown}."])
+    if convention == "standard":
+        print_notes(["Taken as the standard convention; --modified takes the other one."])
     values = {}
     for field, column in found.items():
         if field == "names":
             values[field] = table.labels(rows, column).tolist()
         else:
             units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
-            unit = table.units[column] or units[0]
+            unit = table.units[column] or guessed.get(field) or units[0]
             if unit not in units:
                 raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
             values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()

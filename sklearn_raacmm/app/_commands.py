@@ -89,6 +89,7 @@ def learn(options):
             tools=read_labels(table, options, "tool"),
             points_sd=options.points_sd,
             blocks=read_labels(table, options, "block"),
+            stations=read_labels(table, options, "station"),
             accept=options.accept or (),
             take=options.take or (),
         )
@@ -113,7 +114,8 @@ def learn(options):
     say(f"Written to {out}: {', '.join(WRITTEN)}")
     if options.open:
         webbrowser.open((out / "report.html").resolve().as_uri())
-    return OK if result.helps else NO_HELP, result.facts
+    useful = result.helps or result.scores.calibration_helps
+    return OK if useful else NO_HELP, result.facts
 
 
 def export(options):

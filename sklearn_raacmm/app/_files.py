@@ -50,6 +50,11 @@ def load_arm(source, base=None, tip=None):
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")
     if path.exists():
+        if "delta_theta" in path.read_text(encoding="utf-8", errors="replace"):
+            raise TableError(
+                f"{source} holds what a UR's own calibration adds to a nominal arm, and not which "
+                "arm that is: take the YAML file that UR's ur_calibration makes of it."
+            )
         return Arm.from_json(path)
     try:
         return Arm.from_name(str(source))
@@ -86,7 +91,8 @@ def write_corrected(layout, correction, options, file, std="all"):
     """
     source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
     writer = csv.writer(file, delimiter=source.separator or " ")
-    writer.writerow([*layout.header, *_NEW_COLUMNS[:width]])
+    plain = list if options.formulas else source.plain
+    writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
     for block, cells in layout.blocks(_BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
@@ -106,7 +112,7 @@ def write_corrected(layout, correction, options, file, std="all"):
             _write_lines(file, source.separator, cells, new)
         else:
             for row, values in zip(cells, new.tolist(), strict=True):
-                writer.writerow([*row, *map(source.text, values)])
+                writer.writerow([*plain(row), *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
 
@@ -167,7 +173,7 @@ def find_rows(options, arm, labelled=True, needed=True):
             raise TableError(f"--points needs {needed}, got {options.points!r}.")
     if given["counts_per_turn"] is not None:
         given["counts_per_turn"] = [parse_number(n) for n in given["counts_per_turn"].split(",")]
-    labels = getattr(options, "tool", None), getattr(options, "block", None)
+    labels = [getattr(options, name, None) for name in ("tool", "block", "station")]
     others = [*find_cause_columns(options).values(), *filter(None, labels)]
     given |= {"labelled": labelled, "needed": needed, "joint_names": arm.names, "others": others}
     return Layout(options.table, arm.n_joints, **given)
@@ -181,7 +187,7 @@ def parse_numbers(option, text, n=3, such="such as 0,0,1"):
     return numbers
 
 
-# -- causes: what the options --extra, --tool and --block name -------------------------------------
+# -- causes: what the options --extra, --tool, --block and --station name --------------------------
 
 
 def find_cause_columns(options):
@@ -212,7 +218,7 @@ def _numbers(table, column):
 
 
 def read_labels(table, options, name):
-    """Labels in the column that the option `name`, tool or block, names, (n,); None without it."""
+    """Labels in the column that the option `name`, such as tool, names, (n,); None without it."""
     column = getattr(options, name, None)
     if column is None:
         return None
@@ -242,14 +248,22 @@ def known_lengths(options):
 
 
 def parse_length(text):
-    """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them."""
+    """Known length of ``--length FROM:TO:MM:SD``, as `learn_correction` takes them.
+
+    Behind the standard deviation may stand its temperature and its expansion: ``@25:11.5e-6``.
+    """
     try:
-        first, second, length, sd = (part.strip() for part in text.split(":"))
-        return first, second, parse_number(length), parse_number(sd)
+        first, second, length, sd, *growth = (part.strip() for part in text.split(":"))
+        sd, at, celsius = sd.partition("@")
+        numbers = length, sd, *[celsius] * bool(at), *growth
+        if len(growth) > bool(at):
+            raise ValueError
+        return first, second, *map(parse_number, numbers)
     except ValueError:
         raise TableError(
             "--length needs two positions, their distance and its standard deviation in mm, such "
-            f"as A:B:500.012:0.005, got {text!r}."
+            "as A:B:500.012:0.005, and where they are not those at 20 degrees C the temperature "
+            f"and perhaps the expansion per K, such as A:B:500.012:0.005@25:11.5e-6, got {text!r}."
         ) from None
 
 

@@ -7,6 +7,7 @@ import contextlib
 import json
 from dataclasses import replace
 from datetime import date
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ _FALSE_ALARM = 0.01
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
+# Share of the reach that a probe is at least: in metres none is. A choice.
+_LEAST_PROBE = 1e-3
 # Steps whose poses the model knows already.
 _LEARNT = {"learn": "taught", "update": "updated"}
 # Decimals of rad and mm by which a pose is known again, and so many that are no coincidence.
@@ -66,7 +69,10 @@ def register(options):
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
     if hasattr(new.model, "linear_model_"):
         _print_lack(saved, new)
-    _save(new, options, facts, today, layout)
+    if holds or options.out.resolve() != options.model.resolve():
+        _save(new, options, facts, today, layout)
+    else:
+        print("Nothing is written: --out names another folder for this correction.")
     return (OK if holds else CHANGED), facts
 
 
@@ -85,6 +91,9 @@ def update(options):
     if len(updates) == len(vars(saved.model).get("updates_", ())):
         print("Nothing was changed: the poses are too few.")
         return CHANGED, facts
+    if not updates[-1]["tau"]:
+        noise = updates[-1]["noise_sd_mm"]
+        print(f"These poses show noise of {noise:.3g} mm a coordinate, and no change beside it.")
     tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
     most = ", ".join(parts[:4]) or "nothing"
@@ -104,7 +113,13 @@ def update(options):
 def move(options):
     """Move the correction to a probe whose vector is known."""
     saved = _open_correction(options)
-    new = saved.move(parse_numbers("--probe", options.probe))
+    probe = parse_numbers("--probe", options.probe)
+    if 0 < (length := np.linalg.norm(probe)) < _LEAST_PROBE * saved.arm.reach_mm:
+        raise TableError(
+            f"--probe is {length:.3g} mm long, of an arm that reaches {saved.arm.reach_mm:.4g} mm: "
+            "are these metres? Give millimetres; raacmm register finds a probe that is so short."
+        )
+    new = saved.move(probe)
     facts = _print_moves(saved, new)
     _print_lack(saved, new)
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
@@ -195,8 +210,11 @@ def _check_model(saved, today, measured, rate, options):
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")
     if options.record:
-        found.append_to(options.record)
-        print(f"Appended to {options.record}")
+        try:
+            found.append_to(options.record)
+            print(f"Appended to {options.record}")
+        except OSError as error:
+            print_notes([f"This check is not in {options.record}: {error}"])
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     facts = {name: getattr(found, name) for name in names}
     return facts, found.slipped, found.advice if changed else ""
@@ -346,19 +364,31 @@ def save_step(correction, out, step, today, page="", contents=()):
     known = {"findings": findings, "training": correction.facts.get("training")}
     card |= {name: fact for name, fact in known.items() if fact}
     card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
-    contents = {"report.html": with_history(page, history), "card.md": card, **dict(contents)}
-    return correction.save(out, contents)
+    contents, points = dict(contents), Path(out, "corrected.csv")
+    kept = {} if step["what"] == "check" else _kept_points(points, step)
+    pages = {"report.html": with_history(page, history), "card.md": card}
+    written = correction.save(out, pages | kept | contents)  # renamed in this order
+    if kept and points.name not in contents:
+        points.unlink()  # of another probe
+    for name in kept:
+        print(f"The corrected points of before are now in {name}.")
+    return written
+
+
+def _kept_points(path, step):
+    """The corrected points of before, if there are any, under a name that is free."""
+    if not path.is_file():
+        return {}
+    stem = f"{path.stem}_before_{step['what']}_{step['date']}"
+    names = (f"{stem}{f'_{i}' * (i > 1)}{path.suffix}" for i in count(1))
+    return {next(name for name in names if not path.with_name(name).exists()): path.read_bytes()}
 
 
 def _save(correction, options, step, today=None, layout=None):
     """Write the folder with what was done, and with the points of today where there are any."""
     contents = {} if layout is None else corrected_file(layout, correction, options)
-    aside = options.out / f"corrected_before_{step['what']}.csv"
     if options.out == options.model:
         _refuse_other_writers(correction, options.out)
-    with contextlib.suppress(OSError):  # none there, or open: then the new ones stay beside it
-        (options.out / "corrected.csv").replace(aside)
-        print(f"The corrected points of before are now in {aside.name}.")
     written = save_step(correction, options.out, step, today, _page_of(options), contents)
     print(f"Written to {options.out}: {', '.join(path.name for path in written)}")
 

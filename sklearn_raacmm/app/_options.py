@@ -14,7 +14,7 @@ from typing import Any
 from sklearn_raacmm._version import __version__
 
 _EPILOG = (
-    "Exit codes: 0 done, 2 bad input, 3 the correction does not help, or a check found a change, "
+    "Exit codes: 0 done, 2 bad input, 3 nothing that was learnt helps, or a check found a change, "
     "4 of accept: not judged."
 )
 
@@ -22,7 +22,7 @@ _EPILOG = (
 # Options of a logger, beside its tables.
 _CONFIG = "raacmm.toml"
 _COLUMNS = "--angles --position --unit --counts-per-turn --sheet"
-_LEARNING = "--folds --jobs --open --force --dry-run"
+_LEARNING = "--folds --jobs --open --force --dry-run --formulas"
 _CAUSES = "--extra --tool"
 _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 
@@ -32,13 +32,13 @@ WORDS = {
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
-        f"--lengths --places --length-sd {_CAUSES} --block --like --take --accept --serial "
-        "--operator",
+        f"--lengths --places --length-sd {_CAUSES} --block --station --like --take --accept "
+        "--serial --operator",
     ),
     "correct": (
         "_correct", "correct a table of any length",
         "raacmm correct today.csv --model my_arm --out corrected.csv",
-        f"table --model --out --std {_CAUSES} {_COLUMNS.replace(' --position', '')}",
+        f"table --model --out --std --formulas {_CAUSES} {_COLUMNS.replace(' --position', '')}",
     ),
     "check": (
         "_life", "ask whether a correction still holds today",
@@ -48,12 +48,12 @@ WORDS = {
     "register": (
         "_life", "find a new probe or a new place through the correction",
         "raacmm register two_cones.csv --model my_arm --out my_arm_250mm",
-        f"{_TODAY} --out --accept",
+        f"{_TODAY} --out --accept --formulas",
     ),
     "update": (
         "_life", "bring a correction up to date with few new poses",
         "raacmm update today.csv --model my_arm --out my_arm_2026",
-        f"{_TODAY} --out --accept",
+        f"{_TODAY} --out --accept --formulas",
     ),
     "move": (
         "_life", "move a correction to a probe whose vector is known",
@@ -133,7 +133,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--sheet": _value("NAME", "sheet of a spreadsheet, name or number"),
     "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),
     "--points-sd": _number("MM", "sd of a tracker's coordinate, not the arm's", default=0.0),
-    "--length": _value("FROM:TO:MM:SD", "a known distance in mm and its sd", action="append"),
+    "--length": _value(
+        "FROM:TO:MM:SD[@DEGC]",
+        "a known distance in mm, its sd, and its temperature",
+        action="append",
+    ),
     "--lengths": _value("CSV", "known lengths: from, to, mm, sd in mm"),
     "--places": _value("CSV", "a plate of known points: position, x, y, z, sd in mm"),
     "--length-sd": _number("MM", "sd of all known lengths"),
@@ -143,8 +147,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "standard deviations to write: none, of coordinates, or also within a position and of 1 m",
         "all",
     ),
+    "--formulas": _flag("write cells such as =A1 as they are, not behind an apostrophe"),
     "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
     "--block": _value("COLUMN", "column of what holds positions that are left out together"),
+    "--station": _value("COLUMN", "column of the set-up, where tracker or arm were moved"),
     # -- learning
     "--folds": _number("N", "times that some positions are left out (5)", int),
     "--jobs": _number("N", "folds computed at the same time (1)", int),

@@ -10,6 +10,7 @@ import codecs
 import contextlib
 import csv
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._records import HEAD_CHARACTERS, find_records
+from sklearn_raacmm.utils import check_unpacked
 
 # Lines looked at to find separator and decimal sign, and characters decoded at a time.
 _LOOKED_AT = 300
@@ -32,6 +34,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 _WITH_UNIT = re.compile(
     rf"({_NUMBER.pattern})\s*(deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
 )
+_FORMULA = re.compile(r"[=+\-@].")
 # What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
 _NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
 _MARKS = (
@@ -50,6 +53,10 @@ _SCRIPTS = (
 _PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"})
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
+# A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
+# of which 20 columns reach in the last row of a spreadsheet.
+_MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
+_BLOCK_ROWS = 8192
 SHEETS = (".xlsx", ".xlsm")
 _ARRAYS = (".npy", ".npz", ".mat")
 
@@ -86,7 +93,7 @@ class Dialect:
     separator: str | None = ","
     decimal: str = "."
     what: str = ""
-    table: list[Any] | None = None
+    table: Iterable[Any] | None = None
 
     def rows(self):
         """Yield (row number, cells) of each row that is not empty; lines of text count from 1."""
@@ -139,6 +146,13 @@ class Dialect:
                 return np.fromiter(map(float, text.split("\n")), dtype=float)
         return np.array([self.number(cell) for cell in cells], dtype=float)
 
+    def plain(self, cells):
+        """Cells that no spreadsheet takes for formulas: what looks like one gets an apostrophe."""
+        return [
+            f"'{cell}" if _FORMULA.match(str(cell)) and not _NUMBER.fullmatch(str(cell)) else cell
+            for cell in cells
+        ]
+
     def text(self, value, digits=6):
         """Number as the file writes its numbers."""
         return f"{value:.{digits}f}".replace(".", self.decimal)
@@ -159,8 +173,19 @@ def unit_in(cell):
 def clean(cell):
     """Cell of a spreadsheet as text has it."""
     if isinstance(cell, str):
+        if len(cell) > _MOST_CHARACTERS:
+            raise TableError(f"a cell has {len(cell)} characters, more than {_MOST_CHARACTERS}")
         return cell.translate(_PLAIN).strip()
     return "" if cell is None else cell
+
+
+def check_size(n_columns, n_cells):
+    """Refuse what no table of measurements is as large as."""
+    if n_columns > _MOST_COLUMNS or n_cells > _MOST_CELLS:
+        raise TableError(
+            f"{n_columns} columns and {n_cells} cells, more than the {_MOST_COLUMNS} columns and "
+            f"{_MOST_CELLS} cells that a table may have"
+        )
 
 
 def strip_mark(cells):
@@ -290,17 +315,27 @@ def read_sheets(path):
 
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
-    found = {}
+    found, n_cells = {}, 0
+
+    def of(sheet):
+        nonlocal n_cells
+        for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+            n_cells += len(row)
+            check_size(len(row), n_cells)
+            cells = [clean(cell) for cell in row]
+            if any(cell != "" for cell in cells):
+                yield number, cells
+
     try:
         with open(path, "rb") as file:
+            check_unpacked("the file", file)
             book = openpyxl.load_workbook(file, read_only=True, data_only=True)
             for sheet in book.worksheets:  # of charts there are none
                 sheet.reset_dimensions()  # some programs state fewer rows than they write
-                rows = ([clean(cell) for cell in row] for row in sheet.iter_rows(values_only=True))
-                rows = enumerate(rows, 1)
-                found[sheet.title] = [(n, row) for n, row in rows if any(c != "" for c in row)]
+                found[sheet.title] = list(of(sheet))
     except Exception as error:  # a zip file of anything, damaged XML, or no zip file
-        raise TableError(f"{path} is not a spreadsheet that can be read: {error}.") from None
+        why = str(error).rstrip(".")
+        raise TableError(f"{path} is not a spreadsheet that can be read: {why}.") from None
     return found
 
 
@@ -311,16 +346,20 @@ def _arrays(path, n_numbers):
     """A table of the arrays of a file that have as many rows as the longest one."""
     try:
         if path.suffix.lower() == ".mat":
-            from scipy.io import loadmat  # which takes half a second to import
+            from scipy.io import loadmat, whosmat  # which takes half a second to import
 
+            check_size(1, sum(int(np.prod(shape)) for _, shape, _ in whosmat(path)))
             content = loadmat(path, squeeze_me=True)
         else:
+            if path.suffix.lower() == ".npz":
+                check_unpacked("the file", path)
             loaded = np.load(path, allow_pickle=False)
             content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
+        check_size(max(np.shape(v)[1] if np.ndim(v) > 1 else 1 for v in content.values()), 0)
     except NotImplementedError:  # HDF5
         raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
     except Exception as error:  # no such file, or one that would have to be unpickled
-        raise TableError(f"{path} cannot be read: {error}.") from None
+        raise TableError(f"{path} cannot be read: {str(error).rstrip('.')}.") from None
     columns: dict = {}
     for name, values in content.items():
         if name.startswith("__") or not np.ndim(values):
@@ -335,11 +374,24 @@ def _arrays(path, n_numbers):
     columns = {k: v for k, v in columns.items() if len(v) == n_rows and np.ndim(v) == 1}
     if len(columns) < n_numbers:
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
-    cells = [[clean(cell) for cell in column.tolist()] for column in columns.values()]
-    rows = list(enumerate(map(list, zip(*cells, strict=True)), 1))
-    if any(name.strip("0123456789") for name in columns):
-        rows.insert(0, (0, list(columns)))
-    return Dialect(path, what="Arrays", table=rows)
+    names = list(columns) if any(name.strip("0123456789") for name in columns) else []
+    return Dialect(path, what="Arrays", table=_ArrayRows(names, list(columns.values())))
+
+
+@dataclass(frozen=True)
+class _ArrayRows:
+    """Rows of arrays (n,), as (row number, cells): a block at a time is made of objects."""
+
+    names: list[str]  # row 0, if there are any
+    columns: list[np.ndarray]
+
+    def __iter__(self):
+        if self.names:
+            yield 0, self.names
+        for start in range(0, len(self.columns[0]), _BLOCK_ROWS):
+            some = (column[start : start + _BLOCK_ROWS].tolist() for column in self.columns)
+            for number, cells in enumerate(zip(*some, strict=True), start + 1):
+                yield number, [clean(cell) for cell in cells]
 
 
 # -- records: programs of robots, lists, echoes ---------------------------------------------------

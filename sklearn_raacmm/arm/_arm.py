@@ -28,6 +28,8 @@ from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
+# Arms of fewer joints have no wrist where the default poses suppose it.
+_FEW_JOINTS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -251,15 +253,17 @@ class Arm:
         alpha, theta_offset : array-like of shape (n_joints,)
             Angles in degrees.
         **params : dict
-            The other parameters of `Arm`.
+            The other parameters of `Arm`. Arms of fewer than five joints have the pose of their
+            first two, and of the whole arm, unless it is given.
 
         Returns
         -------
         Arm
         """
         alpha = np.deg2rad(floats("alpha", alpha))
-        if np.shape(a) and 1 < np.size(a) < 5:  # the usual pose is that of five joints and more
-            params = usual_pose(np.size(a), False, params.get("convention", "standard")) | params
+        if 1 < np.size(alpha) < _FEW_JOINTS:  # no elbow and wrist as the default names them
+            convention = params.get("convention", "standard")
+            params = usual_pose(np.size(alpha), False, convention) | params
         return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod

@@ -88,11 +88,10 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
     old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
     axes = iter(zip(old, new, strict=True))
     point = (new[-1] @ [*arm.probe, 1.0])[:3]
-    before, origins = np.eye(4), {}
-    # The arm has right angles where the file has rounded ones: other programs read what is written.
-    origins |= {
-        one.name: one.origin for one in (*mount, *joints) if one.axis is None and one.rounded
-    }
+    # Right angles of fixed joints as the arm has them: other programs read what is written.
+    fixed = [joint for joint in (*mount, *joints) if joint.axis is None]
+    origins: Any = {joint.name: joint.origin for joint in fixed if joint.rounded}
+    before = np.eye(4)
     for joint, file in zip(joints, _frames(joints), strict=True):
         if joint.axis is None:
             before = before @ joint.origin

@@ -6,7 +6,7 @@
 from sklearn_raacmm.calibration._calibrate import calibrate, find_places
 from sklearn_raacmm.calibration._checks import check_length
 from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
-from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM
+from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, places_of
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._result import CalibrationResult
@@ -20,4 +20,5 @@ __all__ = [
     "check_length",
     "find_places",
     "lengths_of_places",
+    "places_of",
 ]

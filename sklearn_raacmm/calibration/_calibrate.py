@@ -105,6 +105,9 @@ def calibrate(
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
+        They are stated at 20 degrees C. One that was warmer or colder has two more numbers: its
+        temperature in degrees C, and how much of itself it grows by per K (without: steel,
+        11.5e-6): ``("A", "B", 500.012, 0.005, 25)`` is 29 um longer.
     tools : array-like of shape (n_samples,), default=None
         Label of the tool of each sample, where several probes or targets were used in turn: each
         has a probe vector of its own.

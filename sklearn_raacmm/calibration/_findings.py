@@ -34,6 +34,8 @@ _MEANING = {
 # Departures from the table that are worth a word, mm and rad: more than a tape and a protractor get
 # wrong; and the same in standard deviations of a prior that was given.
 _FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
+# Of a long link, the part that no tape gets wrong.
+_ANOTHER_LINK = 0.1
 # A length that was typed wrong is off by up to this, mm; a parameter is seen where its standard
 # deviation is less than this part of the prior's.
 _TYPED_MM, _SEEN = 100.0, 0.5
@@ -164,7 +166,10 @@ def _wrong_table(fit, sd, scatter):
         )
     text = f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}."
     size = max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
-    yield Finding("table-off", text, advice, joints=tuple(sorted({*joints})), size_mm=size)
+    # A long link that is so far off its drawing is another arm's, or no length at all.
+    another = (fit.kind == "length_mm") & (departure > _ANOTHER_LINK * np.abs(nominal))
+    weight: Any = "repair" if np.any(another[wrong]) else "doubt"
+    yield Finding("table-off", text, advice, weight, joints=(*sorted({*joints}),), size_mm=size)
 
 
 def _harm(corrected, bare):

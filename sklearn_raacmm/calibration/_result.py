@@ -14,6 +14,9 @@ from sklearn_raacmm.utils import Floats, centred, encode_groups, floats, slip_fa
 
 # What the names of parameters that are angles begin with.
 ANGLES = ("alpha", "theta", "base_r")
+# What the fields of a table are called, and how many of its changes are said.
+_WORDS = {"a": "length a", "alpha": "twist", "d": "length d", "theta_offset": "zero"}
+_MOST_CHANGES = 8
 # Rows and combinations that are printed.
 _N_SHOWN = 10
 
@@ -135,6 +138,27 @@ class CalibrationResult:
         """Mean distance from where rows belong, without the outliers, mm."""
         distance = np.linalg.norm(self.residuals_mm, axis=1)
         return float(np.delete(distance, list(self.outliers)).mean())
+
+    @property
+    def changes(self) -> list[str]:
+        """What calibration has changed of the table, in words: the largest at the probe first.
+
+        Changes of more than three standard deviations, at most eight: a length by its size, an
+        angle by what it does at the end of the stretched arm.
+        """
+        found = []
+        columns = self.names, self.nominal, self.values, self.standard_deviations
+        for name, nominal, value, sd in zip(*columns, strict=True):
+            change, field = value - nominal, name.rstrip("0123456789")
+            # Not what is held, or not known, nor bases and probes: nan compares false.
+            if field not in _WORDS or name in self.unidentified or not abs(change) > 3 * sd > 0:
+                continue
+            factor, unit, size = 1.0, "mm", abs(change)
+            if name.startswith(ANGLES):
+                factor, unit, size = 180 / np.pi, "degrees", abs(change) * self.arm.reach_mm
+            words = f"{_WORDS[field]} of joint {name.removeprefix(field)} {factor * change:+.4g} "
+            found.append((size, f"{words}{unit} (sd {factor * sd:.2g})"))
+        return [text for _, text in sorted(found, reverse=True)[:_MOST_CHANGES]]
 
     def residuals(
         self,

@@ -42,7 +42,7 @@ from sklearn_raacmm.utils import (
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
-_LOG_NOISE = (0.0, 4.0)
+LOG_NOISE = (0.0, 4.0)
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
 _REGISTERED_PLACE_MM = 5.0
@@ -152,7 +152,7 @@ def place_columns(arm, angles, with_base):
     return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
 
 
-def changed_model(linear, poses, log_noise=_LOG_NOISE, date=None):
+def changed_model(linear, poses, log_noise=LOG_NOISE, date=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
     `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
@@ -205,7 +205,7 @@ def _conditioned(linear, poses, log_noise, start=None, means_only=False):
     return model, after
 
 
-def judged_fading(linear, poses, fading, start, log_noise=_LOG_NOISE):
+def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new

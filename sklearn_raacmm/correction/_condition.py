@@ -85,7 +85,7 @@ def condition(
     p, y = len(prior.coef), y - columns @ prior.coef
     factor, logs, rounds = np.ones(len(y)), start, 0
     while True:
-        A, summed, n_data = _rows_of(columns, free, y, weights * factor)
+        A, summed, n_data = rows_of(np.concatenate([columns, free], axis=2), y, weights * factor)
         evidence = _Evidence(prior, changes, A, summed, n_data, log_noise)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
@@ -139,20 +139,35 @@ def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float)
     return float(-0.5 * (fit + np.log(value).sum()) - n_data * np.log(noise_sd))
 
 
-def _rows_of(columns, free, y, weights):
+def rows_of(
+    columns: np.ndarray, y: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Weighted rows of coordinates, no more than columns, and how many coordinates they sum up.
 
-    A (m, p + q) has columns and free ones side by side, y is (m,).
+    Of columns (n, c, p) and y (n, c): (m, p) and (m,).
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
-    A = np.concatenate([columns[kept], free[kept]], axis=2) * root[:, :, None]
-    A, y = A.reshape(-1, A.shape[2]), (y[kept] * root).ravel()
+    A = (columns[kept] * root[:, :, None]).reshape(-1, columns.shape[2])
+    y = (y[kept] * root).ravel()
     n_data = len(y)
     if n_data > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
         A, y = R[:, :-1], R[:, -1]
     return A, y, n_data
+
+
+def log_evidence(
+    prior: Any,
+    changes: tuple[np.ndarray, np.ndarray],
+    rows: np.ndarray,
+    y: np.ndarray,
+    n_data: int,
+    log_noise: tuple[float, float],
+) -> float:
+    """Highest log evidence of summed rows (m, p + q) and y (m,), as `condition` has it."""
+    evidence = _Evidence(prior, changes, rows, y, n_data, log_noise)
+    return -float(evidence(evidence.lowest())[0])
 
 
 class _Evidence:

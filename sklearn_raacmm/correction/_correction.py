@@ -21,10 +21,10 @@ from sklearn_raacmm.correction._files import dump_model, load_model, read_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import given_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
-from sklearn_raacmm.correction._update import update_correction
+from sklearn_raacmm.correction._update import nothing_changed, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Finding, Floats, check_option, encode_groups
+from sklearn_raacmm.utils import Finding, Floats, align, check_option, encode_groups
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
@@ -58,8 +58,8 @@ class Correction:
     model : estimator
         Fitted: ``model.predict(angles)``, in rad, is to be subtracted from ``arm.forward(angles)``.
     base : (ndarray of shape (3, 3), ndarray of shape (3,)) or None
-        Rotation and translation in mm of the arm's base in the tracker's frame; None where no
-        tracker has measured it.
+        Rotation and translation in mm of the arm's base in the tracker's frame, of several
+        stations at the first; None where no tracker has measured it.
     facts : dict
         Scores, verdict and versions as plain values: what ``correction.json`` holds.
     scores : CorrectionScores or None
@@ -369,6 +369,8 @@ class Correction:
     ) -> Self:
         """Register, and bring the model up to date with the same poses.
 
+        Where these show nothing but noise, as its evidence says, model and probe stay as they are.
+
         Parameters
         ----------
         angles, positions, points, lengths, angle_unit
@@ -389,7 +391,17 @@ class Correction:
         """
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         new: Any = self.register(angles, positions, points, lengths, accept=accept)
-        y, X = new.calibration.residuals(angles, points, positions), self.inputs(angles, extra)
+        model, X = copy(self.model), self.inputs(angles, extra)
+        if points is None:
+            old = position_residuals(self.arm.forward(angles), np.asarray(positions))
+        else:
+            old, seen = self.arm.forward(angles), np.asarray(points)
+            turn, shift = align(seen, old - self.model.predict(X))
+            old = old - seen @ turn.T - shift
+        if nothing_changed(model, X, old, positions, date):
+            new = self.register(angles, positions, points, lengths, free=(), accept=accept)
+            return replace(new, model=model)
+        y = new.calibration.residuals(angles, points, positions)
         updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
         return replace(new, model=updated)
 
@@ -433,6 +445,27 @@ class Correction:
                 f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
             )
         return self.move(self.tools[str(tool)])
+
+    def at_station(self, station: str) -> Self:
+        """The same with the base of another of the stations that it was learnt at.
+
+        Parameters
+        ----------
+        station : str
+            Its label.
+
+        Raises
+        ------
+        ValueError
+            If there is none of this label.
+        """
+        bases = self.facts.get("stations", {})
+        if str(station) not in bases:
+            known = ", ".join(bases) or "one only"
+            raise ValueError(
+                f"the correction knows no station {str(station)!r}; it was learnt at {known}."
+            )
+        return replace(self, base=tuple(np.array(part) for part in bases[str(station)]))
 
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None

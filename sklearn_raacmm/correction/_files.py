@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
+from zipfile import BadZipFile, ZipFile
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.arm import Arm
@@ -19,7 +19,7 @@ from sklearn_raacmm.correction._own_models import OtherContentError, read_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
 from sklearn_raacmm.network import Network, RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import Finding, digest_of, write_whole
+from sklearn_raacmm.utils import Finding, check_unpacked, digest_of, write_whole
 
 try:
     import fcntl
@@ -46,8 +46,9 @@ _CLASSES: tuple[type, ...] = (
 #: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
 #: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
 TRUSTED_TYPES = [
-    f"{module}.{kind.__qualname__}"
-    for kind in (*_CLASSES, Arm.azimuth)
+    f"{module}.{name}"
+    for kind in _CLASSES
+    for name in (kind.__qualname__, *["Arm.azimuth"] * (kind is Arm))
     for module in (kind.__module__, kind.__module__.rpartition(".")[0])
 ]
 # The module in the name of a class of ours in a skops file, behind that of its subpackage.
@@ -79,6 +80,8 @@ def dump_model(model: Any) -> bytes:
 
 def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
     """Fitted model of a skops file of this folder, which such a version has written."""
+    with suppress(BadZipFile):  # which skops says
+        check_unpacked(f"{folder}: the model", BytesIO(content))
     kinds = {f"{one.__module__.rpartition('.')[0]}.{one.__qualname__}": one for one in _CLASSES}
     try:
         with suppress(OtherContentError):
@@ -167,18 +170,30 @@ def _whole_file(path, digest):
     return None
 
 
+def _finish(folder):
+    """Give each file of the folder's correction its name that is still beside its place."""
+    with suppress(OSError, ValueError):
+        for name, digest in _read_facts(folder / _FACTS)["files"].items():
+            for beside in folder.glob(f"{glob.escape(name)}.{digest[:16]}.*.tmp"):
+                if digest_of(beside.read_bytes()) == digest:
+                    beside.replace(folder / name)
+
+
 @contextmanager
 def _locked(folder, shared=False):
     """Wait until no other process or thread writes into this folder (nor reads, unless `shared`).
 
     The lock goes with the process that holds it. Windows has none for folders. Who does not share
-    the folder also removes what `write_whole` has left there when it was killed.
+    the folder first gives the files of its correction their names, if `write_whole` was killed
+    before it did, and removes at the end what else that has left there.
     """
     handle = None
     try:
         if fcntl is not None:
             handle = os.open(folder, os.O_RDONLY)
             fcntl.flock(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        if not shared:
+            _finish(folder)
         yield
         if not shared:
             for path in folder.glob("*.tmp"):

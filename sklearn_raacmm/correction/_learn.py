@@ -16,7 +16,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, usual_values
-from sklearn_raacmm.correction._scores import scores_of, share_of
+from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
 from sklearn_raacmm.correction._shifted_rows import shifted_rows
 from sklearn_raacmm.correction._table_search import ask_for_the_hand, search_table, taken
 from sklearn_raacmm.error_model import ArmResidualRegressor
@@ -43,7 +43,17 @@ _CONSTRAINTS = {
     "take": ["array-like", str],
 }
 # Scores that are kept as they are.
-_KEPT = ("verdict", "helps", "measure", "std_factor", "coverage", "share", "n_folds")
+_KEPT = (
+    "verdict",
+    "helps",
+    "calibration_helps",
+    "changes",
+    "measure",
+    "std_factor",
+    "coverage",
+    "share",
+    "n_folds",
+)
 
 
 def learn_correction(
@@ -63,6 +73,7 @@ def learn_correction(
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
     blocks: ArrayLike | None = None,
+    stations: ArrayLike | None = None,
     accept: str | Sequence[str] = (),
     take: str | Sequence[str] = (),
 ) -> Correction:
@@ -77,13 +88,15 @@ def learn_correction(
     angles : array-like of shape (n_samples, n_joints)
         Joint angles.
     positions : array-like of shape (n_samples,), default=None
-        Label of the position at which the probe was held. None, with `points`: regions of
-        neighbouring points take their place; without, the places that :func:`calibrate` finds.
+        Label of the position at which the probe was held. With `points`, regions of neighbouring
+        points take the place of labels that are None, or names of single poses; without, None
+        stands for the places that :func:`calibrate` finds.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
-        Known distances between two positions, mm. Positions joined by a known length are left out
-        together, as long as at least three blocks remain.
+        Known distances between two positions, mm, at 20 degrees C or with their temperature, as
+        in :func:`calibrate`. Positions joined by a known length are left out together, as long as
+        at least three blocks remain.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     model : estimator, default=None
@@ -122,6 +135,11 @@ def learn_correction(
         others: the plate of a socket, the placement of a bar. Positions of one block are left out
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
+    stations : array-like of shape (n_samples,), default=None
+        Label of the set-up of each row, where the tracker or the arm was moved between `points`:
+        each has a base of its own, as in :func:`calibrate`. Corrected points are in the frame of
+        the arm's base at every station; ``learned.at_station(label)`` knows the tracker's frame of
+        one.
     accept : str or list of str, default=()
         Codes of findings, such as "moved-position", with which the correction is handed over all
         the same. "mirror-image" says that the arm is as it was taken, see `take`.
@@ -187,15 +205,19 @@ def learn_correction(
         arm = taken(arm, code, (angles, positions, points, angle_unit))
 
     def inside():
-        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks)
+        labels = tools, blocks, stations
+        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, *labels)
         calibration = _calibrated(data, angles, angle_unit, accept)
         if codes and "mirror-image" not in listed("accept", accept):
             with numbered_rows(row_numbers(data.rows)):
                 ask_for_the_hand(given_arm, arm, *data.as_given(angles), angle_unit)
         data = data.seen_by(calibration)
-        scores = scores_of(data, calibration, model, cv, n_jobs, progress)
-        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), scores.outliers))[0]
+        outliers = data.outliers(calibration)
+        folds = folds_of(data, outliers, cv)
+        rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)
+        parts = data.along_vertical_of(fitted)
+        scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)
         _say_what_moved(data, calibration, fitted, rows)
         # A fit would have to take three quarters of what is free to leave half of the noise.
         if points_sd > 2 * noise:
@@ -237,7 +259,7 @@ def _calibrated(data, angles, angle_unit, accept):
         if finding.code == "wrong-label" and finding.weight == "repair":
             raise FindingError(finding)
     with numbered_rows(row_numbers(data.rows)):
-        if data.points is not None:
+        if data.points is not None and data.stations is None:
             finding = shifted_rows(data.arm, data.angles, data.points)
             if finding is not None:
                 finding.report()
@@ -269,6 +291,10 @@ def _facts(data, calibration, scores):
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
+        "stations": {
+            str(label): [part.tolist() for part in base]
+            for label, base in calibration.bases.items()
+        },
         "summary": {name: list(values) for name, values in scores.summary.items()},
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],

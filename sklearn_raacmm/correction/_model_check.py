@@ -7,6 +7,7 @@ import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date as calendar
+from io import StringIO
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -32,6 +33,7 @@ from sklearn_raacmm.utils import (
     one_warning,
     param_checks,
     validate_params,
+    write_whole,
 )
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -144,11 +146,13 @@ class CorrectionCheck:
         header = path.read_bytes().splitlines()[:1] if path.exists() else []
         if header and header != [",".join(self.record).encode()]:
             raise ValueError(f"{path} is not the record of checks: its first line is no header.")
-        with path.open("a", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, self.record)
-            if not header:
-                writer.writeheader()
-            writer.writerow(self.record)
+        file = StringIO(newline="")
+        writer = csv.DictWriter(file, self.record)
+        if not header:
+            writer.writeheader()
+        writer.writerow(self.record)
+        lines = path.read_bytes() if header else b""
+        write_whole({path: lines + file.getvalue().encode()})
 
 
 @one_blas_thread

@@ -14,8 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
-from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_places
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles, check_arm
+from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_places, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
@@ -29,9 +29,11 @@ from sklearn_raacmm.utils import (
     listed,
 )
 
-# Regions that a tracker's points without labels are divided into: a fifth or a tenth of the volume
-# is left out at a time. A choice, not measured.
-_FEWEST_REGIONS, _MOST_REGIONS, _ROWS_OF_A_REGION = 5, 10, 20
+# Regions that a tracker's poses are judged at, and poses of one: enough for an interval, and few
+# enough to read.
+_FEWEST_REGIONS, _MOST_REGIONS, _POSES_OF_A_REGION = 5, 30, 4
+# Positions of which fewer poses share theirs are names of single poses.
+_SHARED = 0.5
 # Share of the variance of the row number that angles may explain where time is to be learnt: of two
 # robots whose time helped -0.15 and -0.04, of one that it harmed 0.69.
 _MOST_EXPLAINED = 0.2
@@ -44,38 +46,43 @@ class Data:
 
     `rows` are the first rows of each pose among those `given`; `causes` name the columns of
     `values` (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of
-    positions that are one, or of one block.
+    positions that are one, or of one block; `places` (n,) what is left out together where that is
+    less than a position; `vertical` is the `up` of `Terms` that a model of all rows has, where
+    there is one.
     """
 
+    vertical: Any = None
+
     def __init__(
-        self, arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks
-    ):
+        self, arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks,
+        stations,
+    ):  # fmt: skip
         check_arm(arm)
         # Within one turn, lest a warning of far angles be repeated by everything that follows.
         angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
         _refuse_one_pose(angles)
         lengths = listed("lengths", lengths)
-        if points is not None and positions is not None:
-            # A name for each pose says nothing of what is left out together.
-            labels = encode_groups(positions, len(angles))[1]
-            positions = positions if labels.max() < len(angles) - 1 else None
         if positions is None and points is None:
             positions = find_places(arm, angles)
         if points is not None:
             points = floats("points", points, 3)
             if len(points) != len(angles):
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
-            if positions is None:
-                positions = _regions(points)
-        labels, codes = encode_groups(positions, len(angles))
-        tied = [i for entry in lengths for i in check_length(entry, labels.tolist())[:2]]
+        are_named = positions is not None
+        if blocks is not None:
+            of_block, codes = encode_groups(blocks, len(angles), "blocks")
+            blocks = of_block[codes]
+        labels, codes = encode_groups(positions if are_named else np.ones(len(angles)), len(angles))
+        checked = [check_length(entry, labels.tolist()) for entry in lengths]
+        tied = [i for entry in checked for i in entry[:2]]
+        # As long as they were when they were measured.
+        lengths = [(*e[:2], *c[2:]) for e, c in zip(lengths, checked, strict=True)]
         alone = np.setdiff1d(np.flatnonzero(np.bincount(codes) == 1), tied)
         if points is None and len(alone):
             raise ValueError(
                 f"position {labels[alone[0]].item()!r} has a single row, row "
                 f"{np.flatnonzero(codes == alone[0])[0]}: is its label mistyped?"
             )
-        self.causes, values = _causes(extra, angles, codes)
         kinds, positions = codes, labels[codes]
         self.arm, self.lengths, self.like = arm, lengths, listed("like", like)
         if tools is not None:
@@ -83,17 +90,37 @@ class Data:
                 raise ValueError("like and tools cannot be given together.")
             names, of_tool = encode_groups(tools, len(angles), "tools")
             tools, kinds = names[of_tool], codes * len(names) + of_tool
+        if stations is not None:
+            if points is None:
+                raise ValueError(
+                    "stations are of a tracker's points: there are none. A position that is "
+                    "measured from another place is another one: give it a label of its own."
+                )
+            names, of_station = encode_groups(stations, len(angles), "stations")
+            stations, kinds = names[of_station], kinds * len(names) + of_station
         poses = find_poses(angles, kinds, points)
         self.rows = poses.first
         groups = positions if points is None else None
-        self.given = {"angles": angles, "groups": groups, "points": points, "tools": tools}
+        self.given = {
+            "angles": angles, "groups": groups, "points": points, "tools": tools,
+            "stations": stations,
+        }  # fmt: skip
         self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
+        self.places = None
+        if points is not None and not lengths:
+            of_poses = positions[self.rows] if are_named else None
+            plates = None if blocks is None else blocks[self.rows]
+            # Stations have frames of their own, and the arm's points one.
+            near = self.points if stations is None else arm.forward(self.angles)
+            labels, self.places = _judged_at(of_poses, near, plates)
+            positions = labels[poses.pose]
+        self.causes, values = _causes(extra, angles, encode_groups(positions)[1])
         self.positions, self.values = positions[self.rows], values[self.rows]
         self.tools = None if tools is None else tools[self.rows]
+        self.stations = None if stations is None else stations[self.rows]
         self.joined = []
         if blocks is not None:
-            names, of_block = encode_groups(blocks, len(angles), "blocks")
-            of_blocks = [np.unique(positions[of_block == i]) for i in range(len(names))]
+            of_blocks = [np.unique(positions[blocks == name]) for name in of_block]
             self.joined = [tuple(one.tolist()) for one in of_blocks]
 
     def seen_by(self, calibration):
@@ -109,15 +136,29 @@ class Data:
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         return seen
 
+    def along_vertical_of(self, model):
+        """The same for models of some of the rows, which do not seek the vertical of a model."""
+        known, linear = copy(self), getattr(last_step_of(model)[0], "linear_model_", None)
+        known.vertical = None if linear is None else linear.terms.up
+        return known
+
     @property
     def inputs(self):
         """Angles, then the causes, of each row."""
         return np.hstack([self.angles, self.values])
 
     def as_given(self, angles):
-        """Of the rows that are learnt: these angles, which were given, positions, and points."""
+        """Of the rows that are learnt: these angles, which were given, positions, and points.
+
+        Of several stations those of the one with most rows.
+        """
+        own: Any = slice(None)
+        if self.stations is not None:
+            codes = encode_groups(self.stations)[1]
+            own = codes == np.bincount(codes).argmax()
         positions = self.positions if self.points is None else None
-        return np.asarray(angles, dtype=float)[self.rows], positions, self.points
+        points = None if self.points is None else self.points[own]
+        return np.asarray(angles, dtype=float)[self.rows[own]], positions, points
 
     def without_lonely(self, rows=None):
         """Of these rows, or all, those of positions with two or more; others have no residuals."""
@@ -154,15 +195,15 @@ class Data:
     def _at(self, rows) -> Any:
         """What calibration takes of some rows."""
         groups = self.positions if self.points is None else None
-        parts = self.angles, groups, self.points, self.tools
+        parts = self.angles, groups, self.points, self.tools, self.stations
         named = zip(self.given, parts, strict=True)
         return {name: None if part is None else part[rows] for name, part in named}
 
-    def calibrate(self, rows=None, accept=()):
-        """Calibrate on some rows; on None on all, as they were given."""
+    def calibrate(self, rows=None, accept=(), free=FIELDS):
+        """Calibrate on some rows, the fields `free`; on None on all, as they were given."""
         given = self.given if rows is None else self._at(rows)
         lengths = self.lengths_of_model(slice(None) if rows is None else rows)
-        return calibrate(self.arm, **given, lengths=lengths, accept=accept)
+        return calibrate(self.arm, **given, lengths=lengths, accept=accept, free=free)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
@@ -196,7 +237,8 @@ class Data:
             return far
         rows, lonely = self.without_lonely()
         with ignored_findings():  # what there is to report is reported of the rows that are learnt
-            model = self._fitted(None, calibration, rows, self.residuals(calibration, rows), [])
+            y = self.residuals(calibration, rows)
+            model = self._fitted(None, calibration, rows, y, [], judged=False)
         return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def fit(self, model, calibration, rows):
@@ -212,10 +254,12 @@ class Data:
             left = position_residuals(left, positions)
         return fitted, float(np.sqrt(np.mean(np.square(left))))
 
-    def _fitted(self, model, calibration, rows, y, lengths) -> Any:
+    def _fitted(self, model, calibration, rows, y, lengths, judged=True) -> Any:
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
         fitted = self._model_for(model, calibration.arm)
         last, prefix = last_step_of(fitted)
+        if isinstance(last, ArmResidualRegressor) and (self.vertical is not None or not judged):
+            last._vertical, last._judged = self.vertical, judged
         given = {"groups": self.positions[rows], "lengths": lengths}
         if self.tools is not None:
             if prefix or not has_fit_parameter(last, "probes"):
@@ -252,14 +296,50 @@ def _refuse_one_pose(angles):
         raise FindingError(Finding("one-pose", said, "Measure other poses, too.", "refuse"))
 
 
-def _regions(points):
-    """Labels of regions of neighbouring points, which take the place of positions."""
-    from sklearn.cluster import KMeans  # here: reading a correction spares the time of importing it
+def _judged_at(positions, points, blocks):
+    """Labels (n,) that a tracker's poses are judged by, and codes of what is left out together.
 
-    n_regions = min(_MOST_REGIONS, max(_FEWEST_REGIONS, len(points) // _ROWS_OF_A_REGION))
-    if len(np.unique(points, axis=0)) < n_regions:
+    Positions, if they can be judged by: at least half of the poses share theirs with another. Names
+    of single poses do not say which poses are neighbours: blocks take their place, or else regions
+    of neighbouring points. Of these the places are left out, for new poses lie between known ones.
+    None: what is left out are the labels.
+    """
+    why = "there are no labels of positions"
+    if positions is not None:
+        codes = encode_groups(positions)[1]
+        if np.mean(np.bincount(codes)[codes] > 1) >= _SHARED:
+            return positions, None
+        why = "the labels of positions name single poses"
+    if blocks is not None:
+        return blocks, None
+    regions = _regions(points)
+    n_regions = len(np.unique(regions))
+    text = f"Judged at {n_regions} regions of neighbouring points: {why}."
+    Finding("judged-at-regions", text, weight="note").report()
+    return regions, places_of(points)
+
+
+def _regions(points):
+    """Labels of regions of neighbouring points, which take the place of positions.
+
+    The region of most points is divided across its longest side, at the widest gap in the middle
+    third of its points, until there are enough: regions of similar numbers of points, which leave
+    whole what was measured at one place.
+    """
+    places, place = np.unique(points, axis=0, return_inverse=True)
+    n_regions = min(_MOST_REGIONS, max(_FEWEST_REGIONS, len(places) // _POSES_OF_A_REGION))
+    if len(places) < n_regions:
         raise ValueError(f"without positions, at least {n_regions} different points are needed.")
-    codes = KMeans(n_regions, n_init=4, random_state=0).fit_predict(points)
+    regions = [np.arange(len(places))]
+    while len(regions) < n_regions:
+        region = regions.pop(int(np.argmax([len(one) for one in regions])))
+        axis = np.argmax(np.ptp(places[region], axis=0))
+        region = region[np.argsort(places[region, axis], kind="stable")]
+        first = min(max(len(region) // 3, 2), len(region) // 2)  # none of a single point
+        gaps = np.diff(places[region, axis])[first - 1 : len(region) - first]
+        regions += np.split(region, [first + int(np.argmax(gaps))])
+    codes = np.repeat(np.arange(n_regions), [len(one) for one in regions])
+    codes = codes[np.argsort(np.concatenate(regions))][place.ravel()]
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 

@@ -50,9 +50,11 @@ class CorrectionScores:
         ``position``, ``n_points``, and in mm ``before``, ``after`` (the measure), ``before_max``
         and ``after_max`` (the largest deviation of a point).
     summary : dict of str to tuple (mean, low, high)
-        For ``before`` and ``after`` the mean over positions in mm, for ``ratio`` that of after over
-        that of before, each with its 95 % interval (Student's t of the logarithm, of the ratio
-        Fieller's theorem; positions joined by known lengths together).
+        For ``given``, ``before`` and ``after`` the mean over positions in mm: with the table as it
+        was given, but for probe and base; calibrated; and corrected. For ``calibration`` the ratio
+        of before to given, for ``ratio`` that of after to before, each with its 95 % interval
+        (Student's t of the logarithm, of the ratios Fieller's theorem; positions joined by known
+        lengths together).
     lengths : list of (label, label, length, standard deviation)
         The known lengths whose two ends were left out together, while another one was not: a length
         is judged by an arm whose scale is known, but not from this length.
@@ -73,6 +75,8 @@ class CorrectionScores:
         Deviation of each point when it was left out, mm; NaN for outliers.
     n_blocks : int
         How many blocks of positions, each of which was left out as a whole.
+    changes : tuple of str
+        What calibration of all rows has changed of the table, the largest at the probe first.
     findings : tuple of Finding
         What was noticed in the data.
     share : float
@@ -96,6 +100,7 @@ class CorrectionScores:
     left_after: np.ndarray
     n_blocks: int
     fold_shares: tuple[float, ...]
+    changes: tuple[str, ...] = ()
     findings: tuple[Any, ...] = ()
     share: float = 1.0
 
@@ -103,6 +108,11 @@ class CorrectionScores:
     def helps(self) -> bool:
         """Whether the correction is worth using at new positions."""
         return self._judgement[0]
+
+    @property
+    def calibration_helps(self) -> bool:
+        """Whether the calibrated table is better than the given one at new positions."""
+        return self.n_blocks >= _FEWEST_POSITIONS and self.summary["calibration"][2] < 1
 
     @property
     def verdict(self) -> str:
@@ -134,10 +144,10 @@ class CorrectionScores:
         lines = [self.verdict]
         for first, *rest in cells:
             lines.append("  ".join([first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]))
-        for when in _WHEN:
+        measure = f"mean {self.measure.removeprefix('mean ')}"
+        for when, words in (("given", "as given"), *zip(_WHEN, _WHEN, strict=True)):
             mean, low, high = self.summary[when]
-            measure = f"mean {self.measure.removeprefix('mean ')}"
-            lines.append(f"{measure} {when}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
+            lines.append(f"{measure} {words}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
         if self.lengths:
             before, after = np.abs(self.length_errors_before), np.abs(self.length_errors_after)
             lines.append(
@@ -149,6 +159,7 @@ class CorrectionScores:
             f"standard deviations are multiplied by {self.std_factor:.2f}, so that 95 % are"
         )
         lines.append(_shares(self.share, self.fold_shares))
+        lines += [f"calibration: {change}" for change in self.changes]
         if len(self.outliers):
             lines.append(f"rows left out of all this as outliers: {len(self.outliers)}")
         lines += [f"{finding.weight}: {finding}" for finding in self.findings]
@@ -178,18 +189,15 @@ def _shares(share, of_folds):
     return f"share of the correction that is used: {share:.0%} (folds: {low:.0%} to {high:.0%})"
 
 
-def scores_of(data, calibration, model, cv, n_jobs, progress):
-    """Scores of checked data with the calibration of all of them."""
-    outliers = data.outliers(calibration)
-    kept = np.delete(np.arange(len(data.angles)), outliers)
-    folds = _folds(data, kept, cv)
+def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
+    """Scores of checked data with the calibration of all of them; `folds` hold no outliers."""
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
-    before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(3))
+    given, before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
     lengths, fold_shares = [], []
     for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-        before[test], after[test], std[test], found, share = result
+        given[test], before[test], after[test], std[test], found, share = result
         lengths += found
         fold_shares.append(share)
         if progress is not None:
@@ -197,6 +205,9 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     table, rows_by_position = _table(data, before, after)
     blocks = data.blocks()[[rows[0] for rows in rows_by_position]]
     coverage, factor = coverage_of(after, std)
+    summary = _summary(table["before"], table["after"], blocks)
+    of_given = _summary(_table(data, given, before)[0]["before"], table["before"], blocks)
+    summary |= {"given": of_given["before"], "calibration": of_given["ratio"]}
     if "scale" in calibration.unidentified:  # the arm has it from its table alone
         per_metre = _K * 1000 * calibration.scale_sd
         text = f"Lengths are not known to better than {per_metre:.2g} mm per metre (k = {_K:g})."
@@ -208,7 +219,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
     return CorrectionScores(
         measure="2S" if data.points is None else "mean deviation",
         table=table,
-        summary=_summary(table["before"], table["after"], blocks),
+        summary=summary,
         lengths=[entry[0] for entry in lengths],
         length_errors_before=errors[:, 0],
         length_errors_after=errors[:, 1],
@@ -221,6 +232,7 @@ def scores_of(data, calibration, model, cv, n_jobs, progress):
         left_after=after,
         n_blocks=len(np.unique(blocks)),
         fold_shares=tuple(fold_shares),
+        changes=tuple(calibration.changes),
     )
 
 
@@ -229,11 +241,11 @@ def share_of(model):
     return float(model.fading_.most) if hasattr(model, "fading_") else 1.0
 
 
-def _folds(data, kept, cv):
+def folds_of(data, outliers, cv):
     """Rows to fit on and rows to leave out, outliers in neither."""
     from sklearn.model_selection import GroupKFold  # here: reading a correction spares the time
 
-    blocks = data.blocks()
+    kept, blocks = np.delete(np.arange(len(data.angles)), outliers), data.blocks()
     n_blocks = len(np.unique(blocks))
     if n_blocks < 3:
         raise ValueError(
@@ -241,13 +253,15 @@ def _folds(data, kept, cv):
             "start."
         )
     folds = []
-    for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=blocks):
-        lost = [] if data.tools is None else np.setdiff1d(data.tools[test], data.tools[train])
-        if len(lost):
-            raise ValueError(
-                f"all positions of tool {lost[0].item()!r} are left out together: measure each "
-                "tool at more positions, give blocks, or mend a mistyped label."
-            )
+    left_out = blocks if data.places is None else data.places
+    for train, test in GroupKFold(cv or min(_N_FOLDS, n_blocks)).split(blocks, groups=left_out):
+        for what, labels in (("tool", data.tools), ("station", data.stations)):
+            lost = [] if labels is None else np.setdiff1d(labels[test], labels[train])
+            if len(lost):
+                raise ValueError(
+                    f"all positions of {what} {lost[0].item()!r} are left out together: measure "
+                    f"each {what} at more positions, give blocks, or mend a mistyped label."
+                )
         folds.append((np.intersect1d(train, kept), np.intersect1d(test, kept)))
     return folds
 
@@ -256,11 +270,16 @@ def _one_fold(data, model, train, test):
     """Deviations before and after and their standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
     with ignored_findings():  # whatever there is to say is said of all rows
-        calibration = data.calibrate(np.sort(np.r_[train, lonely]))
+        known = np.sort(np.r_[train, lonely])
+        calibration = data.calibrate(known)
+        as_given = data.calibrate(known, free=["probe"])
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-    points = points_of(calibration.arm, data.angles[test], data.probes(calibration, test))
+    points, of_given = (
+        points_of(one.arm, data.angles[test], data.probes(one, test))
+        for one in (calibration, as_given)
+    )
     labels = data.positions[test]
     lengths = []
     # A length is judged by another: without any, the scale would be that of the nominal table.
@@ -269,10 +288,12 @@ def _one_fold(data, model, train, test):
         sizes = (gauge_lengths(p, labels, [entry[:2]])[0] for p in (points, points - correction))
         lengths.append((entry, *(size - entry[2] for size in sizes)))
     is_tracker = data.points is not None
+    if is_tracker:
+        of_given = data.residuals(as_given, test)
     left = data.residuals(calibration, test) if is_tracker else points
     codes = None if is_tracker else encode_groups(labels)[1]
-    before, after = (centred(left - part, codes) for part in (0.0, correction))
-    return before, after, std, lengths, share
+    given, before, after = (centred(one, codes) for one in (of_given, left, left - correction))
+    return given, before, after, std, lengths, share
 
 
 def _table(data, before, after):
@@ -334,7 +355,9 @@ def _verdict(scores):
     before, after = scores.table["before"], scores.table["after"]
     n, better = len(before), int(np.sum(after < before))
     ratio, low, high = scores.summary["ratio"]
-    change = f"{scores.measure} {before.mean():.3f} -> {after.mean():.3f} mm"
+    given = scores.summary["given"][0]
+    change = f"{scores.measure} {given:.3f} mm as given, {before.mean():.3f} calibrated, "
+    change += f"{after.mean():.3f} corrected"
     what = "positions" if n_blocks == n else "blocks of positions"
     if n_blocks < _FEWEST_POSITIONS:
         return False, (
@@ -350,6 +373,11 @@ def _verdict(scores):
             f"gained least went from {before[least]:.3f} to {after[least]:.3f} mm."
         )
         return True, " ".join([said, *map(str, unknown_lengths)])
+    if scores.calibration_helps:
+        return False, (
+            f"Use the calibrated table without the correction: at new positions {change}, "
+            f"{better} of {n} positions better than calibrated."
+        )
     return False, (
         f"Do not use it: at new positions {change}, {better} of {n} positions better; after is "
         f"{ratio:.2f} times before, and its 95 % interval, {low:.2f} to {high:.2f}, reaches 1."

@@ -187,8 +187,8 @@ def search_table(
     if least > limit:  # no simple change: zeros may be anywhere
         other = taken(arm, "zeros", (raw, positions, points, angle_unit))
         turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
-        words = (f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5))
-        words = f"the zeros turned, {', '.join(words)} degrees"
+        shown = [f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5)]
+        words = f"the zeros turned, {', '.join(shown)} degrees"
         straight = [*range(arm.n_joints)]
         one = _Candidate(arm.n_joints, words, other, straight, _AXES, angle_unit)
         found = [calibrated(one, "--take zeros")]

@@ -8,12 +8,20 @@ from copy import deepcopy
 from datetime import date as calendar
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, NewPoses, changed_model, judged_fading
-from sklearn_raacmm.correction._explanations import what_is_wrong
+from sklearn_raacmm.correction._change import (
+    LEAST_NOISE_MM,
+    NewPoses,
+    changed_model,
+    day,
+    judged_fading,
+)
+from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
+from sklearn_raacmm.measurements import EQUAL
+from sklearn_raacmm.utils import Finding, centred, one_blas_thread, one_warning, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -131,9 +139,29 @@ def update_correction(
             "are they of this arm, and residuals in its base frame, registered through the "
             "correction?"
         )
-        Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"]).report()
+        size_mm = entry["noise_sd_mm"]
+        Finding("strange-poses", said, advice, "repair", size_mm=size_mm).report()
     poses.weights = poses.weights * pose_weight
     updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
+
+
+def nothing_changed(model: Any, X: Any, y: Any, groups: Any, date: Any) -> bool:
+    """Whether residuals, with the probe as it was, show nothing but noise; `updates_` then says so.
+
+    Noise of any size is an explanation like a change, and taken where none is clearly likelier: by
+    up to 6 nats a change is in 80 simulated updates whose angles are noisy.
+    """
+    poses = NewPoses(model, X, y, groups)
+    if poses.too_few or gain_of_change(model, poses) > EQUAL:
+        return False
+    left = centred(poses.residuals - model.predict(X), poses.codes)
+    noise_mm = float(np.sqrt(np.square(left).sum() / poses.n_coordinates))
+    entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
+    model.updates_ = (*vars(model).get("updates_", ()), entry)
+    said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
+    said += " no change: it stays as it was."
+    Finding("nothing-changed", said, weight="note").report()
+    return True

@@ -158,6 +158,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
     [6.1, 4.0]
     """
 
+    # What `learn_correction` says of fits of some of its rows: where gravity points, as the `up` of
+    # `Terms`, where a fit of all rows knows it; whether more than robust weights is asked for.
+    _vertical: Any = None
+    _judged: bool = True
+
     # With metadata routing on, groups are asked for without a word.
     __metadata_request__fit = {"groups": True}
 
@@ -267,11 +272,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
         columns = columns_of(arm, terms)
-        fitted = fit_with_vertical(rows, of_constants, columns, with_field)
+        fitted = fit_with_vertical(rows, of_constants, columns, with_field, self._vertical)
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
         with_constants = rows if fitted.rows.codes is None else fitted.rows
         rows = fitted.rows
-        left_out = leave_out(fitted, positions)
+        left_out = leave_out(fitted, positions) if self._judged else None
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)

@@ -24,6 +24,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     floats,
     listed,
+    numbered_by_rows,
     row_numbers,
 )
 
@@ -64,6 +65,9 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         groups = found_positions(points_of(arm, X[:, : arm.n_joints], probes), y, weights)
     groups = None if groups is False else groups
     labels, positions = (None, None) if groups is None else encode_groups(groups, len(y))
+    if labels is not None:
+        positions, old = numbered_by_rows(positions, np.argsort(weights == 0, kind="stable"))
+        labels = labels[old]
     codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
     # Deviations from anything but the mean keep a constant for each position, and are none the less
     # asked what deviations are asked.

@@ -13,7 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.error_model._columns import FAMILIES, FAMILIES_OF_EXTRA, KINEMATICS, Columns
+from sklearn_raacmm.error_model._columns import (
+    FAMILIES,
+    FAMILIES_OF_EXTRA,
+    KINEMATICS,
+    Columns,
+    Terms,
+    columns_of,
+)
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._sums import Rows, explicit_gram, less_constants, without_motions
 from sklearn_raacmm.inference import (
@@ -65,16 +72,17 @@ _SAME_ANGLE = 1e-6
 # are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
-# Rounds of robust weights at one choice, and choices with what they have become. Weights that
-# change by less than this have settled.
-_ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT = 4, 3, 0.05
+# Rounds of robust weights at one choice, and choices with what they have become. A weight that
+# changes by less than this has settled; with so little change of all, in the mean, a choice is the
+# same.
+_ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT, _SETTLED_CHOICE = 4, 3, 0.05, 0.01
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
 # Where more than this share of the poses has new weights, all are summed up anew: of positions with
 # offsets the old and the new ones are, which costs twice as much.
 _MANY_CHANGED = 0.5
-# Poses whose columns are held at a time.
-_POSES = 256
+# Poses whose columns are made at a time, and most poses of which all are held: some 50 MB.
+_POSES, _HELD_POSES = 256, 5000
 # Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
 _SHARES = np.arange(0.0, 0.99, 0.02)
 # Rows of which that is compared at a time: 5 MB for an array of all shares.
@@ -349,21 +357,29 @@ def _fit(rows, columns, structures) -> tuple[Any, Any]:
         state = search(Problem(sums, structures), state)
         state, factor, sums = _settled(rows, columns, structures, sums, state, factor)
         if structures.share is not None and not state.with_field:
-            beside = _beside_field(columns, structures, sums, state)
+            beside = _beside_field(rows, columns, structures, sums, state, factor)
             if beside is not None:
                 state, factor, sums = _settled(rows, columns, structures, sums, beside, factor)
-        if np.all(factor == start):
+        if np.abs(factor - start).mean() < _SETTLED_CHOICE:
             break
     return state, factor
 
 
-def _beside_field(columns, structures, sums, state):
+def _beside_field(rows, columns, structures, sums, state, factor):
     """The choice beside the field, or None; sums of the field alone say whether it is searched."""
     problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
-    _, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
+    few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
+    some = sums_of_pairs(sums, pairs)
+    if rows.codes is not None:
+        # With offsets, rows of the Gram matrix of all candidates cost more than a matrix of these.
+        rows = rows.weighted(factor)
+        waves = columns_of(rows.arm, Terms(few.terms.harmonics, False, False, False))
+        total = np.bincount(rows.codes, rows.weights)
+        gram = less_constants(*explicit_gram(rows, waves.at, rows.codes), total, rows.known)
+        some = some._replace(rows=sums_of_gram(gram, len(pairs), sums.n_observations).rows)
     alone = state._replace(lines=lines, pairs=lines)
-    return beside_field(problem, state, Problem(sums_of_pairs(sums, pairs), of_field), alone)
+    return beside_field(problem, state, Problem(some, of_field), alone)
 
 
 def of_pairs(columns, structures, lines, pairs):
@@ -378,9 +394,9 @@ def _settled(rows, columns, structures, sums, state, factor):
     """A choice with robust weights that have settled: state, weights, and sums at these weights."""
     pairs, before = state.pairs, factor
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
-    some = sums_of_pairs(sums, pairs)
+    some, expected = sums_of_pairs(sums, pairs), _expected(rows, few)
     for _ in range(_ROUNDS):
-        left = centred(rows.y - _expected(rows, few, state), rows.codes, rows.weights * factor)
+        left = centred(rows.y - expected(state), rows.codes, rows.weights * factor)
         old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
@@ -414,13 +430,24 @@ def _reweighted(rows, columns, sums, old, new):
     return combined(*zip(*parts, strict=True))
 
 
-def _expected(rows, columns, state):
-    """Residuals (n, 3) that a state of these columns expects at the rows."""
-    coef = np.roll(state.coef, columns.n_waves)
-    found = np.empty_like(rows.y)
-    for part in chunks(len(rows.X), _POSES):
-        found[part] = columns.factored(rows.X[part]).dot(coef)
-    return found
+def _expected(rows, columns):
+    """Function of a state of these columns: the residuals (n, 3) that it expects at the rows.
+
+    The columns are held, not multiplied out, unless there are very many poses.
+    """
+
+    def made():
+        return ((part, columns.factored(rows.X[part])) for part in chunks(len(rows.X), _POSES))
+
+    held = list(made()) if len(rows.X) <= _HELD_POSES else None
+
+    def expected(state):
+        coef, found = np.roll(state.coef, columns.n_waves), np.empty_like(rows.y)
+        for part, factored in made() if held is None else held:
+            found[part] = factored.dot(coef)
+        return found
+
+    return expected
 
 
 def model_of(rows, columns, state):

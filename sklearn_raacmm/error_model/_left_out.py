@@ -202,8 +202,8 @@ def leave_out(fitted, positions):
     if not low.any():  # only high ones are offered
         low[:] = True
     pairs = np.flatnonzero(low)
-    columns, structures, _ = of_pairs(offered, fitted.structures, state.lines, pairs)
-    start = state._replace(noise_variance=model.noise_variance)
+    columns, structures, lines = of_pairs(offered, fitted.structures, state.lines, pairs)
+    start = state._replace(noise_variance=model.noise_variance, lines=lines)
     used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
     parts = {
         block: used.at((blocks == block) & kept).sums(columns)

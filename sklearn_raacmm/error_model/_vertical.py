@@ -40,10 +40,16 @@ _FIRST_STEP, _LAST_STEP = 0.2, 0.002
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def fit_with_vertical(rows, positions, columns, with_field):
-    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show."""
-    # A force that is always there is not told from gravity in its direction.
+def fit_with_vertical(rows, positions, columns, with_field, known=None):
+    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show.
+
+    Where more data have shown it, it is `known`: the `up` of their `Terms`.
+    """
     terms = columns.terms
+    if known is not None:
+        columns = columns_of(rows.arm, terms._replace(up=known))
+        return fit_with_constants(rows, positions, columns, with_field)
+    # A force that is always there is not told from gravity in its direction.
     may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
     fitted, rounds = fit_with_constants(rows, positions, columns, with_field), 0
     while may_turn and rounds < _ROUNDS and (up := _better_vertical(fitted)):
@@ -108,14 +114,15 @@ def _better_vertical(fitted):
 def _left_of_gravity(rows, columns, loads, state):
     """What the other columns leave of those of gravity: products (3, L, 3, L), and (3, L) with y.
 
-    Of the L columns `loads` along x, y and z each, over the noise variance.
+    Of the L columns `loads` along x, y and z each, over the noise variance. The others stay as the
+    fit has them, even if they depend on the vertical.
     """
-    axes = [columns_of(rows.arm, columns.terms._replace(up=axis)) for axis in _AXES]
+    axes = [columns_of(rows.arm, columns.terms._replace(up=axis)).alone for axis in _AXES]
     n, size, n_waves = len(columns.table), len(loads), columns.n_waves
 
     def columns_at(X):
-        others = [axis.alone.at(X)[:, :, loads - n_waves] for axis in axes[1:]]
-        return np.concatenate([axes[0].at(X), *others], axis=2)
+        of_gravity = [axis.at(X)[:, :, loads - n_waves] for axis in axes]
+        return np.concatenate([columns.at(X), *of_gravity], axis=2)
 
     gram, of_positions = explicit_gram(rows, columns_at, rows.codes)
     if rows.codes is not None:
@@ -127,7 +134,7 @@ def _left_of_gravity(rows, columns, loads, state):
         gram = keep @ gram @ keep
     gram /= state.noise_variance
     rest = np.setdiff1d(np.arange(n), loads)
-    of_axes = np.r_[loads, n : n + 2 * size + 1]  # and y
+    of_axes = np.arange(n, n + 3 * size + 1)  # and y
     S = gram[np.ix_(rest, rest)]
     S[np.diag_indices(len(S))] += 1 / np.roll(state.prior, n_waves)[rest]
     beside = gram[np.ix_(rest, of_axes)]

@@ -5,6 +5,8 @@
 
 import numpy as np
 
+from sklearn_raacmm.network import by_feature
+
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
 # Variance of the noise over that of the signal from which on one matrix does for two: at 1e-6 it
@@ -31,16 +33,38 @@ def _one_network(p, net, x, std):
         y = p.affine(x, linear, net.polynomial[0])
     if len(net.centers):
         # Centred as predict does it: the rounding is the same.
-        shift = net.centers.mean(axis=0)
+        centers = net.seen(net.centers)
+        shift = centers.mean(axis=0)
         phi = p(
-            "radial", x, kernel=net.kernel, centers=(net.centers - shift) / net.length_scale,
-            shift=shift, inverse_width=1 / net.length_scale,
+            "radial", _seen(p, net, x), kernel=net.kernel, shift=shift,
+            centers=(centers - shift) / net.length_scale, inverse_width=1 / net.length_scale,
         )  # fmt: skip
         if np.any(linear):
             y = p("add", y, p.affine(phi, net.coef.T))
         else:
             y = p.affine(phi, net.coef.T, net.polynomial[0])
     return y, _network_variance(p, net, x, phi) if std else None
+
+
+def _seen(p, net, x):
+    """The features, or their ranks: ramps from one training value to the next, and beyond them."""
+    if net.ranks is None:
+        return x
+    found = []
+    for number, (values, ranks, below, above) in enumerate(by_feature(net.ranks)):
+        steps = np.append(np.diff(ranks), [above, -below])
+        if not np.any(steps):
+            found.append(p.constant(ranks[0]))
+            continue
+        n = len(values) - 1
+        own = p.take(x, np.full(n, number))
+        ramp = p("div", p("sub", own, values[:-1]), np.diff(values))
+        ramp = p("sub", 1.0, p("max", p("sub", 1.0, p("max", ramp, 0.0)), 0.0))
+        own = p.take(x, [number])
+        outside = (p("sub", own, values[-1]), p("sub", values[0], own))
+        outside = (p("max", part, 0.0) for part in outside)
+        found.append(p.affine(p("join", ramp, *outside), steps[None], ranks[:1]))
+    return p("join", *found)
 
 
 def _network_variance(p, net, x, phi):

@@ -398,14 +398,25 @@ def evidence_variance(
 
 
 def root_of(matrix, lower=False):
-    """Cholesky factor; where rounding has eaten what the priors add, of slightly more."""
+    """Cholesky factor; where rounding has eaten what the priors add, of slightly more.
+
+    LinAlgError, a ValueError, says what could not be factored.
+    """
     diagonal = np.diag_indices(len(matrix))
     for more in _RIDGES:
         with suppress(LinAlgError):
             return cholesky(matrix, lower=lower, check_finite=False)
         matrix = matrix.copy()
         matrix[diagonal] *= 1 + more
-    return cholesky(matrix, lower=lower, check_finite=False)
+    try:
+        return cholesky(matrix, lower=lower, check_finite=False)
+    except LinAlgError as error:
+        own = matrix[diagonal]
+        raise LinAlgError(
+            f"The equations of {len(own)} coefficients have no solution: their matrix, of diagonal "
+            f"{own.min():.3g} to {own.max():.3g}, has no Cholesky factor ({error}). Either one row "
+            "outweighs all others, or the sums are not those of the columns."
+        ) from None
 
 
 def _without_rounding(sums):

@@ -59,9 +59,15 @@ def search(problem: Problem, state: State | None = None) -> State:
 
 
 def search_at(problem: Problem, state: State) -> State:
-    """Lines worth their price at the variances of a state of more data, beside its field."""
-    lines = _extended(problem, state._replace(lines=state.lines[:0]))
-    return _pruned(problem, problem.with_lines(state, lines))
+    """Lines worth their price at the variances of a state of more data, beside its field.
+
+    The choice begins at those lines of the state that are not needless here.
+    """
+    best = _pruned(problem, problem.with_lines(state, state.lines))
+    lines = _extended(problem, best)
+    if len(lines) == len(best.lines):
+        return best
+    return _pruned(problem, problem.with_lines(best, lines))
 
 
 def beside_field(problem: Problem, state: State, of_field: Problem, alone: State) -> State | None:

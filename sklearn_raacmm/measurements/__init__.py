@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
+    EQUAL,
     FAR,
     PRICE,
     UNITS,
@@ -15,7 +16,7 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
-    coarse_angles,
+    angle_faults,
     directions_of,
     drift_of,
     order_explained_by,
@@ -24,14 +25,15 @@ from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
 __all__ = [
+    "EQUAL",
     "FAR",
     "LEAST_ROWS",
     "PRICE",
     "UNITS",
+    "angle_faults",
     "base_motions",
     "best_split",
     "check_targets",
-    "coarse_angles",
     "directions_of",
     "drift_of",
     "explanations",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, points_of
 from sklearn_raacmm.measurements._dwells import within_turn
-from sklearn_raacmm.utils import Finding, centred, group_means
+from sklearn_raacmm.utils import Finding, centred, group_means, row_numbers
 
 # Angles that differ by less than this have not moved: the joint keeps its direction, rad. In a
 # stream a joint that has come back by less than twice the second has not turned round: encoders
@@ -28,6 +28,9 @@ _STEPS, _OFF = (1.0, 0.5, 0.1, 0.05, 0.01), 1e-4
 # Different angles of a joint that may lie on a grid by intention, and the error of rounding at the
 # stretched arm that is worth a word, mm.
 _LEAST_DIFFERENT, _LARGE_MM = 10, 0.02
+# Share of all weights beyond which one pose decides what the others are weighed against: the median
+# of the distances is then that of a third of the others, or of fewer. Poses that this is asked of.
+_MOST_OF_ONE, _LEAST_POSES = 0.25, 10
 
 
 def directions_of(angles: ArrayLike, *, at: ArrayLike | None = None) -> np.ndarray:
@@ -149,8 +152,28 @@ def drift_of(
     yield Finding("drift-of-run", text, weight="note", size_mm=size)
 
 
-def coarse_angles(angles: np.ndarray, reach: float) -> Iterator[Finding]:
-    """All angles (n, n_joints), in rad, are multiples of a coarse step; `reach` in mm."""
+def angle_faults(
+    angles: np.ndarray, reach: float, weights: np.ndarray | None = None
+) -> Iterator[Finding]:
+    """What is wrong with the angles (n, n_joints) of a fit, in rad, whatever was measured there.
+
+    One pose has most of the weights (n,), or all angles are multiples of a coarse step; `reach` is
+    the arm's, mm.
+    """
+    if weights is not None:
+        numbers = np.flatnonzero(weights > 0)
+        angles, weights = angles[numbers], weights[numbers]
+        _, first, codes = np.unique(angles, axis=0, return_index=True, return_inverse=True)
+        worth, total = np.bincount(codes.ravel(), weights), weights.sum()
+        most = int(worth.argmax())
+        if len(first) >= _LEAST_POSES and worth[most] > _MOST_OF_ONE * total:
+            row = row_numbers(numbers[first[[most]]])
+            text = (
+                f"The pose of row {row[0]} has {worth[most]:.4g} of all weights, {total:.4g}: the "
+                f"{len(first) - 1} other poses would be taken for slips."
+            )
+            advice = "Give it the weight of one pose, or leave its copies out."
+            yield Finding("weight-of-one-pose", text, advice, "repair", rows=row)
     degrees = np.rad2deg(angles)
     n_different = max(len(set(column)) for column in degrees.T[:, : 10 * _LEAST_DIFFERENT])
     for step in _STEPS if n_different >= _LEAST_DIFFERENT else ():

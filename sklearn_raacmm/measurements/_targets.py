@@ -10,6 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
 from sklearn_raacmm.measurements._explanations import of_own_points
+from sklearn_raacmm.measurements._order import angle_faults
 from sklearn_raacmm.utils import Finding, align, centred
 
 # Part of their spread by which measured points may differ from the arm's, after a motion of the
@@ -43,13 +44,14 @@ def check_targets(
     offsets: bool = False,
     probes: np.ndarray | None = None,
 ) -> list[Finding]:
-    """The first finding on the targets of a model: others would say the same in other words.
+    """Findings on the angles, and the first on the targets: others would say it in other words.
 
     y (n, 3) are in mm, weights (n,); angles (n, n_joints) in rad, where it is known of which arm
     they are; codes (n,) the position of each row, and `offsets` whether positions have constants
     that nobody knows; `probes` (n, 3) those of the rows in the last frame, mm, where they are not
     the arm's.
     """
+    faults = [] if arm is None else list(angle_faults(angles, arm.reach_mm, weights))
     numbers = np.flatnonzero(weights > 0)
     y, weights, parts = y[numbers], weights[numbers], (angles, codes, probes)
     angles, codes, probes = (None if v is None else v[numbers] for v in parts)
@@ -68,10 +70,12 @@ def check_targets(
             # In another order their means are not 0, but they are as long.
             ours, given = (np.sort(np.linalg.norm(v, axis=1)) for v in (centred(points, codes), y))
             if offsets or np.allclose(given, ours, rtol=1e-6, atol=1e-9):
-                checks.append(of_own_points(y, codes, arm, angles, numbers, probes)[1])
+                found = of_own_points(y, codes, arm, angles, numbers, probes)[1]
+                # Rounded angles are those of other points, and are named already.
+                checks.append(one for one in found if not faults or one.code != "rows-unrelated")
         constants = (codes, weights) if offsets else None
         checks.append(_are_what_calibration_takes(y, arm, angles, points, constants))
-    return list(islice(chain(*checks, _are_zero(y)), 1))
+    return [*faults, *islice(chain(*checks, _are_zero(y)), 1)]
 
 
 def _are_zero(y):

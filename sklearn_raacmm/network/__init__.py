@@ -5,6 +5,7 @@
 
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network
+from sklearn_raacmm.network._ranks import by_feature
 from sklearn_raacmm.network._rbf_net import RBFNetRegressor
 
-__all__ = ["KERNELS", "Network", "RBFNetRegressor"]
+__all__ = ["KERNELS", "Network", "RBFNetRegressor", "by_feature"]

@@ -143,14 +143,15 @@ def features_at(problem, Z, structure, root=None, known=None):
     The functions are centred at Z (m, d), in units of the widths, and multiplied by the inverse of
     a lower triangular root (m, m). Where all rows are candidates the columns are `known`.
     """
-    shift = problem.rows.X.mean(axis=0)
+    shift = structure.seen(problem.rows.X).mean(axis=0)
 
     def columns(block):
         if known is not None and block.part is not None:
             rows = known[block.part]
             plain = block.rows.codes is None and np.all(block.root == 1)
             return rows if plain else block.weigh(rows.copy(order="K"))
-        K = kernel_matrix(Z, (block.rows.X - shift) / structure.length_scale, structure.kernel).T
+        X = (structure.seen(block.rows.X) - shift) / structure.length_scale
+        K = kernel_matrix(Z, X, structure.kernel).T
         if root is not None and len(K):
             K = blas.dtrsm(1.0, root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
         return block.weigh(K)
@@ -166,7 +167,7 @@ def candidates_of(problem, rows, structure, alpha, max_rank, n_select=None):
     targets (rank, q); the part of a candidate's length that is not to be trusted; the trace of the
     smoother with all candidates; and the mean part of the prior variance outside of a cut factor.
     """
-    Z = problem.scaled(structure.length_scale)[rows]
+    Z = problem.scaled(structure)[rows]
     tol = 1e-6 if alpha == 0 else min(1e-3 * alpha, 1e-6)
     resolve = n_select if alpha == 0 else None
     factor, pivots, residual, complete = pivoted_cholesky(

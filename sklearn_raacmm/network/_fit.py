@@ -26,6 +26,7 @@ from sklearn_raacmm.network._linear import (
     without_constants,
 )
 from sklearn_raacmm.network._posterior import Network, covariance_factor
+from sklearn_raacmm.network._ranks import mid_ranks
 from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._search import Structure, search
 from sklearn_raacmm.utils import stage
@@ -64,8 +65,11 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
     degree = 0 if estimator.degree == "auto" else estimator.degree
     kernels = tuple(KERNELS) if estimator.kernel == "auto" else (estimator.kernel,)
     sample, problem = set_up(degree)
+    ranks, may_be_raw = None, estimator.inputs != "ranks"
+    if estimator.inputs == "ranks" or (estimator.inputs == "auto" and width is None):
+        ranks = mid_ranks(sample.rows.X, sample.rows.weights)
     if width is not None and alpha is not None and rows.codes is None:
-        found = Structure(kernels[0], width, alpha / problem.unit)
+        found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
     else:
         of, spread = sample.varying, sample.spread[sample.varying]
         weights, Y = np.square(sample.root[:, 0]), sample.about_tail / sample.root
@@ -78,6 +82,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
             alpha=None if alpha is None else alpha[of] / sample.unit,
             may_be_linear=estimator.degree == "auto",
             random_state=rng,
+            ranks=ranks,
+            may_be_raw=may_be_raw,
             start=_as_start(before, of),
             refit=refit,
         )
@@ -98,7 +104,8 @@ def _as_start(network, varying):
     if network is None or network.alpha[varying].max(initial=0.0) >= ALPHA_BOUNDS[1]:
         return None
     alpha = network.alpha[varying]
-    return Structure(network.kernel, network.length_scale, alpha, network.ratio)
+    width, ratio = network.length_scale, network.ratio
+    return Structure(network.kernel, width, alpha, ratio, ranks=network.ranks)
 
 
 @stage("centres of the network")
@@ -147,7 +154,7 @@ def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     It falls with every row that comes in: a sample's share that is not above `enough` is returned.
     Of more than 2000 rows the last doubling is continued as a power of the number.
     """
-    Z, weights = problem.scaled(structure.length_scale), np.square(problem.root[:, 0])
+    Z, weights = problem.scaled(structure), np.square(problem.root[:, 0])
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
     order = np.random.RandomState(0).permutation(len(Z))
     size, last = min(n, FIRST_SAMPLE), None
@@ -188,13 +195,14 @@ def _network(problem, outputs, structure, centers, solution, objective, plain=0.
         signal_variance=np.where(ridged & known, signal, problem.spread**2),
         tail_map=problem.polynomial.coefficients,
         ratio=float(problem.ratio),
+        ranks=structure.ranks,
         **rest,
     )
 
 
 def network_of(problem, outputs, order, structure, n_centers, stop):
     """What `fit_network` returns, of centres in order of selection, the first that are enough."""
-    p, k, Z = problem.n_tail, len(order), problem.scaled(structure.length_scale)[order]
+    p, k, Z = problem.n_tail, len(order), problem.scaled(structure)[order]
     columns = features_at(problem, Z, structure)
     R = problem.triangle(
         lambda block: np.hstack([block.tail, columns(block), block.targets]),
@@ -222,7 +230,7 @@ def network_of(problem, outputs, order, structure, n_centers, stop):
 def process_of(problem, outputs, structure):
     """The network with a centre at every row: the process itself."""
     rows, alpha = problem.rows, structure.alpha
-    Z, weights = problem.scaled(structure.length_scale), np.square(problem.root[:, 0])
+    Z, weights = problem.scaled(structure), np.square(problem.root[:, 0])
     (n, p), q = problem.tail.shape, problem.targets.shape[1]
     solution, objective = np.empty((p + n, q)), np.empty(q)
     for one in np.unique(alpha):

@@ -23,6 +23,7 @@ from sklearn_raacmm.network._linear import (
     triangular_factor,
     without_constants,
 )
+from sklearn_raacmm.network._ranks import rank_slopes, to_ranks
 from sklearn_raacmm.utils import check_shapes, chunks, one_blas_thread
 
 # Kernel values held at a time while predicting: they stay in a core's cache. For the standard
@@ -72,6 +73,8 @@ class Network:
     weights: Any = None  # (k,) of the centres as training rows, where there is no triangle
     codes: np.ndarray | None = None  # (k,) group of each of these, where groups have constants
     tail_ridge: float = 0.0  # of the polynomial's linear part, in units of an observation
+    # Knots (m, 3), a feature's number, value and rank, where radial functions see ranks; else None.
+    ranks: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         # Without what `_roots` keeps from one call to the next.
@@ -82,8 +85,17 @@ class Network:
         shapes = dict(_SHAPES)
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
         shapes |= {} if self.codes is None else {"codes": ("k",)}
+        shapes |= {} if self.ranks is None else {"ranks": ("m", 3)}
         sizes = {"d1": 1 + np.size(state.get("length_scale", ()))}
         check_shapes("Network", state, shapes, sizes, ("length_scale", "noise_variance"))
+        known = np.arange(sizes["d1"] - 1.0) if self.ranks is None else np.unique(self.ranks[:, 0])
+        if not np.array_equal(known, np.arange(sizes["d1"] - 1.0)):
+            raise ValueError("The file is damaged: ranks of Network are not those of its features.")
+
+    @property
+    def inputs(self) -> str:
+        """What the radial functions see, "raw" or "ranks"."""
+        return "raw" if self.ranks is None else "ranks"
 
     @property
     def all_rows(self) -> bool:
@@ -92,18 +104,23 @@ class Network:
 
     @cached_property
     def _scaled_centers(self):
-        """Middle of the centres, and the centres about it in units of the widths."""
-        shift = self.centers.mean(axis=0) if len(self.centers) else 0.0
-        return shift, (self.centers - shift) / self.length_scale
+        """Middle of the centres, and the centres about it in units of the widths, as seen."""
+        centers = self.seen(self.centers)
+        shift = centers.mean(axis=0) if len(centers) else 0.0
+        return shift, (centers - shift) / self.length_scale
 
     def with_noise(self, factor: float) -> Self:
         """The same with a larger variance of the noise, for one that was estimated too small."""
         signal = self.signal_variance * (factor if self.all_rows else 1.0)
         return replace(self, noise_variance=factor * self.noise_variance, signal_variance=signal)
 
+    def seen(self, X: np.ndarray) -> np.ndarray:
+        """Rows (n, d) as the radial functions see them, not yet in units of the widths."""
+        return X if self.ranks is None else to_ranks(self.ranks, X)
+
     def scaled(self, X: np.ndarray) -> np.ndarray:
-        """Rows as the radial functions see them, (n, d)."""
-        return (X - self._scaled_centers[0]) / self.length_scale
+        """The same about the middle of the centres, in units of the widths."""
+        return (self.seen(X) - self._scaled_centers[0]) / self.length_scale
 
     def radial(self, X: np.ndarray) -> np.ndarray:
         """Values of the radial functions, (n, k)."""
@@ -233,42 +250,55 @@ class Network:
                 G = slope * self.coef[:, i]
                 # The sum over centres j of G_ij d s_ij / d x_i, s the squared distance.
                 along = Z * G.sum(axis=1, keepdims=True) - G @ self._scaled_centers[1]
-                found[part, i] = self.polynomial[1:, i] + 2 * along / self.length_scale
+                slopes = 2 * along / self.length_scale
+                if self.ranks is not None:
+                    slopes *= rank_slopes(self.ranks, X[part])
+                found[part, i] = self.polynomial[1:, i] + slopes
         return found
 
 
 def pack(networks):
     """What the means of some networks need, as few arrays.
 
-    The middle of all centres; a matrix (k, 2 d + 1) whose product with (x^2, x, 1) are a row's
-    squared scaled distances; the run of each kernel; weights (q, k); polynomial (1 + d, q).
+    The knots of ranks, if some networks see these, which then stand beside the features; the middle
+    of all centres; a matrix (k, 2 d + 1) whose product with (x^2, x, 1) are a row's squared scaled
+    distances; the run of each kernel; weights (q, k); polynomial (1 + d, q).
     """
     networks = sorted(networks, key=lambda network: network.kernel)
     outputs = np.sort(np.concatenate([network.outputs for network in networks]))
     centers = np.concatenate([network.centers for network in networks])
+    knots = next((network.ranks for network in networks if network.ranks is not None), None)
+    widths = np.array([network.length_scale for network in networks])
+    n_features = 1 + centers.shape[1]
+    if knots is not None:
+        # Each network sees one of the two, and the other with infinite widths.
+        centers = np.hstack([centers, to_ranks(knots, centers)])
+        own = np.array([network.ranks is not None for network in networks])[:, None]
+        widths = np.hstack([np.where(own, np.inf, widths), np.where(own, widths, np.inf)])
     shift = centers.mean(axis=0) if len(centers) else np.zeros(centers.shape[1])
     sizes = [len(network.centers) for network in networks]
-    inverse = np.repeat([1 / network.length_scale for network in networks], sizes, axis=0)
+    inverse = np.repeat(1 / widths, sizes, axis=0)
     Z = (centers - shift) * inverse
     by_row = np.hstack([inverse**2, -2 * Z * inverse, np.square(Z).sum(axis=1, keepdims=True)])
     coef = np.zeros((len(outputs), len(centers)))
-    polynomial = np.empty((1 + centers.shape[1], len(outputs)))
+    polynomial = np.empty((n_features, len(outputs)))
     kernels: dict[str, slice] = {}
     end = 0
     for network, size in zip(networks, sizes, strict=True):
         own, start, end = np.searchsorted(outputs, network.outputs), end, end + size
         coef[own, start:end], polynomial[:, own] = network.coef.T, network.polynomial
         kernels[network.kernel] = slice(kernels.get(network.kernel, slice(start, 0)).start, end)
-    return shift, by_row, tuple(kernels.items()), coef, polynomial
+    return knots, shift, by_row, tuple(kernels.items()), coef, polynomial
 
 
 def predict_mean(packed, X):
     """Means (n, q) of packed networks at rows (n, d)."""
-    shift, by_row, kernels, coef, polynomial = packed
+    knots, shift, by_row, kernels, coef, polynomial = packed
     mean = np.empty((len(X), len(coef)))
     mean[:] = polynomial[0]
     if np.any(polynomial[1:]):
         mean += X @ polynomial[1:]
+    X = X if knots is None else np.hstack([X, to_ranks(knots, X)])
     d, k = X.shape[1], coef.shape[1]
     size = _CHUNK // max(k, 1)
     columns, buffer = np.ones((2 * d + 1, 0)), np.empty((k, 0))

@@ -100,6 +100,13 @@ class RBFNetRegressor(VersionedRegressor):
         "auto" takes this where it makes the rows more probable than least squares does, for at most
         an eighth of the rows. It needs widths or ridge to be found, and at most 100 000 rows.
 
+    inputs : {"auto", "raw", "ranks"}, default="auto"
+        What the radial functions see: "raw", the features; "ranks", the share of the training rows
+        below a value and half of those that have it, for features of few or unevenly spread values.
+        Between training values it is interpolated, and beyond them continued. Widths are then in
+        units of ranks, 1 from the least value to the largest. "auto" takes what is more probable,
+        with a given `length_scale` "raw".
+
     random_state : int, RandomState instance or None, default=None
         Draws rows for the search of widths, and candidates for centres.
 
@@ -124,9 +131,9 @@ class RBFNetRegressor(VersionedRegressor):
     linear_coef_ : ndarray of shape (n_features,) or (n_outputs, n_features)
         Linear term.
 
-    kernel_, length_scale_, alpha_ : str, ndarray of shape (n_features,) and float
-        Kernel, widths and ridge of the network, as given or found by `fit`. With a network for each
-        output these are arrays with one entry or row for each output.
+    kernel_, inputs_, length_scale_, alpha_ : str, str, ndarray of shape (n_features,) and float
+        Kernel, inputs, widths and ridge of the network, as given or found by `fit`. With a network
+        for each output these are arrays with one entry or row for each output.
 
     noise_variance_, signal_variance_, group_std_ : float or ndarray of shape (n_outputs,)
         Variance of the noise of one observation, and variance of the function, in squared units of
@@ -197,6 +204,7 @@ class RBFNetRegressor(VersionedRegressor):
         "max_centers": [Interval(Integral, 1, None, closed="left"), None],
         "shared": ["boolean"],
         "loss": [StrOptions({"auto", "squared", "tukey"})],
+        "inputs": [StrOptions({"auto", "raw", "ranks"})],
         "random_state": ["random_state"],
     }
 
@@ -214,6 +222,7 @@ class RBFNetRegressor(VersionedRegressor):
         max_centers: int | None = None,
         shared: bool = False,
         loss: str = "auto",
+        inputs: str = "auto",
         random_state: Any = None,
     ) -> None:
         self.n_centers = n_centers
@@ -224,6 +233,7 @@ class RBFNetRegressor(VersionedRegressor):
         self.max_centers = max_centers
         self.shared = shared
         self.loss = loss
+        self.inputs = inputs
         self.random_state = random_state
 
     @one_blas_thread
@@ -451,6 +461,7 @@ class RBFNetRegressor(VersionedRegressor):
         return values.take(0, axis=axis) if self._flat else values
 
     kernel_: Any = _each_network("kernel")
+    inputs_: Any = _each_network("inputs")
     length_scale_: np.ndarray = _each_network("length_scale")
 
     @property
@@ -476,7 +487,8 @@ class RBFNetRegressor(VersionedRegressor):
         return {name: value for name, value in super().__getstate__().items() if name != "_packed"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
+        # A file from before this parameter: such networks saw the features.
+        super().__setstate__({"inputs": "raw"} | state)
         if "networks_" in vars(self):
             if not all(isinstance(network, Network) for network in self.networks_):
                 raise ValueError("The file is damaged: networks_ holds something else.")

@@ -28,7 +28,7 @@ from sklearn_raacmm.network._linear import (
     triangular_factor,
     without_constants,
 )
-from sklearn_raacmm.utils import chunks
+from sklearn_raacmm.utils import chunks, numbered_by_rows
 
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
 # reduced to a triangle is to be higher than wide, as far as 64 MB allow.
@@ -158,9 +158,10 @@ class Problem(NamedTuple):
         of = self.varying
         return (self.targets[:, of] - self.basis @ self.projection[:, of]) / self.spread[of]
 
-    def scaled(self, length_scale: np.ndarray) -> np.ndarray:
-        """Rows about their middle in units of widths (d,)."""
-        return (self.rows.X - self.rows.X.mean(axis=0)) / length_scale
+    def scaled(self, structure: Any) -> np.ndarray:
+        """Rows as radial functions see them, about their middle in units of the widths."""
+        X = structure.seen(self.rows.X)
+        return (X - X.mean(axis=0)) / structure.length_scale
 
     def weigh(self, columns: np.ndarray) -> np.ndarray:
         """Columns at these rows, less groups' constants, times root; may overwrite them."""
@@ -233,7 +234,10 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
     """
     kept = np.flatnonzero(weights > 0)
     X, Y, weights = X[kept] + 0.0, Y[kept], weights[kept]  # adding 0 makes -0.0 and 0.0 one value
-    keys = X if codes is None else np.column_stack([codes[kept], X])
+    if codes is not None:  # by the rows themselves, not by their order or the names of groups
+        codes = np.unique(codes[kept], return_inverse=True)[1]
+        codes = numbered_by_rows(codes, np.lexsort(np.column_stack([Y, X]).T))[0]
+    keys = X if codes is None else np.column_stack([codes, X])
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
     distinct, n = X[first], len(first)
@@ -255,7 +259,7 @@ def merge(X, Y, weights, within=None, count=None, codes=None):
         alike = np.all(within == 0.0, axis=1)
         observed = np.where(alike, 1.0, summed(count[kept]))
     if codes is not None:
-        codes = np.unique(codes[kept][first], return_inverse=True)[1]  # without groups of weight 0
+        codes = codes[first]
     return Rows(distinct, mean, kept[first], total, within, observed, codes)
 
 

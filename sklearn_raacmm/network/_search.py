@@ -2,9 +2,10 @@
 
 The network with a ridge in the kernel's norm is the posterior mean of a Gaussian process whose
 noise variance is `alpha` times its signal variance. Candidates are noise alone, a linear part, and
-radial functions of three kernels. The likelihood of these is maximised from several starts on a few
-hundred rows (`_coarse`), then on up to 1000 for kernels that may be the best. Compared are the
-objective of `_likelihood` and leave-one-out predictions on these rows (`score`).
+radial functions of four kernels, of the features or of their ranks. The likelihood of these is
+maximised from several starts on a few hundred rows (`_first_stage`), then on up to 1000 for kernels
+that may be the best (`_second_stage`). Compared are the objective of `_likelihood` and
+leave-one-out predictions on these rows (`judge`).
 """
 
 # Authors: The sklearn_raacmm developers
@@ -31,6 +32,7 @@ from sklearn_raacmm.network._likelihood import (
     solve_and_invert,
 )
 from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
+from sklearn_raacmm.network._ranks import are_alike, to_ranks
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import stage, warn_user
 
@@ -38,6 +40,8 @@ from sklearn_raacmm.utils import stage, warn_user
 # all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
+# Iterations after which ranks as inputs have to lead on the first stage's rows to be searched.
+TRIAL_STEPS = 15
 # Starts: all widths, in units of sqrt(d) spreads, and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
 # Width from which on a start is that of a smooth function.
@@ -48,8 +52,8 @@ HOPELESS = 0.3
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
 # Nats by which any other choice than the first has to lead, and for each target: a rougher kernel,
-# constants of groups, features left out whose width ended at its upper bound. Lest noise be
-# followed, and centres be taken by the hundred for 1 % of the error
+# ranks as inputs, constants of groups, features left out whose width ended at its upper bound. Lest
+# noise be followed, and centres be taken by the hundred for 1 % of the error
 # (``benchmarks/bench_accuracy.py --margins``). What trails by as much is not searched further.
 MARGIN, MARGIN_OF_TARGET = 10.0, 0.02
 # Rows of a last stage, and its steps, where so many parameters a row show a rough function.
@@ -79,6 +83,11 @@ class Structure(NamedTuple):
     log_likelihood: float = 0.0  # of the rows on which structures were compared
     n_observations: float = 0.0
     n_found: float = 0.0  # parameters of each output that were found
+    ranks: np.ndarray | None = None  # if these are the inputs, as `mid_ranks` makes them
+
+    def seen(self, X):
+        """Rows (n, d) as the radial functions see them, not yet in units of the widths."""
+        return X if self.ranks is None else to_ranks(self.ranks, X)
 
 
 @stage("widths of the network")
@@ -91,6 +100,8 @@ def search(
     alpha: np.ndarray | None = None,
     may_be_linear: bool = False,
     random_state: Any = None,
+    ranks: np.ndarray | None = None,
+    may_be_raw: bool = True,
     start: Any = None,
     refit: int = 0,
 ) -> Structure:
@@ -99,31 +110,47 @@ def search(
     The data are distinct rows with targets in units of their spread. Given may be widths (d,)
     or ridges (q,). A `start` is what was found for other weights of the rows. Slips bend a
     function, and rough kernels follow them: the first refit has the first kernel, the second
-    decides anew on kernel and groups' constants, and the others stay near the one before.
+    decides anew on kernel, inputs and groups' constants, and the others stay near the one before.
+    With `ranks`, as `mid_ranks` makes them, these may be the inputs, or have to be.
     """
-    X, (d, q) = data.X, (data.X.shape[1], data.Y.shape[1])
-    spread = robust_spread(X, data.weights)
-    used = np.ones(d, dtype=bool)
-    if length_scale is None:
-        _refuse_far(X, spread)
-        used = spread > 0
-    spread = np.where(spread > 0, spread, 1.0)
-    if not q or not used.any():  # nothing varies, nothing can be learnt
-        width = silent_widths(spread, used) if length_scale is None else length_scale
-        return Structure(kernels[0], width, np.ones(q) if alpha is None else alpha)
-    data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-    constants = data.codes is not None and bool(data.codes.any())
+    (n, d), q = data.X.shape, data.Y.shape[1]
     decides = start is None or refit == 2
+    if not decides:
+        may_be_raw, ranks = start.ranks is None, None if start.ranks is None else ranks
+    first_ranks = None if may_be_raw else ranks
+    sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
+    drawn = [data.draw(size, random_state) for size in sizes]
+    view = _view(data, first_ranks, drawn, length_scale)
+    if not q or not view.used.any():  # nothing varies, nothing can be learnt
+        width = silent_widths(view.spread, view.used) if length_scale is None else length_scale
+        ridge = np.ones(q) if alpha is None else alpha
+        return Structure(kernels[0], width, ridge, ranks=first_ranks)
+    constants = data.codes is not None and bool(data.codes.any())
     if not decides:
         kernels = kernels[:1] if refit == 1 else (start.kernel,)
         constants = start.ratio > 0
-    task = Task(spread, used, q, isotropic, length_scale, alpha, constants)
-    sizes = COARSE_ROWS if len(X) > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
-    few, many = (data.some(data.draw(size, random_state)) for size in sizes)
-    task, ends = _first_stage(task, kernels, few, start, decides, refit > 2)
-    end = min(_second_stage(task, ends, few, many), key=_handicapped(kernels[0], many))
+
+    def look(view):
+        task = Task(view.spread, view.used, q, isotropic, length_scale, alpha, constants)
+        same_inputs = start is not None and (start.ranks is None) == (view.ranks is None)
+        known = start if same_inputs else None
+        task, ends = _first_stage(task, kernels, view.few, known, decides, refit > 2)
+        ends = _second_stage(task, ends, view.few, view.many)
+        # The first kernel, unless another one leads clearly.
+        return task, min(ends, key=_handicapped(kernels[0], view.many))
+
+    silent = silent_widths(view.spread, view.used)
+    task, end = look(view)
+    if ranks is not None and may_be_raw and task.n_widths:
+        other = _view(data, ranks, drawn, None)
+        if _may_win(task, end, view, other):
+            ranked, found = look(other)
+            if found.score < end.score - margin(view.many):
+                view, task, end = other, ranked, found
+    many = view.many
     if task.n_alphas and task.n_widths:
-        simple = _simpler(task, end, many, may_be_linear)
+        plain = many._replace(X=data.X[drawn[1]])
+        simple = _simpler(task, end, plain, silent, may_be_linear)
         if simple is not None:
             return simple
     # Parameters that the data have decided on. That some features were picked out of all counts as
@@ -132,8 +159,8 @@ def search(
     n_found = task.n_widths + np.log1p(d * (length_scale is None)) + task.constants + task.n_alphas
     task, end = _leave_out_flat(task, end, many)
     theta, value = end.theta, end.likelihood
-    if len(X) > len(many.X) and parameters(task, end, many) > ROUGH * len(many.X):
-        more = data.some(data.draw(FINE_ROWS, random_state))
+    if n > len(many.X) and parameters(task, end, many) > ROUGH * len(many.X):
+        more = view.data.some(data.draw(FINE_ROWS, random_state))
         theta = minimise(task, theta, more, end.kernel, FINE_STEPS)
         value = judge(task, end.kernel, theta, many).likelihood
     log_width, log_alpha, ratio = task.unpack(theta)
@@ -147,7 +174,40 @@ def search(
         log_likelihood=log_likelihood(many, value),
         n_observations=many.n_total,
         n_found=n_found / q,
+        ranks=view.ranks,
     )
+
+
+class _View(NamedTuple):
+    """Rows as radial functions see them: all, and those of the two stages."""
+
+    ranks: np.ndarray | None  # None for features as they are
+    spread: np.ndarray  # (d,) unit of the widths
+    used: np.ndarray  # (d,) mask of the features that vary
+    data: Rows
+    few: Rows
+    many: Rows
+
+
+def _view(data, ranks, drawn, length_scale):
+    X = data.X if ranks is None else to_ranks(ranks, data.X)
+    spread = robust_spread(X, data.weights)
+    used = np.ones(len(spread), dtype=bool)
+    if length_scale is None:
+        _refuse_far(X, spread)
+        used = spread > 0
+    data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
+    return _View(ranks, np.where(used, spread, 1.0), used, data, *map(data.some, drawn))
+
+
+def _may_win(task, end, view, other):
+    """Whether ranks may be the better inputs: by a short search on few rows, if they say more."""
+    if are_alike(view.few.X, other.few.X):
+        return False
+    ranked = task._replace(spread=other.spread)
+    theta = minimise(ranked, end.theta, other.few, end.kernel, TRIAL_STEPS)
+    lead = judge(task, end.kernel, end.theta, view.few).score
+    return lead > judge(ranked, end.kernel, theta, other.few).score
 
 
 def _first_stage(task, kernels, few, start, decides, near):
@@ -269,7 +329,7 @@ def _leave_out_flat(task, end, data):
     return (fewer, without) if without.value < end.value - margin(data) else (task, end)
 
 
-def _simpler(task, end, data, may_be_linear):
+def _simpler(task, end, data, silent, may_be_linear):
     """Noise alone or a linear model, where that is better than radial functions; or None."""
     d, q = data.X.shape[1], task.n_outputs
     own, value, (noise, density_of_noise) = end.value, end.score, of_noise(data)
@@ -288,7 +348,7 @@ def _simpler(task, end, data, may_be_linear):
     ratio, evidence = linear or (0.0, noise)
     return Structure(
         end.kernel,
-        silent_widths(task.spread, task.used),
+        silent,
         np.full(q, ALPHA_BOUNDS[1]),
         ratio,
         linear=linear is not None,

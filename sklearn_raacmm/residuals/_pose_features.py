@@ -31,6 +31,9 @@ from sklearn_raacmm.utils import (
 )
 
 _ORIGIN = (0.0, 0.0, 0.0)
+# Part of gravity across the base axis that an arm may have, the sine of its tilt: of a simulated
+# arm under 37 degrees the chain left 195 um of 166, on a wall 266 of 235, upright 16 of 44.
+_MOST_ACROSS = 0.1
 _TURN = 2 * np.pi
 
 
@@ -130,10 +133,19 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         ------
         ValueError
             If the number of columns is not the arm's number of joints, or `X` holds NaN or
-            infinity.
+            infinity; if the pose is asked for, and the arm's base axis is neither upright nor
+            upside down.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
         self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
+        across = float(np.hypot(*self.arm_.up[:2]))
+        if self.joints == "pose" and across > _MOST_ACROSS:
+            shown = ", ".join(f"{value:.2g}" for value in self.arm_.up)
+            raise ValueError(
+                f"up of the arm is ({shown}), which is not along the base axis: gravity bends the "
+                "arm otherwise at each angle of joint 1, and the pose does not hold that angle. "
+                'Take joints="all", or ArmResidualRegressor.'
+            )
         factor = np.pi / 180 if self.angle_unit == "deg" else 1.0
         self.turn_start_: np.ndarray = np.array(
             [_turn_start(factor * column) for column in X.T.astype(float)]

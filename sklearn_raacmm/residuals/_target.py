@@ -27,7 +27,11 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cylindrical,
     without_direction,
 )
-from sklearn_raacmm.residuals._point_correction import PointCorrectionMixin, found_positions
+from sklearn_raacmm.residuals._point_correction import (
+    PointCorrectionMixin,
+    found_positions,
+    shown_positions,
+)
 from sklearn_raacmm.residuals._steps import before_last, last_step_of, n_features_of
 from sklearn_raacmm.utils import (
     Floats,
@@ -81,7 +85,9 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     Notes
     -----
     It serves as the last step of a pipeline and outermost, on joint angles: the page "Residuals and
-    frames" of the documentation shows both forms, which give the same predictions.
+    frames" of the documentation shows both forms. With groups they give the same predictions.
+    Without, the outermost form finds the positions; the pipeline, which knows no arm, asks for
+    them.
 
     A single-point test shows the residuals of a position up to one constant, and `groups` says
     which rows are of one position. A regressor whose `fit` takes groups is handed them, with
@@ -146,7 +152,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             position. ``regressor__groups`` is another name of it, for a search with metadata
             routing off, which keeps `groups` for its splitter. None: where `azimuth` is the method
             of an arm, rows are of one position if the arm's point less y is the same, and a finding
-            says how many there are. False: each row is taken for itself.
+            says how many there are; elsewhere a finding asks for them where y show positions.
+            False: each row is taken for itself.
         accept : str or list of str, default=()
             Codes of findings, such as "another-frame", with which the model is fitted all the same.
         **fit_params : dict
@@ -171,6 +178,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         target: Any = floats("y", y, finite=True)
         check_consistent_length(X, target)
         groups = fit_params.pop("regressor__groups", groups)
+        unasked = groups is None
         self._rotates = target.ndim == 2 and target.shape[1] == 3 and self.azimuth is not None
         if groups is None and self._rotates and (arm := self._arm()) is not None:
             groups = found_positions(arm.forward(X), target)
@@ -198,6 +206,8 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             for finding in check_targets(target, weights, arm, angles, codes, offsets):
                 finding.report()
             target = to_cylindrical(target, direction)
+            for finding in shown_positions(direction, target[:, 1]) if unasked and not arm else ():
+                finding.report()
         if get_config()["enable_metadata_routing"]:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
         self.regressor_: Any = clone(self._get_regressor())

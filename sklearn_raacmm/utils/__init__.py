@@ -30,7 +30,7 @@ from sklearn_raacmm.utils._estimators import (
     validate_params,
     warn_user,
 )
-from sklearn_raacmm.utils._files import check_places, digest_of, write_whole
+from sklearn_raacmm.utils._files import check_places, check_unpacked, digest_of, write_whole
 from sklearn_raacmm.utils._findings import (
     Finding as Finding,  # for type checkers of those who import it from here
 )
@@ -59,6 +59,7 @@ from sklearn_raacmm.utils._rows import (
     group_sums,
     many_without_weight,
     natural_order,
+    numbered_by_rows,
     robust_scale,
     slip_factors,
     tukey_weights,

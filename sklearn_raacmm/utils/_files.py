@@ -10,6 +10,13 @@ import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+
+# What a zip file may unpack to: so many bytes, and so many times its own size. Tables of equal
+# numbers come to 50 times, an attack to 1000. A choice.
+_MOST_BYTES, _MOST_TIMES = 10_000_000, 100
 
 
 def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
@@ -40,6 +47,18 @@ def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
             raise NotADirectoryError(f"{folder} is a file, and no folder for {place.name}.")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(f"Nothing can be written into the folder {folder}.")
+
+
+def check_unpacked(name: Any, file: Any) -> None:
+    """Refuse a zip file, open or a path, that would unpack to far more than it takes itself."""
+    with ZipFile(file) as archive:
+        sizes = [(entry.compress_size, entry.file_size) for entry in archive.infolist()]
+    packed, unpacked = np.sum(sizes, axis=0, initial=0)
+    if unpacked > _MOST_BYTES + _MOST_TIMES * packed:
+        raise ValueError(
+            f"{name} takes {packed / 1e6:.3g} MB and would unpack to {unpacked / 1e6:.4g} MB, more "
+            "than any table or model does."
+        )
 
 
 def digest_of(content: str | bytes) -> str:

@@ -88,6 +88,17 @@ def encode_groups(
         ) from None
 
 
+def numbered_by_rows(codes: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Codes (n,) of the same groups, numbered as their first rows come in an order of rows.
+
+    What is computed then is the same to the last digit, whatever the groups are called. The old
+    code of each new one comes with them.
+    """
+    old, first = np.unique(codes[order], return_index=True)
+    old = old[np.argsort(first)]
+    return np.argsort(old)[codes], old
+
+
 def _labels(groups, name):
     """Labels as an array of one dimension, in which what is missing differs from text."""
     try:

@@ -24,6 +24,7 @@ def bars(errors, artefact=BAR):
     errors = np.broadcast_to(errors, 20)
     points = np.zeros((40, 3))
     points[1::2, 0] = artefact.size_in_test + errors
+    points[:, 1] = 50.0 * np.repeat(np.arange(20), 2)  # the bar is moved in between
     position = np.repeat(np.arange(20), 2)
     return AcceptanceRun(
         test=["volumetric"] * 40, artefact=["bar"] * 40, position=position, end=["a", "b"] * 20,
@@ -87,6 +88,7 @@ def test_decisions_by_hand(error, guarded, simple):
 
 def test_what_is_not_stated_proves_nothing():
     points = np.random.default_rng(0).normal(scale=0.01, size=(30, 3))
+    points += np.repeat([300.0, 600.0, 900.0], 10)[:, None]
     run = AcceptanceRun(
         test=["single-point"] * 30, artefact=["seat"] * 30, points=points,
         position=np.repeat(["near", "middle", "far"], 10),
@@ -110,10 +112,10 @@ def lengths_run(errors):
     artefacts, rows = [], []
     for i, error in enumerate(errors):
         size, name = 100.0 * (i + 1), f"{100 * (i + 1)}"
-        artefacts.append(replace(EXACT, name=name, size_mm=size, expanded_mm=1e-9))
+        artefacts.append(replace(EXACT, name=name, size_mm=size, expanded_mm=2e-5))
         for position, repeat in itertools.product(range(7), range(3)):
             for end, along in (("a", 0), ("b", size + error)):
-                rows.append((name, position, repeat, end, [0, along, 0]))
+                rows.append((name, position, repeat, end, [i + 0.1 * repeat, along, 50 * position]))
     columns = ("artefact", "position", "repeat", "end", "points")
     given = dict(zip(columns, zip(*rows, strict=True), strict=True))
     return AcceptanceRun(test=["length"] * 210, artefacts=artefacts, **given)

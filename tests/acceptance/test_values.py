@@ -151,7 +151,7 @@ def test_as_found_is_the_arm_that_was_found(data):
 
 def test_a_pose_test_by_hand(data):
     rng = np.random.default_rng(0)
-    angles = np.repeat(data.run.angles[:5], 30, axis=0)
+    angles = np.repeat(data.run.angles[data.run.test == "length"][:50:10], 30, axis=0)
     position = np.repeat(np.arange(5), 30)
     shift = rng.normal(scale=0.1, size=(5, 3))
     believed = data.arm.forward(angles)

@@ -159,7 +159,7 @@ def test_the_sheet_shows_what_its_uncertainties_are_made_of(read_page, judged, d
     rows = {row[0]: row for row in read_page(judged[2]["de"]).rows}
     (bar,) = (one for one in data.run.artefacts if one.name == "bar 600")
     assert [bar.expansion_per_k, bar.u_expansion_per_k, bar.u_temperature_k] == [11.5e-6, 1e-6, 0.3]
-    assert rows["bar 600"][4:] == ["4,00", "0,0", "11,5 (1,0)", "21,0 (0,3)", "1,0"]
+    assert rows["bar 600"][4:] == ["4,00", "-", "11,5 (1,0)", "21,0 (0,3)", "1,0"]
     methods = [row for row in read_page(judged[2]["en"]).rows if len(row) == 6]
     assert {row[0]: int(row[1]) for row in methods[1:]} == {
         test: np.sum(data.run.test == test) for test in dict.fromkeys(data.run.test.tolist())

@@ -263,15 +263,19 @@ def test_an_arm_that_no_correction_helps(tmp_path, capsys):
     (tmp_path / "lengths.csv").write_bytes(lengths.encode("cp1252"))
     arguments = f"learn {tmp_path}/log.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --folds 3"
     gauges = ["--lengths", f"{tmp_path}/lengths.csv", "--length-sd", "0.01"]
-    assert main([*arguments.split(), *gauges]) == 3
+    # Calibration helps, and what is wrong with the drawing is said.
+    assert main([*arguments.split(), *gauges]) == 0
     printed = capsys.readouterr().out
-    assert printed.count("Do not use it: at new positions 2S") == 1
+    assert (
+        printed.count("Use the calibrated table without the correction: at new positions 2S") == 1
+    )
+    assert re.search(r"calibration: length [ad] of joint \d [+-]0\.\d+ mm \(sd 0", printed)
     assert "known lengths" not in printed  # one cannot be judged by another
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert '<p class="verdict "><strong>Do not use it' in report
+    assert '<p class="verdict "><strong>Use the calibrated table' in report
     # Whoever uses it all the same is told so.
     assert main(["export", "--model", str(tmp_path), "--c", str(tmp_path / "c")]) == 0
-    assert "note: Do not use it" in capsys.readouterr().err
+    assert "note: Use the calibrated table without the correction" in capsys.readouterr().err
 
 
 @pytest.mark.exhaustive
@@ -393,11 +397,33 @@ def test_an_arm_from_a_table_and_into_the_robots_own_file(tmp_path, refused):
     )  # fmt: skip
 
 
+def test_labels_of_stations_and_warm_lengths_reach_the_one_call(tmp_path, monkeypatch, refused):
+    rows = [f"{i},2,3,4,5,6,{i},0,0,{'door' if i < 9 else 3}" for i in range(12)]
+    names = [*(f"q{i} [deg]" for i in range(1, 7)), "X [mm]", "Y [mm]", "Z [mm]", "where"]
+    (tmp_path / "t.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+
+    def learn(*data, **options):
+        assert options["stations"].tolist() == ["door"] * 9 + ["3"] * 3
+        assert data[4] == [("A", "B", 500.0, 0.005, 25.0)]
+        raise ValueError("that is all")
+
+    monkeypatch.setattr("sklearn_raacmm.app._commands.learn_correction", learn)
+    words = f"learn {tmp_path}/t.csv --arm aacmm6 --out {tmp_path}/out --points X,Y,Z"
+    options = "--station where --length A:B:500:0.005@25"
+    refused("that is all", *words.split(), *options.split())
+
+
 def test_known_lengths_and_places_of_the_command_line(tmp_path):
     for text in ("A:B: 500.012:0.005", "A:B:500,012:0,005"):
         assert parse_length(text) == ("A", "B", 500.012, 0.005)
     with pytest.raises(TableError, match="such as A:B"):
         parse_length("A:B:500")
+    warm = ("A", "B", 500.012, 0.005, 25.5)
+    assert parse_length("A:B:500,012:0,005@25,5") == warm
+    assert parse_length("A:B:500.012:0.005@25.5:0.5e-6") == (*warm, 0.5e-6)
+    for wrong in ("A:B:500:0.005:1e-5", "A:B:500:0.005@", "A:B:500:0.005@20:1e-5:1"):
+        with pytest.raises(TableError, match=r"A:B:500\.012:0\.005@25:11\.5e-6"):
+            parse_length(wrong)
     path = tmp_path / "plate.csv"
     path.write_text("ball;x;y;z\nA;0;0;0\nB;300;400;0\nC;0;0;100\n")
     found = read_places(path, 0.004)
@@ -411,6 +437,34 @@ def test_known_lengths_and_places_of_the_command_line(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read_places(path, sd)
+
+
+@pytest.mark.parametrize(
+    ("text", "a_mm", "alpha_deg"),
+    [
+        ("robot:\n  a: [0, -0.425]\n  d: [0.0892, 0]\n  alpha: [1.5708, 0]\n", -425, 90),
+        ("dh_theta: [0 0]\ndh_a: [0 -0.425]\ndh_d: [0.0892 0]\ndh_alpha: [1.5708 0]\n", -425, 90),
+        ("a,alpha,d\n0,90,89.2\n-425,0,0\n", -425, 90),
+        ("a,alpha,d\n0,1.5,89.2\n-425,0,0\n", -425, 1.5),
+        ("a [mm],alpha [deg],d [mm]\n0,1.5708,0.0892\n-0.425,0,0\n", -0.425, 1.5708),
+    ],
+)
+def test_units_of_a_table_of_an_arm(text, a_mm, alpha_deg, tmp_path, capsys):
+    (tmp_path / "dh.yaml").write_text(text)
+    assert (
+        main(["arm", "--dh", str(tmp_path / "dh.yaml"), "--out", str(tmp_path / "arm.json")]) == 0
+    )
+    arm = Arm.from_json(tmp_path / "arm.json")
+    np.testing.assert_allclose(arm.a, [0, a_mm])
+    np.testing.assert_allclose(np.rad2deg(arm.alpha), [alpha_deg, 0], atol=1e-3)
+    said = capsys.readouterr().err
+    assert "Taken as the standard convention" in said
+    assert ("in rad" in said) == ("0.0892" in text and "[mm]" not in text)
+
+
+def test_corrections_of_a_robot_are_no_arm(tmp_path, refused):
+    (tmp_path / "calibration.conf").write_text("[mounting]\ndelta_theta = [ 4.5e-05, 0 ]\n")
+    refused("not which arm that is", "arm", tmp_path / "calibration.conf")
 
 
 @pytest.mark.parametrize(

@@ -160,12 +160,13 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     points = read_table(out / "corrected.csv", 6, position="cone", points=["x", "y", "z"]).points
     angles = np.deg2rad(read_table(folder / "more.csv", 6).angles)
     assert_allclose(points, saved.correct(angles)[0], atol=1e-6)
-    assert (out / "corrected_before_update.csv").read_text() == "points of before"
+    (before,) = out.glob("corrected_before_update_20*.csv")
+    assert before.read_text() == "points of before"
     code, printed = run(capsys, "move", "--model", out, "--probe", "0,0,250")
     assert (code, "register the probe" in printed) == (0, True)
     moved = Correction.load(out)
     assert moved.arm.probe.tolist() == [0, 0, 250]
-    assert (out / "corrected_before_move.csv").exists()
+    assert list(out.glob("corrected_before_move_20*.csv"))
     assert not (out / "corrected.csv").exists()
     code, printed = run(capsys, "check", folder / "new.csv", "--model", out, "--json")
     assert [step["what"] for step in Correction.load(out).facts["history"]] == [

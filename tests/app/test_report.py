@@ -38,7 +38,7 @@ def page(result, tmp_path_factory):
 def numbers_of(result):
     """All numbers that a reader may see, in the units they are shown in."""
     scores, calibration = result.scores, result.calibration
-    um = [1000 * v for name in ("before", "after") for v in scores.summary[name]]
+    um = [1000 * v for name in ("given", "before", "after") for v in scores.summary[name]]
     for name, column in scores.table.items():
         if name not in ("position", "n_points"):
             um += (1000 * column).tolist()
@@ -70,7 +70,8 @@ def numbers_of(result):
 def test_every_number_is_one_of_the_result(read_page, result, page):
     text = " ".join(read_page(page).text)
     # Sentences of the result itself.
-    for sentence in (result.verdict, *(finding.text for finding in result.findings)):
+    texts = (finding.text for finding in result.findings)
+    for sentence in (result.verdict, *texts, *result.scores.changes):
         text = text.replace(sentence, "")
     # Names, dates and versions are no numbers of the result.
     for fixed in (
@@ -90,9 +91,11 @@ def test_every_number_is_one_of_the_result(read_page, result, page):
 
 def test_the_page_says_what_it_is_about(read_page, result, page):
     text = " ".join(" ".join(read_page(page).text).split())
-    before, after = (result.scores.table[when].mean() for when in ("before", "after"))
+    summary = result.scores.summary
+    given, before, after = (summary[when][0] for when in ("given", "before", "after"))
     for shown in (
-        f"new positions: 2S {before:.3f} -> {after:.3f} mm, ", "<17>", "serial number",
+        f"2S {given:.3f} mm as given, {before:.3f} calibrated, {after:.3f} corrected",
+        "<17>", "serial number",
         "no statement of conformance", "517 1", "of a distance of 1 m",
         "error of known lengths, largest", "Harmonics of the encoders",
     ):  # fmt: skip

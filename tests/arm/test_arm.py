@@ -271,3 +271,11 @@ def test_what_is_no_sum_is_refused(wrong):
         ValueError, match=r"triples of two different joints from 1 to 6 and 1 or -1"
     ):
         random_arm("standard").replace(couplings=wrong)
+
+
+@pytest.mark.parametrize("n_joints", [2, 3, 4])
+def test_arms_of_few_joints_have_a_pose_of_their_own(n_joints):
+    """As from a URDF: nobody gave joints 3 and 4."""
+    arm = Arm.from_degrees([0.0] * n_joints, [90.0] * n_joints, [500.0, *[120.0] * (n_joints - 1)])
+    assert (arm.pose_joints, arm.pose_frames) == ((1, 2), (0, n_joints))
+    assert Arm.from_degrees([0, 0], [90, 0], [500, 120], pose_frames=(0, 1)).pose_frames == (0, 1)

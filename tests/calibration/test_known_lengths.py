@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import calibrate
+from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import collected_findings
 
@@ -42,6 +43,26 @@ def test_true_lengths_are_not_named(pairs):
     assert not findings(known(pairs))
 
 
+def test_a_warm_bar_is_longer_than_stated():
+    """As long as it was measured, the arm is the same: by its linear expansion from 20 degrees."""
+    (one,) = known(ONE)
+    labels = np.unique(GROUPS).tolist()
+    for growth, per_kelvin in (((25.0,), 11.5e-6), ((15.0, 0.5e-6), 0.5e-6)):
+        stated = one[2] / (1 + per_kelvin * (growth[0] - 20))
+        assert check_length((*one[:2], stated, 0.01, *growth), labels) == pytest.approx(one)
+    # 500 mm of steel at 25 degrees.
+    assert check_length((0, 1, 500, 0.01, 25), labels)[2] == pytest.approx(500.02875)
+    warm = (*one[:2], one[2] / (1 + 11.5e-6 * 20), 0.01, 40)
+    given = TEST.nominal_arm, TEST.data, GROUPS
+    arms = [calibrate(*given, lengths=[bar]).arm for bar in (one, warm)]
+    np.testing.assert_allclose(arms[1].d, arms[0].d, atol=1e-6)
+    for wrong in ((300,), (25, -1e-6), (25, 1.0), (np.nan,)):
+        with pytest.raises(ValueError, match=r"at -40 to 80 degrees C and grow by 0 to 0\.0003"):
+            check_length((*one, *wrong), labels)
+    with pytest.raises(ValueError, match="each of lengths must be"):
+        check_length((*one, 25, 1e-5, 3), labels)
+
+
 @pytest.mark.parametrize(("pairs", "only"), [(THREE, 1), (THREE, 2)])
 def test_one_wrong_length_is_told_from_the_others(pairs, only):
     """What the cones and the other lengths say of it is right, and nothing else is as likely."""
@@ -75,3 +96,16 @@ def test_a_link_mistyped_is_named_with_a_known_length():
     assert (found.code, found.joints) == ("table-off", (3,))
     assert f"(d3) is 750.4 mm, the table says {d[2]:.6g} mm" in found.text
     assert not findings((), mistyped)
+
+
+@pytest.mark.parametrize(("factor", "weight"), [(1.08, "doubt"), (1.12, "repair")])
+def test_a_long_link_that_is_another_one_is_not_handed_over(factor, weight):
+    """A tenth of a long link is more than any tape gets wrong; a tracker knows its length."""
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-1.5, 1.5, (80, 6))
+    points = TEST.arm.forward(angles) + rng.normal(scale=0.02, size=(80, 3)) + [500, 0, 0]
+    d = TEST.nominal_arm.d * np.where(np.arange(6) == 2, factor, 1.0)
+    with collected_findings() as found:
+        calibrate(TEST.nominal_arm.replace(d=d), angles, points=points)
+    (table,) = (one for one in found if one.code == "table-off")
+    assert (table.weight, 3 in table.joints) == (weight, True)

@@ -25,7 +25,8 @@ from sklearn_raacmm import (
     learn_correction,
     position_residuals,
 )
-from sklearn_raacmm.correction._scores import coverage_of
+from sklearn_raacmm.correction._one_fit import Data
+from sklearn_raacmm.correction._scores import _folds, coverage_of
 from sklearn_raacmm.datasets import make_gauge, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
@@ -70,7 +71,10 @@ def test_scores_are_those_of_the_steps_written_out(test_data, learned):
     assert_allclose(learned.scores.table["after"], after, rtol=1e-9)
     assert learned.helps
     better, least = np.sum(after < before), np.argmax(after / before)
-    assert f"2S {before.mean():.3f} -> {after.mean():.3f} mm, {better} of 7" in learned.verdict
+    assert (
+        f", {before.mean():.3f} calibrated, {after.mean():.3f} corrected, {better} of 7"
+        in learned.verdict
+    )
     assert f"least went from {before[least]:.3f} to {after[least]:.3f} mm" in learned.verdict
 
 
@@ -260,10 +264,50 @@ def test_tracker_points_without_labels_are_left_out_by_region():
         warnings.simplefilter("ignore")
         learned = learn_correction(arm, X, points=tracker, model=QUICK, cv=3)
     labels = learned.scores.table["position"].tolist()
-    assert labels == [f"region {i:02d}" for i in range(1, 11)]
+    assert labels == [f"region {i:02d}" for i in range(1, 31)]
     # Neighbours share a region: its points are nearer to their centre than the cloud is wide.
     spread = [np.ptp(tracker[learned.positions == label], axis=0).max() for label in labels]
     assert max(spread) < np.ptp(tracker, axis=0).max()
+
+
+def test_names_of_single_poses_are_judged_as_without_names():
+    rng = np.random.default_rng(3)
+    arm = Arm.from_name("ur10")
+    X = rng.uniform(-2, 2, (60, 6))
+    tracker = arm.forward(X) + rng.normal(0, 0.05, (60, 3))
+    names = np.array([f"P{i}" for i in range(60)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)  # SciPy warns of means of one number
+        warnings.simplefilter("ignore", UserWarning)
+        with_names, without = (
+            learn_correction(arm, X, given, tracker, model=QUICK, cv=3) for given in (names, None)
+        )
+    assert with_names.verdict == without.verdict
+    assert len(with_names.scores.table["position"]) == 15  # of four poses each
+    assert with_names.scores.table["n_points"].min() > 1
+    for learned, why in ((with_names, "name single poses"), (without, "are no labels")):
+        (said,) = [f.text for f in learned.findings if f.code == "judged-at-regions"]
+        assert said.startswith("Judged at 15 regions of neighbouring points: the")
+        assert why in said
+    # Two poses of a name are a position; blocks hold names of single poses.
+    data = (arm, X, np.repeat(names[:30], 2), tracker, (), "rad", None, (), None, None, None)
+    assert len(np.unique(Data(*data).positions)) == 30
+    blocks = np.repeat(["left", "right", "top"], 20)
+    data = (arm, X, names, tracker, (), "rad", None, (), None, blocks, None)
+    assert_array_equal(Data(*data).positions, blocks)
+
+
+def test_places_without_labels_are_left_out_as_a_whole():
+    rng = np.random.default_rng(4)
+    arm = Arm.from_name("ur10")
+    nest = rng.permutation(np.repeat(np.arange(12), 6))
+    X = rng.uniform(-2, 2, (72, 6))
+    points = rng.uniform(-800, 800, (12, 3))[nest] + rng.normal(0, 0.1, (72, 3))
+    data = Data(arm, X, None, points, (), "rad", None, (), None, None, None)
+    pairs = np.unique(np.column_stack([nest, data.places]), axis=0)
+    assert len(pairs) == len(np.unique(data.places)) == 12
+    for train, test in _folds(data, np.arange(72), None):
+        assert not set(nest[train]) & set(nest[test])
 
 
 @pytest.mark.parametrize(
@@ -357,3 +401,25 @@ def test_an_arm_of_another_table_is_refused_and_named(test_data, signs, unit, ch
     message = rf"mm after calibration.*With {change} the points scatter by 0\.0\d+ mm instead"
     with pytest.raises(ValueError, match=message):
         learn_correction(arm, test_data.data, test_data.groups, model=QUICK, angle_unit=unit)
+
+
+def test_a_joint_that_is_five_degrees_off_is_mended_by_calibration():
+    """The verdict has what the table left, and says which joint; the correction adds nothing."""
+    rng = np.random.default_rng(7)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    X = rng.uniform(-1.2, 1.2, (80, 6))
+    tracker = arm.forward(X)[:, [2, 0, 1]] + rng.normal(scale=0.03, size=(80, 3))
+    off = X + np.deg2rad([0, 0, 0, 0, 5, 0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        learned = learn_correction(arm, off, points=tracker, model=QUICK)
+    assert learned.scores.calibration_helps
+    given, before = (learned.scores.summary[when][0] for when in ("given", "before"))
+    assert before < 0.06 < 1 < given
+    assert f"mean deviation {given:.3f} mm as given, {before:.3f} calibrated, " in learned.verdict
+    first, _, last = learned.scores.changes[0].partition(" degrees")
+    name, _, change = first.rpartition(" ")
+    assert (name, float(change)) == ("zero of joint 5", pytest.approx(-5, abs=0.05))
+    assert last.startswith(" (sd 0.0")
+    if not learned.helps:
+        assert learned.verdict.startswith("Use the calibrated table without the correction")

@@ -15,7 +15,7 @@ from sklearn_raacmm import (
     update_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.utils import FindingError, FindingWarning
+from sklearn_raacmm.utils import FindingError
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 ARCSEC = np.pi / 180 / 3600
@@ -270,11 +270,15 @@ def test_what_is_wrong_is_named_by_its_row_and_beside_what_is_as_likely(model):
             update_correction(model, angles, -y)
 
 
-def test_rows_that_scatter_are_named(model):
-    angles, _ = rows(60, 1)
-    y = np.random.default_rng(0).normal(0, 5, (60, 3))
-    with pytest.warns(FindingWarning, match="are they of this arm"):
-        update_correction(model, angles, y)
+def test_rows_that_scatter_are_refused(model):
+    """By a fifth of a millimetre they may be of this arm; by 5 mm they are those of another."""
+    angles, y = rows(60, 1)
+    whose = {"strange-poses": "are they of this arm", "another-arm": "whose arm it is"}
+    for noise_mm, code in zip((0.2, 5.0), whose, strict=True):
+        noise = np.random.default_rng(0).normal(0, noise_mm, (60, 3))
+        with pytest.raises(FindingError, match=whose[code]) as caught:
+            update_correction(model, angles, y + noise)
+        assert caught.value.finding.code == code
 
 
 def test_new_poses_that_nothing_is_wrong_with_are_taken(model):

@@ -28,11 +28,13 @@ def test_positions_of_one_pose_each_have_no_offsets():
         assert found.noise_sd_ == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.filterwarnings("ignore:Within a position")  # of noise
 @pytest.mark.parametrize("scale", [0.2, 10.0])
 def test_small_weights_do_not_decide_on_offsets(scale):
     weights = np.full(300, scale)
     for y, offsets in ((NOISE, False), (position_residuals(NOISE, GROUPS), True)):
-        found = model().fit(ANGLES, y, groups=GROUPS, sample_weight=weights)
+        given = {"groups": GROUPS, "sample_weight": weights}
+        found = model().fit(ANGLES, y, accept="rows-unrelated", **given)
         assert found.offsets_ is offsets
 
 
@@ -58,12 +60,14 @@ def test_weights_that_are_no_repeats_are_named(scale):
         estimator.fit(ANGLES[:40], NOISE[:40], sample_weight=1e9 * np.arange(1.0, 41))
 
 
+@pytest.mark.filterwarnings("ignore:The pose of row 10 has 30 of all weights")
 def test_residuals_of_which_most_are_zero_do_not_overflow():
     """Their median distance is 0, so that no scale tells who is far off: all rows count."""
     y = np.zeros((40, 3))
     y[:10] = 0.1
     angles = ANGLES[:40].copy()
     angles[10:] = 0.0
-    fitted = ArmResidualRegressor(ARM, orders=3, causes=["gravity", "wobble"]).fit(angles, y)
+    fitted = ArmResidualRegressor(ARM, orders=3, causes=["gravity", "wobble"])
+    fitted.fit(angles, y, accept="weight-of-one-pose")
     assert np.isfinite(fitted.predict(ANGLES)).all()
     np.testing.assert_array_equal(fitted.pose_weight_ <= 1, True)

@@ -52,6 +52,20 @@ def test_a_correction_that_helps_is_judged_by_what_was_left_out(cones):
     assert small().fit(theta, y).judgement_ is None  # nobody said what a position is
 
 
+def test_robust_weights_alone_are_those_of_the_whole_fit(cones):
+    """As `learn_correction` asks for them where it looks for outliers."""
+    theta, y, groups, _ = cones
+    y = y + np.where(np.arange(len(y))[:, None] % 50 == 0, 1.0, 0.0)
+    whole, weights = small(), small()
+    weights._judged = False
+    for model in (whole, weights):
+        model.fit(theta, y, groups=groups)
+    assert_array_equal(weights.pose_weight_, whole.pose_weight_)
+    assert weights.pose_weight_.min() == 0
+    assert whole.judgement_ is not None
+    assert weights.judgement_ is None
+
+
 def test_noise_is_not_corrected(cones):
     """Nothing to learn: no harm is done, and where nothing is used everyone is warned."""
     theta, _, groups, _ = cones
@@ -134,6 +148,7 @@ def test_corrections_fade_away_from_the_data(cones):
     assert seen[0].filename == __file__
 
 
+@pytest.mark.filterwarnings("ignore:Within a position")  # whatever the points are
 @pytest.mark.parametrize("offsets", [False, True])
 def test_rows_of_weight_0_change_nothing(cones, offsets):
     """Whatever is in them: positions of their own, slipped poses, other labels."""
@@ -141,13 +156,14 @@ def test_rows_of_weight_0_change_nothing(cones, offsets):
     y = position_residuals(y, groups)
     rng, rows = np.random.default_rng(0), groups < 10
     model = small(offsets=offsets)
-    expected = clone(model).fit(theta[rows], y[rows], groups=groups[rows])
+    accepted = {"accept": "rows-unrelated"}
+    expected = clone(model).fit(theta[rows], y[rows], groups=groups[rows], **accepted)
     new = rng.uniform(-2, 2, (150, 6))
     X = np.vstack([new, theta[rows]])
     Y = np.vstack([rng.normal(0, 1.0, (150, 3)), y[rows]])
     labels = np.concatenate([rng.integers(0, 40, 150), groups[rows]])
     weights = np.repeat([0.0, 1.0], [150, rows.sum()])
-    found = clone(model).fit(X, Y, sample_weight=weights, groups=labels)
+    found = clone(model).fit(X, Y, sample_weight=weights, groups=labels, **accepted)
     assert_array_equal(found.pose_weight_, np.r_[np.zeros(150), expected.pose_weight_])
     assert found.judgement_ == expected.judgement_
     assert found.fading_ == expected.fading_

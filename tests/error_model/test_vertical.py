@@ -4,12 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
+from sklearn.base import clone
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, plan_poses, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.error_model import _vertical
 from sklearn_raacmm.error_model._columns import LOAD, Terms, columns_of
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.error_model._vertical import _VARIANCES, _evidence_and_coef, _left_of_gravity
@@ -78,6 +80,22 @@ def test_the_data_show_where_gravity_pulls(on_a_wall):
     left = [fresh.target, *(perfect - model.predict(fresh.data) for model in (found, stated))]
     none, found, stated = (np.linalg.norm(position_residuals(one, fresh.groups)) for one in left)
     assert found < 1.1 * stated < 0.15 * none
+
+
+def test_a_vertical_that_is_known_is_not_sought(on_a_wall, monkeypatch):
+    """As fits of some rows have it of a fit of all; upright arms keep every bit of the model."""
+    test, found = on_a_wall
+    stood = clone(found)
+    stood._vertical = found.linear_model_.terms.up
+    upright = ArmResidualRegressor(test.arm, orders=4)
+    sought = clone(upright).fit(test.data, test.target, groups=test.groups)
+    monkeypatch.setattr(_vertical, "_better_vertical", None)
+    stood.fit(test.data, test.target, groups=test.groups)
+    assert "vertical" not in [finding.code for finding in stood.findings_]
+    assert_allclose(stood.predict(test.data), found.predict(test.data), atol=1e-6)
+    upright._vertical = ()
+    upright.fit(test.data, test.target, groups=test.groups)
+    assert_array_equal(upright.predict(test.data), sought.predict(test.data))
 
 
 def test_a_model_moves_to_another_mount():

@@ -91,7 +91,12 @@ def test_every_kernel_and_tail(tmp_path, data, kernel, degree):
         np.testing.assert_allclose(deviations, std, rtol=1e-3, err_msg=way)
 
 
-ALONE = [network(), LinearRegression(fit_intercept=False), make_pipeline(StandardScaler(), Ridge())]
+ALONE = [
+    network(),
+    network(inputs="ranks", length_scale=0.5),
+    LinearRegression(fit_intercept=False),
+    make_pipeline(StandardScaler(), Ridge()),
+]
 
 
 @pytest.mark.parametrize("model", ALONE, ids=str)

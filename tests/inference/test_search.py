@@ -26,6 +26,14 @@ def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
     assert_allclose(once.coef, found.coef)
 
 
+def test_a_choice_of_more_data_loses_what_is_needless_and_takes_what_is_missing(toys):
+    toy = toys.drawn(3)
+    found = search(toy.problem)
+    assert found.lines.tolist() == [2, 5]
+    other = found._replace(lines=np.array([2, 7]), pairs=np.array([2, 7]))
+    assert search_at(toy.problem, other).lines.tolist() == [2, 5]
+
+
 @pytest.mark.parametrize("price", [0.0, 1e9])
 def test_a_price_decides(toys, price):
     toy = toys.drawn(0)

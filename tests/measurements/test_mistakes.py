@@ -290,6 +290,52 @@ def update_mistakes(kind):
         yield f"update_{kind}", what, partial(of, residuals, kind, angles), code
 
 
+def late_column():
+    """One joint's angles come from a logger that is a row late."""
+    angles = TEST.data.copy()
+    angles[:, 3] = np.roll(angles[:, 3], 1)
+    return angles
+
+
+WRONG_ANGLES = {
+    "angles standardised": (TEST.data - TEST.data.mean(axis=0)) / TEST.data.std(axis=0),
+    "sines of the angles": np.sin(TEST.data),
+    "joints in reverse order": TEST.data[:, ::-1],
+    "a column one row late": late_column(),
+}
+OF_OTHERS = ArmResidualRegressor(OTHER.arm, orders=2)
+ON_A_WALL = ArmResidualRegressor(ARM.replace(up=(1, 0, 0)), orders=2)
+COARSE = [np.deg2rad(np.rad2deg(TEST.data).round(n)) for n in (0, 2)]
+HEAVY = np.r_[500.0, np.ones(N - 1)]
+
+
+def copied(n=500):
+    """The first half of the test, and its first row again and again."""
+    rows = np.r_[np.arange(N // 2), np.zeros(n, dtype=int)]
+    return of(OF.cones[rows], angles=TEST.data[rows], groups=TEST.groups[rows])
+
+
+def before_every_fit():
+    """Angles, table and weights that cannot be, and positions that nobody has named."""
+    for name in ("fit_cones", "chain", "update_cones"):
+        for what, angles in WRONG_ANGLES.items():
+            yield name, what, partial(of, OF, angles=angles), "rows-unrelated"
+    for name in ("fit_cones", "chain"):
+        yield name, "another arm's table", lambda: of(OF, model=OF_OTHERS), "rows-unrelated"
+        for what, angles in zip(("whole degrees", "two decimals"), COARSE, strict=True):
+            y = residuals(angles=angles)
+            yield name, what, partial(of, y, angles=angles), "coarse-angles"
+        yield name, "one row 500 times", copied, "weight-of-one-pose"
+    yield (
+        "fit_cones",
+        "one row of a weight of 500",
+        lambda: of(OF, sample_weight=HEAVY),
+        "weight-of-one-pose",
+    )
+    yield "pipeline", "groups forgotten", lambda: of(OF, groups=None), "positions-found"
+    yield "chain", "an arm on a wall", lambda: of(OF, model=ON_A_WALL), "up of the arm is (1, 0, 0)"
+
+
 MISTAKES = [
     # function, mistake, data, finding
     ("calibrate_cones", "degrees for radians", lambda: base(angles=np.rad2deg(TEST.data)), "angle-unit"),
@@ -400,6 +446,7 @@ MISTAKES = [
     ("pipeline", "another frame", lambda: of(OF.tracker + [5.0, 2.0, 0.0]), "another-frame"),
     ("pipeline", "a logger's stream", lambda: stream("cones"), "dwells"),
     ("pipeline", "degrees for radians", lambda: of(OF, angles=np.rad2deg(TEST.data)), "angle-unit"),
+    *before_every_fit(),
     *update_mistakes("cones"),
     *update_mistakes("tracker"),
     ("update_cones", "two rows", lambda: of(OF.cones[:2], angles=TEST.data[:2], groups=TEST.groups[:2]), "few-poses"),
@@ -541,6 +588,22 @@ def test_each_mistake_is_named_by_its_function(name, make, expected):
         assert not found - {"outliers"}
     else:
         assert any(code.startswith(word) for word in expected.split("|") for code in found), found
+
+
+@pytest.mark.parametrize("what", [*WRONG_ANGLES, "another arm's table"])
+def test_fit_refuses_angles_that_are_not_those_of_the_arm(what):
+    model = OF_OTHERS if what not in WRONG_ANGLES else SMALL
+    with pytest.raises(FindingError, match="Within a position the arm's own points") as refused:
+        clone(model).fit(WRONG_ANGLES.get(what, TEST.data), OF.cones, groups=TEST.groups)
+    assert refused.value.finding.code == "rows-unrelated"
+
+
+@pytest.mark.parametrize("n", [500, 5000])
+def test_copies_of_one_row_end_in_a_finding(n):
+    """5000 copies ended in a LinAlgError, which is a ValueError, too."""
+    data = copied(n)
+    with pytest.raises(FindingError, match=rf"row 0 has {n + 1} of all weights, {n + 72}: the 71"):
+        fit(data)
 
 
 CLEAN = dict.fromkeys(
