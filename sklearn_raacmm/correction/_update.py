@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, NewPoses, changed_model, judged_fading
+from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
@@ -121,7 +122,9 @@ def update_correction(
         return updated
     for finding in what_is_wrong(model, poses):
         finding.report()
-    updated.linear_model_, entry, pose_weight, ended = changed_model(linear, poses, date=date)
+    named = named_changes(linear, poses)
+    changed = changed_model(linear, poses, date=date, named=named)
+    updated.linear_model_, entry, pose_weight, ended = changed
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
             f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
@@ -133,7 +136,7 @@ def update_correction(
         )
         Finding("strange-poses", said, advice, size_mm=entry["noise_sd_mm"]).report()
     poses.weights = poses.weights * pose_weight
-    updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended)
+    updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended, named=named)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
