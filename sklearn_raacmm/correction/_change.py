@@ -56,6 +56,8 @@ _LOW_ORDERS = 8
 # Orders that every joint may show after a change, whether or not it did before; see
 # `as_prior`.
 _NEW_ORDERS = 2
+# What a named change of one joint comes to at a tau of 1, arc seconds: a choice.
+_KNOCK_ARCSEC = 100.0
 # A fifth of the new poses is left out at a time. A choice, not measured.
 _N_FOLDS = 5
 # Before two arms have been compared, half of the mean square of a coefficient counts as common to
@@ -152,17 +154,17 @@ def place_columns(arm, angles, with_base):
     return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
 
 
-def changed_model(linear, poses, log_noise=LOG_NOISE, date=None):
+def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
     `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
     model, what `updates_` keeps of the change (`tau` says how much each part has changed), what the
     loss left of the weight of each pose, (n,), and where the search ended, for `judged_fading`.
     """
-    model, after = _conditioned(linear, poses, log_noise)
+    model, after = _conditioned(linear, poses, log_noise, named=named)
     angles, weights, codes = poses.angles, poses.weights, poses.codes
     p = len(model.coef)
-    half = after.half[:p] + _into_kinematics(model, codes is None) @ after.half[p:]
+    half = after.half[:p] + _fold(model, after, codes) @ after.half[p:]
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
     model = replace(
@@ -186,26 +188,31 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None):
     return model, entry, after.row_weight, after.logs
 
 
-def _conditioned(linear, poses, log_noise, start=None, means_only=False):
+def _conditioned(linear, poses, log_noise, start=None, means_only=False, named=None):
     """Linear model with the mean and the fading that new poses ask for, and the `Posterior`."""
     linear = as_prior(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
     columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
+    changes = changes_of(linear)
+    if named is not None:
+        changes = _of_named(linear, changes[0], named)
+        if codes is not None and "probe" not in named:
+            place = place[:, :, :0]
     parts = columns, place, poses.residuals
     columns, place, shown = (centred(part, codes, weights) for part in parts)
     rows = columns, place, shown, weights, log_noise
-    after = condition(linear, changes_of(linear), *rows, start, means_only)
+    after = condition(linear, changes, *rows, start, means_only)
     seen_weights = weights * after.row_weight / after.noise_sd**2
     p = len(linear.coef)
     model = replace(
         linear,
-        coef=after.mean[:p] + _into_kinematics(linear, codes is None) @ after.mean[p:],
+        coef=after.mean[:p] + _fold(linear, after, codes) @ after.mean[p:],
         fading_half=_informed(linear.fading_half, columns, place, seen_weights),
     )
     return model, after
 
 
-def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE):
+def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE, named=None):
     """How much of a changed model is used, by new poses left out of the change.
 
     A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
@@ -227,7 +234,7 @@ def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE):
             rest = poses.at(~out)
             model = linear
             if not rest.too_few:
-                model = _conditioned(linear, rest, log_noise, start, means_only=True)[0]
+                model = _conditioned(linear, rest, log_noise, start, True, named)[0]
             correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
     fading = replace(fading, known_mm=float(doubt[used].max()))
     known = poses.weights, poses.codes, positions, fading.most
@@ -313,6 +320,27 @@ def changes_of(linear):
     most = np.repeat(np.where(orders > _LOW_ORDERS, amplitude, np.inf), 2)
     sizes[waves] = np.minimum(sizes[waves], most)
     return parts_of(linear), sizes
+
+
+def _of_named(linear, part, named):
+    """What columns may change together with, and by how much, if none but these changes are there.
+
+    A knock turns the zero of a joint, or makes its encoder eccentric, by more than errors of an arm
+    as a rule are; waves of order 2 are smaller.
+    """
+    orders = np.repeat(linear.terms.harmonics[:, 1], 2)
+    names = np.array([*[""] * len(orders), *linear.layout.names])
+    for j in range(1, linear.arm.n_joints + 1):
+        part = np.where(names == f"theta_offset{j}", f"offset of joint {j}", part)
+    sizes = np.full(len(part), _KNOCK_ARCSEC)
+    sizes[: len(orders)] *= np.where(orders > _NEW_ORDERS, 0.0, orders**-2.0)
+    return part, np.where(np.isin(part, named), sizes, 0.0)
+
+
+def _fold(linear, after, codes):
+    """Of `_into_kinematics` what was free of base and tool."""
+    n_free = len(after.mean) - len(linear.coef)
+    return _into_kinematics(linear, codes is None)[:, :n_free]
 
 
 def _into_kinematics(linear, with_base):
@@ -434,7 +462,8 @@ def _pooled(linears, layout):
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
     # Both roots together: their difference is what a single-point test does not show.
-    roots = [np.vstack([one.half, one.gauge_free_half]) / np.sqrt(n) for one in aligned]
+    kept = np.where(of_table, 0.0, 1 / np.sqrt(n))[:, None]
+    roots = [np.vstack([kept * one.half, kept * one.gauge_free_half]) for one in aligned]
     pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r")
     half, gauge_free = np.vsplit(np.asarray(pooled).T, 2)
     return replace(

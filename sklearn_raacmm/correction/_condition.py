@@ -39,9 +39,6 @@ _LEAST_FREE = 1e-6
 # them, and is not tested: a hundredth of it would be called metres. Less than the second part of
 # the strongest direction is rounding, as is a nuisance that much smaller than the largest one.
 _TAKEN_UP, _UNSEEN, _ROUNDING = 1e-2, 1e-8, 1e-10
-# A cause that explains less than this share of what is too much leaves the most of it unexplained.
-# Judged by ``benchmarks/bench_check.py``, which counts the causes that are named rightly.
-_LEAST_SHARE = 0.3
 
 
 class Posterior(NamedTuple):
@@ -91,7 +88,7 @@ def condition(
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
         # Standard deviations of the changes and of the free coefficients.
-        sd = np.array([tau[name] for name in part.tolist()]) * size
+        sd = np.array([tau.get(name, 0.0) for name in part.tolist()]) * size
         sd = np.r_[sd, np.ones(free.shape[2])]
         dual = evidence.solved(logs)[1]
         mean = np.square(sd) * (A.T @ dual)
@@ -181,7 +178,7 @@ class _Evidence:
     def __init__(self, prior, changes, A, y, n_data, log_noise):
         self.y, m, p = y, len(y), len(prior.coef)
         part, size = changes
-        self.names = sorted(set(part.tolist()))
+        self.names = sorted(set(part[size > 0].tolist()))
         A, free = A[:, :p], A[:, p:]
         roots = [A[:, part == name] * size[part == name] for name in self.names]
         roots += [np.sqrt(prior.noise_variance) * np.eye(m), np.hstack([A @ prior.half, free])]
@@ -337,20 +334,3 @@ def explained(columns: np.ndarray, whiten: Whitened, residual: np.ndarray) -> np
     """
     seen = whiten(columns)
     return whiten.root @ (seen @ np.linalg.lstsq(seen, whiten(residual), rcond=_UNSEEN)[0])
-
-
-def best_cause(tests: np.ndarray) -> str:
-    """The cause that explains most for its numbers (BIC), or "noise" if it leaves too much.
-
-    The tests are those of `score_tests`. Where the best cause leaves residuals no better than
-    before it is not the cause.
-    """
-    whole, causes = tests[0], tests[1:]
-    if not len(causes):
-        return "noise"
-    worth = causes["statistic"] - causes["freedom"] * np.log(whole["freedom"])
-    best = int(np.argmax(worth))
-    too_much = whole["statistic"] - whole["freedom"]  # what the residuals exceed expectation by
-    if worth[best] <= 0 or causes["statistic"][best] < _LEAST_SHARE * too_much:
-        return "noise"
-    return str(causes["cause"][best])

@@ -5,7 +5,7 @@
 
 import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date as calendar
 from io import StringIO
 from numbers import Real
@@ -16,18 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
-from scipy.stats import chi
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._change import NewPoses, day, place_columns
-from sklearn_raacmm.correction._condition import Whitened, best_cause, explained, score_tests
+from sklearn_raacmm.correction._changes import causes_of, likeliest_change, slipped_rows, widened
+from sklearn_raacmm.correction._condition import Whitened, explained, score_tests
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.measurements import medians_of
 from sklearn_raacmm.utils import (
     centred,
     encode_groups,
-    group_means,
     listed,
     one_blas_thread,
     one_warning,
@@ -36,16 +34,6 @@ from sklearn_raacmm.utils import (
     write_whole,
 )
 
-# Orders of the harmonics that a knocked or loosened encoder shows first.
-_ORDERS = (1, 2)
-# Poses that the check names as slipped: this many on the average in a set without slips. If more
-# than the second share of all poses lie that far off, they are no slips. Both are chosen by hand.
-_FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
-# Poses farther off than this share of all, if errors were normal, count as though they were there:
-# those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
-# this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
-# (``benchmarks/bench_check.py changes --real``). With 0.9 fewer knocks were found.
-_USUAL = 0.95
 # How far new positions exceed what a model expects of them along one cause: what arms have in
 # common of it, the mean factor of the variance and the number of positions that it is worth. Of 41
 # arms of the kinds of ``benchmarks/bench_check.py`` with 12 positions and 44 with 5 this is by 18
@@ -265,7 +253,7 @@ def check_correction(
     tests = np.append(tests, np.array(mean, dtype=tests.dtype))
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds = p_value >= false_alarm_rate
-    suspect = "nothing" if holds else best_cause(tests[:-1])
+    suspect = "nothing" if holds else poses.likeliest(causes, nuisance, residual)
     usual_mm, size_mm = poses.usual_mm(), 0.0
     if suspect in causes:
         size_mm = poses.size_mm(explained(causes[suspect], whiten, residual)[:n])
@@ -286,38 +274,6 @@ def check_correction(
     )
 
 
-def _widened(linear):
-    """The model as uncertain as positions left out of this arm ask for.
-
-    Never narrower than the posterior: tests of squares bear no tails that are longer than normal
-    ones, which a factor below 1 makes up for in intervals.
-    """
-    wider = max(linear.std_scale, 1.0)
-    return replace(
-        linear,
-        half=wider * linear.half,
-        gauge_free_half=wider * linear.gauge_free_half,
-        noise_variance=np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance,
-    )
-
-
-def _slipped(linear, poses, left):
-    """Rows too far off for their own expected spread, if they are few, and residuals without tails.
-
-    Where the distances of all are larger than expected, by a change of the arm, farther ones are
-    usual in proportion.
-    """
-    spread = linear.predict(poses.angles, return_std=True)[1]
-    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
-    middle = medians_of(left, poses.codes)
-    distance = np.linalg.norm(left - middle, axis=1) / sd
-    far = distance > chi.isf(_FALSE_NAMES / len(left), 3)
-    slipped = far & (far.sum() <= _MOST_SLIPS * len(left))
-    larger = max(np.median(distance) / chi.median(3), 1.0)
-    share = np.minimum(chi.ppf(_USUAL, 3) * larger / np.maximum(distance, 1e-300), 1.0)
-    return slipped, middle + share[:, None] * (left - middle)
-
-
 class _Poses:
     """Poses of today that count: rows of coordinates, and one for each known length.
 
@@ -327,9 +283,9 @@ class _Poses:
     """
 
     def __init__(self, model, X, today, lengths):
-        self.linear = linear = _widened(model.linear_model_)
+        self.linear = linear = widened(model.linear_model_)
         correction = model.predict(X)
-        slipped, tamed = _slipped(linear, today, today.residuals - correction)
+        slipped, tamed = slipped_rows(linear, today, today.residuals - correction)
         self.slipped = tuple(np.flatnonzero(slipped).tolist())
         kept = ~slipped
         self.tamed, self.correction, poses = tamed[kept], correction[kept], today.at(kept)
@@ -354,13 +310,24 @@ class _Poses:
         flat = columns.reshape(self.tamed.size, -1)
         return np.concatenate([flat, self.lengths @ flat])
 
-    def root_of_covariance(self):
-        """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
+    def covariances(self):
+        """Root of what the model leaves open (m, r), and the covariance of the noise (m, m)."""
         half = self.rows(self.linear.columns(self.poses.angles)) @ self.linear.half
         noise = self.rows(self.linear.noise_sd * np.eye(self.tamed.size))
         of_lengths = np.r_[np.zeros(self.tamed.size), np.square(self.length_sd)]
-        covariance = half @ half.T + noise @ noise.T + np.diag(of_lengths)
-        return cholesky(covariance, lower=True, check_finite=False)
+        return half, noise @ noise.T + np.diag(of_lengths)
+
+    def root_of_covariance(self):
+        """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
+        half, noise = self.covariances()
+        return cholesky(half @ half.T + noise, lower=True, check_finite=False)
+
+    def likeliest(self, causes, nuisance, residual):
+        """Name of the likeliest of the causes, or "noise"."""
+        half, noise = self.covariances()
+        whiten = Whitened(cholesky(noise, lower=True, check_finite=False), nuisance)
+        seen = {name: whiten(columns) for name, columns in causes.items()}
+        return likeliest_change(whiten(residual), whiten(half), seen, whiten.freedom)[0]
 
     def usual_mm(self):
         """Root mean square of what a correction that holds leaves of what the poses can show."""
@@ -388,28 +355,8 @@ class _Poses:
 
     def causes(self):
         """What each cause would do to the poses: (m, k) columns by name."""
-        arm, angles = self.linear.arm, self.angles
-        jacobian, place = arm.jacobian(angles), self.rows(self.place)
-        causes = {"probe": place[:, :3]}
-        # Of a single-point test the base shows nothing, and within a position time is the order of
-        # its poses: of 50 checks of arms that wobble 31 had p < .05 for a drift.
-        if self.codes is None:
-            # Together they are six numbers, too many for what three explain: of 40 bases of the
-            # UR10 that settled by 40 um none was named, apart 27 are
-            # (``benchmarks/bench_check.py kinds --real``). About z it is an offset of joint 1.
-            causes |= {"base": place[:, 3:6], "base turned": place[:, 6:8]}
-            causes["drift"] = np.repeat(np.linspace(-1, 1, len(angles)), 3)[:, None] * place[:, 3:6]
-        points = arm.forward(angles)
-        if self.codes is not None:  # a position is one point: what it shows about it is no scale
-            points = group_means(points, self.codes)[self.codes]
-        causes["scale"] = self.rows(points[:, :, None])
-        for j in range(arm.n_joints):
-            causes[f"offset of joint {j + 1}"] = self.rows(jacobian[:, :, [j]])
-            phase = angles[:, [j]] * np.array(_ORDERS)
-            waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-            waves = jacobian[:, :, j, None] * waves[:, None]
-            causes[f"harmonics of joint {j + 1}"] = self.rows(waves)
-        return causes
+        causes = causes_of(self.linear.arm, self.angles, self.codes)
+        return {name: self.rows(columns) for name, columns in causes.items()}
 
 
 def _chart(tamed, root, nuisance, freedom, rate):

@@ -18,6 +18,7 @@ from sklearn_raacmm.correction._change import (
     day,
     judged_fading,
 )
+from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import EQUAL
@@ -46,10 +47,12 @@ def update_correction(
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     :func:`check_correction` says whether that is needed.
-    Coefficients may change by a share tau of their prior standard deviation (a harmonic above order
-    8 by a share of its old size), base and tool by some millimetres. The evidence finds tau for the
-    harmonics of each joint and for each other family of columns. With very
-    many new poses the old model does not matter.
+    Changes that the poses name, such as an offset of joint 3, one to three, change alone. Where
+    they name none of these, but that all columns may have changed, coefficients change by a share
+    tau of their prior standard deviation (a harmonic above order 8 by a share of its old size), and
+    the evidence finds tau for the harmonics of each joint and for each other family of columns.
+    Where nothing has changed the old model is known better. Before a tracker base and tool may be
+    off by some millimetres. With very many new poses the old model does not matter.
 
     Parameters
     ----------
@@ -129,7 +132,9 @@ def update_correction(
         return updated
     for finding in what_is_wrong(model, poses):
         finding.report()
-    updated.linear_model_, entry, pose_weight, ended = changed_model(linear, poses, date=date)
+    named = named_changes(linear, poses)
+    changed = changed_model(linear, poses, date=date, named=named)
+    updated.linear_model_, entry, pose_weight, ended = changed
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
             f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
@@ -142,7 +147,7 @@ def update_correction(
         size_mm = entry["noise_sd_mm"]
         Finding("strange-poses", said, advice, "repair", size_mm=size_mm).report()
     poses.weights = poses.weights * pose_weight
-    updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended)
+    updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended, named=named)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated

@@ -4,14 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 from scipy.special import betainc
 from scipy.stats import chi2, kstest, multivariate_normal, ncx2
 
 from sklearn_raacmm.correction._condition import (
     Whitened,
-    best_cause,
     condition,
     log_density,
     narrowed,
@@ -214,20 +213,6 @@ def test_what_the_nuisances_take_up_is_not_tested(drawn):
     tests = score_tests(hidden | half, Whitened(root, nuisance), left[:, 0], MANY)
     assert tests["cause"].tolist() == ["noise", "half"]
     assert tests["freedom"].tolist() == [M - 4, 1]
-    assert best_cause(score_tests(hidden, Whitened(root, nuisance), left[:, 0], MANY)) == "noise"
-
-
-def test_the_best_cause_explains_what_is_too_much(drawn):
-    root, nuisance, causes, left = drawn
-    whiten = Whitened(root, nuisance)
-    for name, columns in causes.items():
-        moved = left[:, 0] + 20 * columns.sum(axis=1)
-        assert best_cause(score_tests(causes, whiten, moved, MANY)) == name
-    # More noise is none of the causes: "three" explains 3 of 20 directions, 0.3 of what is too much
-    # in one draw of seven (chi2.sf(5.3, 3)).
-    names = [best_cause(score_tests(causes, whiten, 3 * one, MANY)) for one in left[:, :200].T]
-    assert np.mean(np.array(names) == "noise") > 0.75
-    assert_array_equal(best_cause(score_tests({}, whiten, left[:, 0], MANY)), "noise")
 
 
 def test_repeated_nuisances_are_counted_once(drawn):

@@ -196,8 +196,8 @@ def earlier_warm():
 
 
 def test_what_a_degree_does_is_common_to_the_make(earlier_warm, credulous):
-    """Twelve poses at nearly one temperature do not show how the arm grows."""
-    few = warm_rows(12, 7, 7, 24.0, spread=0.3)
+    """Twenty poses at nearly one temperature do not show how the arm grows."""
+    few = warm_rows(20, 7, 7, 24.0, spread=0.3)
     new = transferred_model(earlier_warm, ARM, *few)
     alone = ArmResidualRegressor(ARM, **WARM).fit(*few)
     assert new.updates_[0]["gain_nats"] > 0

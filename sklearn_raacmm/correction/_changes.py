@@ -1,0 +1,185 @@
+"""What may have changed of an arm, and which of it new rows make likely: one table of changes.
+
+Residuals that are divided by their noise, r, have under a model that holds the covariance ``f^2 I +
+G G'``, with G the columns of the model's uncertainty and f how much larger the noise is today. A
+change of k numbers adds ``v^2 U U'``. The noise is an axis of every change: else rows that scatter
+more than before would be believed to be a change. In the axes of G, with ``D = 1 / (f^2 + lambda)``
+the diagonal precision, ``K = U' D U`` of the eigenvalues e and a what ``U' D r`` is along its axes,
+a change of the size v raises the log likelihood by ``sum(v^2 a^2 / (1 + v^2 e) - log(1 + v^2 e)) /
+2``. The mean likelihood over grids of f and v, less the logarithm of how many changes there are, is
+compared with that of no change.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import chi
+
+from sklearn_raacmm.correction._change import as_prior, changes_of, place_columns
+from sklearn_raacmm.measurements import medians_of
+from sklearn_raacmm.utils import centred, group_means
+
+# Orders of the harmonics that a knocked or loosened encoder shows first.
+_ORDERS = (1, 2)
+
+# Noise of the new rows, in units of the model's, and sizes of a change, root mean square over the
+# rows in units of the noise. Equally likely; finer or wider grids name the same changes.
+_NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
+# Poses that the check names as slipped: this many on the average in a set without slips. If more
+# than the second share of all poses lie that far off, they are no slips. Both are chosen by hand.
+_FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
+# Poses farther off than this share of all, if errors were normal, count as though they were there:
+# those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
+# this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
+# (``benchmarks/bench_check.py changes --real``). With 0.9 fewer knocks were found.
+_USUAL = 0.95
+# Changes of which an update names so many, one after another, before whole families may change: a
+# choice. Names of those that its prior can hold; of others the families tell.
+_MOST_NAMED, _HELD = 3, ("probe", "offset of joint", "harmonics of joint")
+# What a change is called where the noise explains more than any.
+NOISE = "noise"
+
+
+def likeliest_change(
+    residual: np.ndarray, known: np.ndarray, causes: Mapping[str, np.ndarray], freedom: int
+) -> tuple[str, np.ndarray | None]:
+    """The change of highest evidence, and its columns times its size; "noise" and None: none is.
+
+    `residual` (m,), the root `known` (m, r) of the model's covariance, and the columns (m, k) of
+    the `causes` are divided by the noise and have no part along nuisances, which leave the rows so
+    many degrees of `freedom`.
+    """
+    axes, root, _ = np.linalg.svd(known, full_matrices=False)
+    axes, value = axes[:, root > 0], np.square(root[root > 0])
+    along = axes.T @ residual
+    rest = residual @ residual - along @ along
+    precision = 1 / (np.square(_NOISES)[:, None] + value)
+    noise = 1 / np.square(_NOISES)
+    whole = precision @ np.square(along) + noise * rest - np.log(precision).sum(axis=1)
+    whole = -0.5 * (whole - (freedom - len(value)) * np.log(noise))
+    best, columns, highest = NOISE, None, logsumexp(whole) - np.log(len(whole))
+    for name, cause in causes.items():
+        size = np.linalg.norm(cause)
+        if not size > 0:
+            continue
+        unit = cause * (np.sqrt(freedom) / size)
+        own = axes.T @ unit
+        gains = np.empty((len(_NOISES), len(_SIZES)))
+        for i, (share, outside) in enumerate(zip(precision, noise, strict=True)):
+            seen = outside * (unit.T @ unit - own.T @ own) + (own.T * share) @ own
+            pull = outside * (unit.T @ residual - own.T @ along) + (own.T * share) @ along
+            spread, turn = np.linalg.eigh(seen)
+            spread, pull = np.maximum(spread, 0.0), turn.T @ pull
+            wider = 1 + np.square(_SIZES)[:, None] * spread
+            fit = np.square(_SIZES)[:, None] * np.square(pull) / wider
+            gains[i] = 0.5 * (fit - np.log(wider)).sum(axis=1)
+        logs = whole[:, None] + gains
+        evidence = logsumexp(logs) - np.log(logs.size) - np.log(len(causes))
+        if evidence > highest:
+            size = _SIZES[np.argmax(logsumexp(logs, axis=0))]
+            best, columns, highest = name, size * unit, evidence
+    return best, columns
+
+
+def named_changes(linear: Any, poses: Any) -> list[str] | None:
+    """Changes that new poses name, one after another; None where all columns may have changed.
+
+    The change of the highest evidence becomes a part of what the model expects, and the next is
+    looked for beside it. That all columns have changed a little is one of them. An empty list:
+    nothing but noise is there. Base and probe are found anew beside them where a tracker has
+    measured the poses; of a single-point test the probe is one of the changes.
+    """
+    linear = widened(as_prior(linear))
+    slipped, left = slipped_rows(linear, poses, poses.residuals - linear.predict(poses.angles)[0])
+    used = np.flatnonzero(~slipped & (poses.weights > 0))
+    poses, left = poses.at(used), left[used]
+    arm, codes = linear.arm, poses.codes
+    nuisance, freedom = np.zeros((left.size, 0)), poses.n_coordinates
+
+    def rows(columns):
+        flat = centred(columns, codes).reshape(left.size, -1) / linear.noise_sd
+        return flat - nuisance @ (nuisance.T @ flat)
+
+    if codes is None:
+        nuisance = np.linalg.qr(rows(place_columns(arm, poses.angles, True)))[0]
+        freedom -= nuisance.shape[1]
+    causes = causes_of(arm, poses.angles[:, : arm.n_joints], codes)
+    columns = linear.columns(poses.angles)
+    causes = {name: rows(cause) for name, cause in causes.items()}
+    causes["arm"] = rows(columns * changes_of(linear)[1])
+    residual, known, names = rows(left[:, :, None])[:, 0], rows(columns @ linear.half), []
+    while True:
+        name, change = likeliest_change(residual, known, causes, freedom)
+        if change is None:
+            return names
+        if len(names) == _MOST_NAMED or not name.startswith(_HELD):
+            return None
+        names.append(name)
+        known = np.hstack([known, change])
+        del causes[name]
+
+
+def causes_of(arm: Any, angles: np.ndarray, codes: np.ndarray | None) -> dict[str, np.ndarray]:
+    """What each cause would do to the probe at some poses: columns (n, 3, k) by name.
+
+    `angles` (n, n_joints) are in rad; `codes` (n,) are the positions of a single-point test, or
+    None.
+    """
+    jacobian, place = arm.jacobian(angles), place_columns(arm, angles, with_base=True)
+    causes = {"probe": place[:, :, :3]}
+    # Of a single-point test the base shows nothing, and within a position time is the order of
+    # its poses: of 50 checks of arms that wobble 31 had p < .05 for a drift.
+    if codes is None:
+        # Together they are six numbers, too many for what three explain: of 40 bases of the
+        # UR10 that settled by 40 um none was named, apart 27 are
+        # (``benchmarks/bench_check.py kinds --real``). About z it is an offset of joint 1.
+        causes |= {"base": place[:, :, 3:6], "base turned": place[:, :, 6:8]}
+        causes["drift"] = np.linspace(-1, 1, len(angles))[:, None, None] * place[:, :, 3:6]
+    points = arm.forward(angles)
+    if codes is not None:  # a position is one point: what it shows about it is no scale
+        points = group_means(points, codes)[codes]
+    causes["scale"] = points[:, :, None]
+    for j in range(arm.n_joints):
+        causes[f"offset of joint {j + 1}"] = jacobian[:, :, [j]]
+        phase = angles[:, [j]] * np.array(_ORDERS)
+        waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+        causes[f"harmonics of joint {j + 1}"] = jacobian[:, :, j, None] * waves[:, None]
+    return causes
+
+
+def widened(linear):
+    """The model as uncertain as positions left out of this arm ask for.
+
+    Never narrower than the posterior: tests of squares bear no tails that are longer than normal
+    ones, which a factor below 1 makes up for in intervals.
+    """
+    wider = max(linear.std_scale, 1.0)
+    return replace(
+        linear,
+        half=wider * linear.half,
+        gauge_free_half=wider * linear.gauge_free_half,
+        noise_variance=np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance,
+    )
+
+
+def slipped_rows(linear, poses, left):
+    """Rows too far off for their own expected spread, if they are few, and residuals without tails.
+
+    Where the distances of all are larger than expected, by a change of the arm, farther ones are
+    usual in proportion.
+    """
+    spread = linear.predict(poses.angles, return_std=True)[1]
+    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
+    middle = medians_of(left, poses.codes)
+    distance = np.linalg.norm(left - middle, axis=1) / sd
+    far = distance > chi.isf(_FALSE_NAMES / len(left), 3)
+    slipped = far & (far.sum() <= _MOST_SLIPS * len(left))
+    larger = max(np.median(distance) / chi.median(3), 1.0)
+    share = np.minimum(chi.ppf(_USUAL, 3) * larger / np.maximum(distance, 1e-300), 1.0)
+    return slipped, middle + share[:, None] * (left - middle)
