@@ -34,8 +34,8 @@ _MEANING = {
 # Departures from the table that are worth a word, mm and rad: more than a tape and a protractor get
 # wrong; and the same in standard deviations of a prior that was given.
 _FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
-# Of a long link, the part that no tape gets wrong.
-_ANOTHER_LINK = 0.1
+# Of its drawing, or of the reach where that is 0: no length of an arm is off by more.
+_OTHER_LENGTH = 0.1
 # A length that was typed wrong is off by up to this, mm; a parameter is seen where its standard
 # deviation is less than this part of the prior's.
 _TYPED_MM, _SEEN = 100.0, 0.5
@@ -166,10 +166,11 @@ def _wrong_table(fit, sd, scatter):
         )
     text = f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}."
     size = max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
-    # A long link that is so far off its drawing is another arm's, or no length at all.
-    another = (fit.kind == "length_mm") & (departure > _ANOTHER_LINK * np.abs(nominal))
-    weight: Any = "repair" if np.any(another[wrong]) else "doubt"
-    yield Finding("table-off", text, advice, weight, joints=(*sorted({*joints}),), size_mm=size)
+    drawing = np.where(nominal == 0.0, fit.nominal_arm.reach_mm, np.abs(nominal))
+    off = [i for i in wrong if departure[i] > _OTHER_LENGTH * drawing[i]]
+    is_other = any(not names[i].startswith(ANGLES) for i in off)
+    weight: Any = "repair" if is_other else "doubt"
+    yield Finding("table-off", text, advice, weight, joints=tuple(sorted({*joints})), size_mm=size)
 
 
 def _harm(corrected, bare):
@@ -213,7 +214,9 @@ def _poses_alike(fit):
             f"alone leaves {table:.2g} mm: the poses of this test are too much alike."
         )
         advice = "Swing every joint through its range, at places all over the volume."
-        yield Finding("poses-alike", text, advice, "note", size_mm=known)
+        # Of the variance elsewhere more is left than taken: what is left follows noise and misfit.
+        weight: Any = "repair" if 2 * known**2 > table**2 else "note"
+        yield Finding("poses-alike", text, advice, weight, size_mm=known)
 
 
 def outliers(result):

@@ -21,6 +21,8 @@ _LENGTH_OUTLIER = 5.0
 _CHANGE, _SDS = 0.01, 4.0
 # Noise of the cones with lengths over that without from which on the lengths bend the arm.
 _BENDS = 2.0
+# No known length is known better than this: 0.2 um, and the expansion of steel in 0.04 K.
+_BEST_MM, _BEST_SHARE = 2e-4, 5e-7
 # What all lengths of a table may be off by, as a part, and a constant that may be missing, mm.
 _TABLE, _CONSTANT_MM = 0.03, 100.0
 
@@ -41,6 +43,11 @@ def wrong_lengths(fit, bare, labels):
     `bare` is the fit without them; `labels` name the positions.
     """
     lengths, mask = fit.problem.lengths, bare.free_mask(bare.is_free)
+    best = [_BEST_MM + _BEST_SHARE * entry[2] for entry in lengths]
+    if wrong := [entry for entry, sd in zip(lengths, best, strict=True) if entry[3] < sd]:
+        said = ", ".join(f"{_ends(one, labels)} to {one[3]:g} mm" for one in wrong)
+        text = f"A length is stated better than any is known, and outweighs all others: {said}."
+        yield Finding("sd-of-lengths", text, "Look at its standard deviation in the certificate.")
     scales = [one.scale @ one.x[: len(one.scale)] for one in (fit, bare)]
     change = scales[0] / scales[1] - 1 if scales[1] > 0 else 0.0
     covariance = bare.covariance(mask)

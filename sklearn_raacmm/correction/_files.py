@@ -123,6 +123,9 @@ def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
     folder, contents = Path(folder), []
     if not (folder / _FACTS).is_file():
         raise FileNotFoundError(f"{folder} has no {_FACTS}; learning a correction writes one.")
+    if any(map(_LEFT_OVER.fullmatch, os.listdir(folder))):
+        with suppress(OSError), _locked(folder):  # what may not be written is read as it is
+            pass
     with _locked(folder, shared=True):
         facts = _read_facts(folder / _FACTS)
         for name in names:

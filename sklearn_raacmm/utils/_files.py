@@ -83,7 +83,7 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
             raise FileNotFoundError(f"No such folder: {place.parent}.")
         if place.is_dir():
             raise IsADirectoryError(f"A file is to be written, but this is a folder: {place}.")
-    complete, failed = [], {}
+    complete, failed, renamed = [], {}, False
     try:
         for place, content in zip(places, contents.values(), strict=True):
             content = content.encode() if isinstance(content, str) else content
@@ -102,14 +102,16 @@ def write_whole(contents: Mapping[Any, str | bytes]) -> None:
         for place, beside in zip(places, complete, strict=True):
             try:
                 beside.replace(place)
+                renamed = True
             except OSError as error:
                 failed[beside] = f"{place} cannot be replaced ({error}); its content is in {beside}"
                 if place == places[0]:  # the others belong to it
                     failed |= dict.fromkeys(complete, failed[beside])
                     break
     finally:
-        for beside in complete:
-            if beside not in failed:
-                beside.unlink(missing_ok=True)
+        if not renamed:  # or else the others belong to what has its name already
+            for beside in complete:
+                if beside not in failed:
+                    beside.unlink(missing_ok=True)
     if failed:
         raise OSError(f"{'; '.join(dict.fromkeys(failed.values()))}.")

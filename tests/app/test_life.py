@@ -3,6 +3,7 @@
 import functools
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import main, read_table
+from sklearn_raacmm.app._life import save_step
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
@@ -43,9 +45,10 @@ def seen(test, moved=(0.0, 0.0, 0.0)):
     return test.simulation.true_points @ TURN.T + SHIFT + noise + moved
 
 
-def write(path, test, points=None):
+def write(path, test, points=None, jitter_rad=0.0):
     header = ["cone", *(f"q{i} [deg]" for i in range(1, 7)), *("xyz" if points is not None else "")]
-    table = [np.rad2deg(test.data), *([points] if points is not None else [])]
+    noise = np.random.default_rng(0).normal(0, jitter_rad, test.data.shape)
+    table = [np.rad2deg(test.data + noise), *([points] if points is not None else [])]
     rows = np.hstack(table)
     lines = [";".join(header)]
     for label, row in zip(test.groups, rows, strict=True):
@@ -448,3 +451,101 @@ def test_short_commands_leave_skops_alone(folder, tmp_path):
     history = json.loads((folder / "cones" / "correction.json").read_text())["history"]
     assert history[-1]["what"] == "check"
     Correction.load(folder / "cones")
+
+
+def contents_of(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_noise_is_no_change(folder, tmp_path, capsys):
+    """Angles that are noisy by 1e-5 to 3e-4 rad leave probe and model as they were."""
+    saved = Correction.load(folder / "cones")
+    test = make_single_point(4, 12, machine=with_probe(100), random_state=11)
+    for jitter_rad in (1e-5, 3e-5, 1e-4, 3e-4):
+        write(tmp_path / "noisy.csv", test, jitter_rad=jitter_rad)
+        out = tmp_path / f"{jitter_rad}"
+        words = ["update", tmp_path / "noisy.csv", "--model", folder / "cones", "--out", out]
+        code, printed = run(capsys, *words)
+        assert (code, "and no change beside it" in printed) == (0, True), printed
+        new = Correction.load(out)
+        assert new.arm == saved.arm
+        assert_allclose(new.correct(test.data)[0], saved.correct(test.data)[0], rtol=0, atol=1e-9)
+
+
+def test_another_arm_replaces_nothing(folder, tmp_path, capsys):
+    other = make_single_point(4, 12, machine=SimulatedArm("typical", random_state=77))
+    write(tmp_path / "other.csv", other)
+    before = contents_of(folder / "cones")
+    for word, ends in (("register", (2, 3)), ("update", (2,))):
+        code, printed = run(capsys, word, tmp_path / "other.csv", "--model", folder / "cones")
+        assert code in ends, printed
+        assert contents_of(folder / "cones") == before
+
+
+def test_a_probe_in_metres_is_asked_for(folder, capsys):
+    before = contents_of(folder / "cones")
+    code, printed = run(capsys, "move", "--model", folder / "cones", "--probe", "0,0,0.2")
+    assert (code, "are these metres?" in printed) == (2, True)
+    assert contents_of(folder / "cones") == before
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_step_killed_before_any_name_is_given_loses_no_points(folder, tmp_path):
+    """The old points and, once the correction is the new one, the new ones are kept."""
+    saved, n_killed = Correction.load(folder / "cones"), 0
+    for n in range(8):
+        out, replace_file, given = tmp_path / f"{n}", os.replace, []
+        saved.save(out, {"corrected.csv": "points 0"})
+        child = os.fork()
+        if not child:
+
+            def dies(source, place, given=given, n=n, replace_file=replace_file):
+                given.append(place)
+                if len(given) > n:
+                    os._exit(9)
+                replace_file(source, place)
+
+            os.replace = dies
+            save_step(
+                saved, out, {"what": "register"}, None, contents={"corrected.csv": "points 1"}
+            )
+            os._exit(0)
+        n_killed += os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+        known = Correction.load(out)
+        save_step(known, out, {"what": "register"}, None, contents={"corrected.csv": "points 2"})
+        kept = {path.read_text() for path in out.glob("corrected*.csv")}
+        assert kept == {"points 0", "points 2", *["points 1"] * ("history" in known.facts)}
+        assert not list(out.glob("*.tmp"))
+    assert n_killed == 7  # of eight, as seven files are renamed
+
+
+def test_labels_are_no_formulas(folder, tmp_path, capsys):
+    """They get an apostrophe, numbers none; the option leaves it out."""
+    head, *rows = (folder / "new.csv").read_text().splitlines()
+    rows = [
+        ";".join(["=1+1" if i % 2 else "@A", *row.split(";")[1:]]) for i, row in enumerate(rows)
+    ]
+    (tmp_path / "t.csv").write_text("\n".join([head, *rows]) + "\n")
+    for more, label in (((), "'=1+1"), (("--formulas",), "=1+1")):
+        words = ["correct", tmp_path / "t.csv", "--model", folder / "cones", *more]
+        assert run(capsys, *words, "--out", tmp_path / "c.csv")[0] == 0
+        new = (tmp_path / "c.csv").read_text().splitlines()
+        assert new[2].startswith(f"{label};")
+        assert not re.search("'-?[0-9.]", "".join(new))
+
+
+def test_a_record_that_cannot_be_written_is_no_empty_file(folder, tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    record = tmp_path / "record.csv"
+    words = ["check", folder / "new.csv", "--model", folder / "cones", "--record", record]
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        code, printed = run(capsys, *words)
+    assert code in (0, 3)
+    assert f"This check is not in {record}: [Errno 28]" in printed
+    assert not record.exists()
+    for n in (2, 3):  # lines
+        run(capsys, *words)
+        assert len(record.read_text().splitlines()) == n

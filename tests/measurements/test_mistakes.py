@@ -261,6 +261,59 @@ SHUFFLED, TURN = np.random.default_rng(8).permutation(N), Rotation.from_euler("z
 DROPPED = np.vstack([np.delete(TEST.data, 20, axis=0), TEST.data[-1:]])
 
 
+# -- what makes things worse -----------------------------------------------------------------------
+
+
+def straight(mm=0.2):
+    """300 poses on a line, so far apart: nothing is known of the arm elsewhere."""
+    step = np.linalg.pinv(ARM.jacobian(TEST.data[:1])[0]) @ [0.0, mm, 0.0]
+    angles = TEST.data[0] + np.arange(300)[:, None] * step
+    noise = np.random.default_rng(4).normal(0, 0.005, (300, 3))
+    return base(arm=ARM, angles=angles, points=ARM.forward(angles) + [900, 0, 0] + noise)
+
+
+def stated_too_well():
+    """Two bars, of one of which the standard deviation is 100 times too small."""
+    first, second = known((0, 1), (2, 3)).lengths
+    return base(lengths=[first, (*second[:3], 1e-4)])
+
+
+def own_file_of_another_arm(kind):
+    """What the points of another arm at its own cones are with the table of this one."""
+    arm = ARM.replace(probe=OTHER.arm.probe)
+    points = arm.forward(OTHER.data)
+    y = points - OTHER.simulation.true_points
+    return of(
+        y if kind == "tracker" else position_residuals(points, OTHER.groups),
+        angles=OTHER.data,
+        groups=OTHER.groups,
+    )
+
+
+WORSE = [
+    ("calibrate_tracker", "poses on a line of 60 mm", straight, "poses-alike"),
+    ("calibrate_tracker", "an upper arm of three times its length", lambda: base(arm=mistyped(3, 1 / 3)), "table-off|no-such-arm"),
+    ("calibrate_tracker", "606 for 500", lambda: base(arm=mistyped(3, 0.82)), "table-off"),
+    ("update_cones", "another arm's own file", lambda: own_file_of_another_arm("cones"), "another-arm|other-table"),
+    ("update_tracker", "another arm's own file", lambda: own_file_of_another_arm("tracker"), "another-arm|other-table"),
+    ("update_tracker", "poses that scatter by 0.2 mm", lambda: of(OF.tracker + np.random.default_rng(0).normal(0, 0.2, (N, 3))), "strange-poses|another-arm"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "expected"),
+    [(n, *rest) for n, _, *rest in WORSE],
+    ids=[w for _, w, *_ in WORSE],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_what_makes_things_worse_hands_nothing_over(name, make, expected):
+    """Not only is it found: its weight is "repair"."""
+    data = make()
+    with pytest.raises(FindingError) as caught:
+        FUNCTIONS[name](data)
+    assert caught.value.finding.code in expected.split("|")
+
+
 def update_mistakes(kind):
     """What may be wrong with the residuals that an update is given, of cones or of a tracker."""
     y, f = getattr(OF, kind), EXPECTED[kind == "tracker"]
@@ -378,6 +431,7 @@ MISTAKES = [
     ("calibrate_cones", "a ball's diameter forgotten in three bars", lambda: known((0, 1), (2, 3), (4, 5), plus=12.0), "wrong-length"),
     ("calibrate_cones", "the ends of two bars as one", lambda: known((0, 1), ends=(0, 2)), "wrong-length"),
     ("calibrate_cones", "the ends of two bars as one, of three", lambda: known((0, 1), (2, 3), (4, 5), ends=(4, 6)), "wrong-length"),
+    ("calibrate_cones", "two bars, one stated 100 times too well", stated_too_well, "sd-of-lengths"),
     ("calibrate_cones", "two lengths of one pair", lambda: contradicting(1.0), "wrong-length"),
     ("calibrate_cones", "606 for 600 with a length", lambda: known((0, 1), arm=mistyped(3, 1.01)), "table-off"),
     ("calibrate_cones", "606 for 600", lambda: base(arm=mistyped(3, 1.01)), ""),
