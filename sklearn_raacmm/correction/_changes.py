@@ -113,7 +113,8 @@ def named_changes(linear: Any, poses: Any) -> list[str] | None:
     columns = linear.columns(poses.angles)
     causes = {name: rows(cause) for name, cause in causes.items()}
     causes["arm"] = rows(columns * changes_of(linear)[1])
-    residual, known, names = rows(left[:, :, None])[:, 0], rows(columns @ linear.half), []
+    residual, known = rows(left[:, :, None])[:, 0], rows(columns @ linear.half)
+    names: list[str] = []
     while True:
         name, change = likeliest_change(residual, known, causes, freedom)
         if change is None:
