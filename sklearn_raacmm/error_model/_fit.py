@@ -375,8 +375,13 @@ def _beside_field(rows, columns, structures, sums, state, factor):
         # With offsets, rows of the Gram matrix of all candidates cost more than a matrix of these.
         rows = rows.weighted(factor)
         waves = columns_of(rows.arm, Terms(few.terms.harmonics, False, False, False))
+        of_extra = rows.arm.n_joints + np.arange(len(few.terms.extra))
+
+        def waves_at(X):
+            return waves.at(np.delete(X, of_extra, axis=1))
+
         total = np.bincount(rows.codes, rows.weights)
-        gram = less_constants(*explicit_gram(rows, waves.at, rows.codes), total, rows.known)
+        gram = less_constants(*explicit_gram(rows, waves_at, rows.codes), total, rows.known)
         some = some._replace(rows=sums_of_gram(gram, len(pairs), sums.n_observations).rows)
     alone = state._replace(lines=lines, pairs=lines)
     return beside_field(problem, state, Problem(some, of_field), alone)
