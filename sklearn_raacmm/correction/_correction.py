@@ -392,8 +392,10 @@ class Correction:
         angles = check_angles(angles, self.arm.n_joints, angle_unit)
         new: Any = self.register(angles, positions, points, lengths, accept=accept)
         model, X = copy(self.model), self.inputs(angles, extra)
+        y = new.calibration.residuals(angles, points, positions)
         if points is None:
-            old = position_residuals(self.arm.forward(angles), np.asarray(positions))
+            places: Any = positions
+            old = position_residuals(self.arm.forward(angles), places)
         else:
             old, seen = self.arm.forward(angles), np.asarray(points)
             turn, shift = align(seen, old - self.model.predict(X))
@@ -401,7 +403,6 @@ class Correction:
         if nothing_changed(model, X, old, positions, date):
             new = self.register(angles, positions, points, lengths, free=(), accept=accept)
             return replace(new, model=model)
-        y = new.calibration.residuals(angles, points, positions)
         updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
         return replace(new, model=updated)
 
