@@ -260,10 +260,10 @@ class Arm:
         -------
         Arm
         """
-        alpha = np.deg2rad(floats("alpha", alpha))
-        if alpha.size < _FEW_JOINTS:  # no elbow and wrist as the default names them
-            params = usual_pose(alpha.size, False, params.get("convention", "standard")) | params
-        return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
+        twists = np.deg2rad(floats("alpha", alpha))
+        if (n := twists.size) < _FEW_JOINTS:  # no elbow and wrist as the default names them
+            params = usual_pose(n, False, params.get("convention", "standard")) | params
+        return cls(a, twists, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod
     def from_name(cls, name: str, /, **changes: Any) -> "Arm":
