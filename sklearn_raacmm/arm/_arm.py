@@ -260,11 +260,10 @@ class Arm:
         -------
         Arm
         """
-        alpha = np.deg2rad(floats("alpha", alpha))
-        if 1 < np.size(alpha) < _FEW_JOINTS:  # no elbow and wrist as the default names them
-            convention = params.get("convention", "standard")
-            params = usual_pose(np.size(alpha), False, convention) | params
-        return cls(a, alpha, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
+        twists = np.deg2rad(floats("alpha", alpha))
+        if 1 < (n := np.size(twists)) < _FEW_JOINTS:  # no elbow and wrist as the default names them
+            params = usual_pose(n, False, params.get("convention", "standard")) | params
+        return cls(a, twists, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
     @classmethod
     def from_name(cls, name: str, /, **changes: Any) -> "Arm":

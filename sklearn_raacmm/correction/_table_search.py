@@ -264,12 +264,13 @@ def ask_for_the_hand(
     for other in (change, *change.equals):
         if _are_mirrored(place, _places(other, angles)):
             own, other = _with_questions([own, other], angles)
+            answer = ", ".join(own.answers) or "that it is as taken"
             Finding(
                 "mirror-image",
                 "The data fit the arm as it was taken and its mirror image alike, that with "
                 f"{other.change}.",
-                f"{' '.join(own.questions)} If it is {', '.join(own.answers) or 'as taken'}, "
-                f'accept "mirror-image"; else learn with {other.options}.',
+                f"{' '.join(own.questions)} If the answer is {answer}, accept "
+                f'"mirror-image"; else learn with {other.options}.',
             ).report()
             return
 
