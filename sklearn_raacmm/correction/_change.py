@@ -157,7 +157,8 @@ def place_columns(arm, angles, with_base):
 def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     """Linear model brought up to date with new poses: its posterior is the prior.
 
-    `log_noise` bounds the logarithm of the noise in units of the old model's. Returned are the
+    `log_noise` bounds the logarithm of the noise in units of the old model's. Where changes are
+    `named`, no others are there: see `_of_named`. Returned are the
     model, what `updates_` keeps of the change (`tau` says how much each part has changed), what the
     loss left of the weight of each pose, (n,), and where the search ended, for `judged_fading`.
     """
@@ -196,7 +197,7 @@ def _conditioned(linear, poses, log_noise, start=None, means_only=False, named=N
     changes = changes_of(linear)
     if named is not None:
         changes = _of_named(linear, changes[0], named)
-        if codes is not None and "probe" not in named:
+        if "probe" not in named:
             place = place[:, :, :0]
     parts = columns, place, poses.residuals
     columns, place, shown = (centred(part, codes, weights) for part in parts)
