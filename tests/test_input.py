@@ -62,6 +62,9 @@ from sklearn_raacmm.datasets import (
     make_single_point,
 )
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 
 def spread(n_rows, n_columns):
     """Evenly spread numbers in (0, 1) that depend on no generator."""

@@ -29,6 +29,9 @@ from sklearn_raacmm.utils import _estimators
 
 from .export._chains import form_a, form_b
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 # Of the correction in ``correction/written_by_0.1.0.dev0``, at three poses by the version that
 # wrote it: mean and standard deviation in mm, and the share that is used.
 WAS_PREDICTED = [

@@ -26,6 +26,9 @@ from sklearn_raacmm.metrics import repeatability_scorer, single_point_repeatabil
 
 from .export._chains import form_a, form_b
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 
 def network():
     return RBFNetRegressor(15, length_scale=1.0, alpha=1e-4)

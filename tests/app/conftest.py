@@ -38,6 +38,12 @@ class Page(HTMLParser):
             self.text.append(data)
 
 
+@pytest.fixture(autouse=True)
+def _no_terminal(monkeypatch):
+    """Sentences stay in one line, as in a pipe: workers of pytest may say how wide they are."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 @pytest.fixture(scope="session")
 def read_page():
     """What parses a page."""

@@ -11,6 +11,9 @@ from sklearn_raacmm.export import _load_c, export_c
 
 from ._chains import COMPILERS, STRICT, needs_compiler, network, of_arm
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 
 @pytest.fixture(scope="module")
 def models(data, chain):

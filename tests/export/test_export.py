@@ -37,6 +37,9 @@ from ._chains import (
     ways_out,
 )
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 C99 = ["-std=c99", "-O1", *STRICT]
 AACMM = Arm.from_name("aacmm6")
 

@@ -12,6 +12,9 @@ from sklearn_raacmm.export import fingerprint, load_c
 
 from ._chains import needs_compiler
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 
 @needs_compiler
 def test_gives_what_predict_gives(chain, data):

@@ -12,6 +12,9 @@ from sklearn.svm import LinearSVR
 from sklearn_raacmm import Arm, PoseFeatures
 from sklearn_raacmm.export import ModelCard, describe, export_c, fingerprint
 
+# Chains are fitted without groups: what they learn is not the question here.
+pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
+
 
 @pytest.fixture(scope="module")
 def card(chain, data):

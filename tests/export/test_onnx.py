@@ -18,7 +18,10 @@ from sklearn_raacmm.export import _export, fingerprint, to_onnx
 onnx = pytest.importorskip("onnx", reason="needs the extra onnx")
 onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
 PAGE = Path(__file__).parents[2] / "doc" / "deployment.md"
-pytestmark = pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*poses lie where the model knows little"),
+    pytest.mark.filterwarnings("ignore:No groups were given"),
+]
 
 
 def run(converted, X):
