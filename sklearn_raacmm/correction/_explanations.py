@@ -47,8 +47,8 @@ _ANOTHER = np.geomspace(0.5, 3.0, 6)
 # calibrated one may be at other positions than its own.
 _ANOTHER_TABLE, _CALIBRATED = 1.0, 0.1
 # Of another arm all parts differ by their size, of which an update expects a tenth; and tables of
-# one make by one of these, mm and mrad. Of 60 changes of simulated arms another arm was less
-# likely by 14 nats at least, of 12 other arms likelier by 58 at least.
+# one make by one of these, mm and mrad. Of 24 changes of simulated arms, seen by cones, another arm
+# was less likely by 14 nats at least, of six other arms likelier by 58 at least.
 _ALL_OF_IT, _SAME_MAKE = 10.0, (0.1, 0.3, 1.0)
 
 

@@ -157,7 +157,7 @@ def nothing_changed(model: Any, X: Any, y: Any, groups: Any, date: Any) -> bool:
     """Whether residuals, with the probe as it was, show nothing but noise; `updates_` then says so.
 
     Noise of any size is an explanation like a change, and taken where none is clearly likelier: by
-    up to 6 nats a change is in 80 simulated updates whose angles are noisy.
+    up to 6 nats a change is in 96 simulated updates whose angles are noisy.
     """
     poses = NewPoses(model, X, y, groups)
     if poses.too_few or gain_of_change(model, poses) > EQUAL:

@@ -468,7 +468,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         >>> angles = rng.uniform(-2, 2, (200, 6))
         >>> def residuals(arm):  # encoder 5 is eccentric
         ...     return arm.jacobian(angles)[:, :, 4] * 1e-4 * np.cos(angles[:, 4:5])
-        >>> y = residuals(arm) + rng.normal(scale=0.002, size=(200, 3))
+        >>> y = residuals(arm) + rng.normal(scale=0.001, size=(200, 3))
         >>> model = ArmResidualRegressor(arm, orders=2).fit(angles, y)
         >>> longer = arm.replace(probe=(0, 0, 400))
         >>> left = residuals(longer) - model.with_arm(longer).predict(angles)

@@ -62,9 +62,9 @@ UNUSED_SD = 1e-6
 _LARGEST_VARIANCE = 3600.0**2
 # Prior standard deviation of the kinematic columns, what a drawing leaves open: in arc seconds, and
 # for lengths what these span at the arm's reach. It is given, not found: a calibration has taken
-# these directions out of the residuals, which then say that it is 0. Real Pandas, cones and narrow
-# arms are the same within 1 % from 50 to 100; 100 leaves more than 0 of arms that a tracker saw at
-# seven places (``benchmarks/golden.py``, ``benchmarks/bench_few_poses.py --narrow``).
+# these directions out of the residuals, which then say that it is 0. From 50 to 100 the errors of
+# real Pandas and simulated cones are the same within 1 % (``benchmarks/golden.py``); with 100 three
+# simulated arms that a tracker saw at seven places were corrected worse than with nothing given.
 KINEMATICS_SD = 50.0
 # Angles nearer to each other than this, in rad, count as one: the rounding of files.
 _SAME_ANGLE = 1e-6

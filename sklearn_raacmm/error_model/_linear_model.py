@@ -15,11 +15,11 @@ from typing import Any, Self
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, own_angles
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
-    BASE_MOTIONS,
     FAMILIES,
+    KINEMATICS,
     LOAD,
     OF_LOADS,
     Columns,
@@ -47,8 +47,8 @@ _LEAST_SHOWN = 0.05
 # do not show it (``benchmarks/bench_lengths.py predict --first 200 --arms 46``).
 _BASE = 0.3
 # Size of a column, relative to the largest, that moves nothing. Part of the difference of two
-# roots that is rounding.
-_NOTHING, _ROUNDING = 1e-6, 1e-12
+# roots that is rounding, and of what columns show together.
+_NOTHING, _ROUNDING, _NEVER = 1e-6, 1e-12, 1e-9
 
 _OF_HARMONICS = (
     "joint", "order", "amplitude_arcsec", "phase_deg", "cos_arcsec", "sin_arcsec",
@@ -246,10 +246,12 @@ class LinearModel:
         """
         unseen, others = self.half - self.gauge_free_half, self.layout.others
         if self.offsets:
+            fields = place_fields(self.layout)
+            motions = np.linalg.lstsq(fields, unseen, rcond=None)[0]
+            motions[_n_motions(self.layout.alone) :] = 0.0
+            unseen -= fields @ motions
             for i, column in enumerate(others, start=len(unseen) - len(others)):
-                if column.name in BASE_MOTIONS:
-                    unseen[i] = -self.gauge_free_half[i]
-                elif column.kind == LOAD and column.frame == 0:
+                if column.kind == LOAD and column.frame == 0:
                     unseen[i] *= _BASE
         return unseen
 
@@ -287,7 +289,7 @@ class LinearModel:
         """
         columns, half = self.layout, self.half
         changes: dict[str, Any] = {}
-        tried = _poses_in_range(X)
+        tried = _poses_in_range(columns.arm, X)
         flat = columns.at(tried).reshape(3 * len(tried), -1)
         if columns.terms.kinematics:
             points = columns.points(tried)
@@ -351,10 +353,16 @@ class LinearModel:
         return np.array([*zip(family, self.layout.names, *values, strict=True)], dtype=dtype)
 
 
-def _poses_in_range(X):
-    """Rows each number of which is anywhere in the range that it has in X."""
-    rng = np.random.default_rng(0)
-    return rng.uniform(X.min(axis=0), X.max(axis=0), (_TRIED, X.shape[1]))
+def _poses_in_range(arm, X):
+    """Rows each number of which is anywhere in the range that it has in X.
+
+    In that of the joints' own angles, where they are not those that are given.
+    """
+    n, rng = arm.n_joints, np.random.default_rng(0)
+    turns = own_angles(arm, np.eye(n))
+    X = np.column_stack([X[:, :n] @ turns, X[:, n:]])
+    tried = rng.uniform(X.min(axis=0), X.max(axis=0), (_TRIED, X.shape[1]))
+    return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
 
 
 def _triangle(half, n_pairs):
@@ -376,7 +384,7 @@ def place_fields(columns):
 
     One column for each field that the model can make, of up to eleven: see `_fields`.
     """
-    own = _fields_of_causes(columns.alone)
+    own = _fields_of_causes(columns.alone)[0]
     return np.pad(own, ((columns.n_waves, len(columns.others) - len(own)), (0, 0)))
 
 
@@ -398,8 +406,32 @@ def _fields(points, up):
 
 
 @lru_cache(maxsize=64)
+def unseen_of_table(columns):
+    """Orthonormal combinations (m, k) of the columns without harmonics that this probe never shows.
+
+    Of kinematic columns alone, such as turns of the last frame about the probe's own vector.
+    """
+    columns = columns_of(columns.arm, columns.terms._replace(extra=()))
+    kinematic = np.flatnonzero([c.family == KINEMATICS for c in columns.others])
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    own = columns.at(angles)[:, :, columns.n_waves + kinematic].reshape(3 * _POSES, -1)
+    size = np.linalg.norm(own, axis=0)
+    size[size == 0] = 1.0
+    _, shown, axes = np.linalg.svd(own / size, full_matrices=False)
+    unseen = (axes[shown < _NEVER * shown.max(initial=0.0)] / size).T
+    found = np.zeros((len(columns.others), unseen.shape[1]))
+    found[kinematic] = np.linalg.qr(unseen)[0]
+    return found
+
+
+def _n_motions(columns):
+    """How many of the fields of `place_fields`, the first ones, are motions of the base."""
+    return int(np.count_nonzero(_fields_of_causes(columns)[1][:6]))
+
+
+@lru_cache(maxsize=64)
 def _fields_of_causes(columns):
-    """The same for the columns that are neither harmonics nor extra."""
+    """The same for the columns that are neither harmonics nor extra; which fields they make."""
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
     of_place = _fields(columns.points(angles), columns.up)
@@ -408,4 +440,4 @@ def _fields_of_causes(columns):
     size = np.where(size > _NOTHING * size.max(initial=0.0), size, np.inf)
     coef = np.linalg.lstsq(own / size, of_place, rcond=1e-10)[0]
     left = np.linalg.norm(of_place - own / size @ coef, axis=0)
-    return (coef / size[:, None])[:, left < _LEFT]
+    return (coef / size[:, None])[:, left < _LEFT], left < _LEFT

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.error_model._columns import TEMPERATURE, columns_of
+from sklearn_raacmm.error_model._linear_model import unseen_of_table
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
@@ -75,10 +76,15 @@ def moved_model(linear, arm):
     prior_sd = {
         name: sd * ratio if name in _PER_REACH else sd for name, sd in linear.prior_sd.items()
     }
-    roots = {
-        name: np.hstack([matrix @ getattr(linear, name), unknown])
-        for name in ("half", "gauge_free_half", "fading_half")
-    }
+    # A probe's vector is stated in the last frame as the table has it: what no pose shows of the
+    # table by the old probe is a part of the new vector.
+    unseen, start = unseen_of_table(linear.layout.alone), linear.layout.n_waves
+    roots = {}
+    for name in ("half", "gauge_free_half", "fading_half"):
+        root = getattr(linear, name).copy()
+        of_table = root[start : start + len(unseen)]
+        of_table -= unseen @ (unseen.T @ of_table)
+        roots[name] = np.hstack([matrix @ root, unknown])
     return replace(linear, layout=layout, prior_sd=prior_sd, coef=matrix @ linear.coef, **roots)
 
 

@@ -134,7 +134,7 @@ def describe(
     >>> model = make_pipeline(
     ...     PoseFeatures(test.arm, append_azimuth=True),
     ...     CylindricalResidualTarget(RBFNetRegressor(20)),
-    ... ).fit(test.data, test.target)
+    ... ).fit(test.data, test.target, cylindricalresidualtarget__groups=test.groups)
     >>> card = describe(model, test.data, test.target, test.groups)
     >>> card["training"]["positions"], card["input"]
     (6, '6 joint angles in rad')

@@ -16,7 +16,7 @@ import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
 from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
-from sklearn_raacmm.utils import Finding, align, centred, row_numbers
+from sklearn_raacmm.utils import Finding, align, centred, row_numbers, tukey_weights
 
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
 # many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
@@ -164,10 +164,21 @@ def explanations(
         yield Explanation("joints", words, y - predict(changed), every, _JOINTS)
     yield from _late(y, expected, codes)
     if codes is None and motions is not None and len(y) >= 3 * LEAST_ROWS:
-        own, flat = y - expected, motions.reshape(y.size, 6)
-        own = own - motions @ np.linalg.lstsq(flat, own.ravel())[0]
-        row, _, left = best_split(own, motions, np.zeros(6), motions, every)[1:]
-        yield Explanation("moved-station", "", left, every, _TURNS**2 * len(y), first=row)
+        row, left = _moved_from(y - expected, motions)
+        # A slipped row is no move, though one may explain a part of it.
+        kept = every[tukey_weights(left) > 0]
+        if 3 * LEAST_ROWS <= len(kept) < len(y):
+            row, left = _moved_from((y - expected)[kept], motions[kept])
+        else:
+            kept = every
+        taken = _TURNS**2 * len(kept)
+        yield Explanation("moved-station", "", left, kept, taken, first=int(kept[row]))
+
+
+def _moved_from(left, motions):
+    """The row from which on a base or tracker stood elsewhere, and what it leaves (n, 3)."""
+    own = left - motions @ np.linalg.lstsq(motions.reshape(left.size, 6), left.ravel())[0]
+    return best_split(own, motions, np.zeros(6), motions, np.arange(len(left)))[1::2]
 
 
 def _late(y, expected, codes):

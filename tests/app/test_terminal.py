@@ -107,7 +107,7 @@ def test_a_look_before_the_work(folder, capsys, monkeypatch):
     printed, notes = capsys.readouterr()
     assert max(map(len, (printed + notes).splitlines())) <= 80 + len(str(folder))
     for sentence in (
-        "Rows: 12, of ",
+        "Rows: 12, of",
         "joint 6: q6",
         "Positions: 3, with 4 rows each: A, B, C.",
         "Known lengths: none",

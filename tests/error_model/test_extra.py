@@ -228,7 +228,7 @@ def test_causes_are_learnt_from_several_probes():
 
     arms = {length: arm.replace(probe=(0, 0, length)) for length in (100.0, 250.0, 400.0)}
     y = np.concatenate([shown(theta[lengths == k], arms[k]) for k in (100.0, 250.0)])
-    y += rng.normal(scale=0.003, size=y.shape)
+    y += rng.normal(scale=0.001, size=y.shape)
     model = ArmResidualRegressor(arms[100.0], orders=2)
     far = draw_angles(arm, 100, 1)
     true = shown(far, arms[400.0])
