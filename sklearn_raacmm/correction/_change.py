@@ -178,7 +178,7 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
         n_positions=float(len(np.unique(poses.positions))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
-        free = model.constrained(angles[weights > 0])
+        free = model.constrained(angles, weights, codes)
         model = replace(model, gauge_free_half=free.gauge_free_half)
     entry = {
         "date": day(date),

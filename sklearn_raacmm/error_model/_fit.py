@@ -478,4 +478,4 @@ def model_of(rows, columns, state):
     )
     if rows.codes is None:
         return model
-    return model.constrained(rows.X[rows.weights > 0], keep_scale=not rows.lengths)
+    return model.constrained(rows.X, rows.weights, rows.codes, keep_scale=not rows.lengths)

@@ -74,7 +74,7 @@ def _better_vertical(fitted):
     changes signs only: of both the one is taken along which the arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
-    if state.noise_variance < _NOTHING_LEFT**2 * np.square(fitted.rows.y).mean():
+    if state.noise_variance <= _NOTHING_LEFT**2 * np.square(fitted.rows.y).mean():
         return ()
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))

@@ -332,7 +332,7 @@ def test_arm_from_every_source(tmp_path, capsys, monkeypatch):
     assert main(["arm", "--lengths-222", "376", "750", "500", "98", *offsets]) == 0
     assert Arm.from_json(tmp_path / "own.json").a.tolist() == [0, 62, 0, 40, 0, 0]
     answers = iter(["2-2-2", "300", "420,5", "380", "120", "62", "0"])
-    monkeypatch.setattr(_commands.sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda _: next(answers))
     assert main(["arm"]) == 0
     printed = capsys.readouterr().out

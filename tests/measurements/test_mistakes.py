@@ -509,7 +509,7 @@ MISTAKES = [
     ("learn_cones", "labels five rows late", shifted_labels, "wrong-label"),
     ("learn_cones", "two labels exchanged", lambda: exchanged(12, 52), "wrong-label"),
     ("learn_cones", "999 degrees in three rows", lambda: no_readings(999, "deg"), "no-reading"),
-    ("learn_cones", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "the points scatter by"),
+    ("learn_cones", "joints 2 and 3 exchanged", lambda: columns(0, 2, 1, 3, 4, 5), "another-table"),
     ("learn_cones", "a logger's stream", lambda: stream("cones", 5), "dwells"),
     ("learn_cones", "whole degrees", lambda: base(angles=np.rad2deg(TEST.data).round(), unit="deg"), "coarse-angles"),
     ("learn_cones", "a length in inches", lambda: known((0, 1), factor=1 / 25.4), "unit-of-lengths"),

@@ -58,8 +58,9 @@ def test_never_ends_worse_than_it_started(name, isotropic):
     if isotropic:
         ratio = model.length_scale_ / X.std(axis=0)
         assert ratio[0] == pytest.approx(ratio[1])
-    # Noise 0.1, and a few dozen parameters from 400 rows.
-    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < 0.05
+    # Noise 0.1, and a few dozen parameters from 400 rows; exp(-r) is rougher than this function.
+    most = 0.09 if name == "matern12" else 0.05
+    assert np.sqrt(np.mean((model.predict(X) - f) ** 2)) < most
 
 
 @pytest.mark.parametrize(("n", "d"), [(60, 20), (120, 50), (120, 100), (200, 30)])
