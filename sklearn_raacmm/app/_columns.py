@@ -334,7 +334,7 @@ class Columns:
     def points(self, rows, columns):
         """Points (n_rows, 3) of some rows, in mm."""
         units = sorted({self.units[i] for i in columns})
-        stated = sorted(self.stated & _MM_PER_UNIT.keys())
+        stated = sorted(unit for unit in _MM_PER_UNIT if unit in self.stated)
         if units == [""] and len(stated) == 1:
             units = stated
             self.notes.append(f"Points in {stated[0]}, as {self.path} says above them.")
@@ -532,7 +532,7 @@ class Columns:
                 f"{self.path}: the angles are counts of the encoders: say how many make a turn of "
                 "each joint with --counts-per-turn N1,N2,..., or N for all."
             )
-        stated = sorted(self.stated & _ANGLES.keys())
+        stated = sorted(unit for unit in _ANGLES if unit in self.stated)
         if found == {""} and len(stated) == 1:
             known, self.factor = _ANGLES[stated[0]]
             self.notes.append(f"Angles in {stated[0]}, as the file says above them.")

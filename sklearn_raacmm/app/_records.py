@@ -151,7 +151,8 @@ def _lists(head, read, n_numbers):
     wanted = sum(any(len(one) == n_numbers for one in _lists_of(line)) for line in some)
     if wanted < 2 or 2 * wanted < len(some):
         return None
-    rows, header = [], None
+    rows: list[Any] = []
+    header: Any = None
     for number, line in enumerate(read().splitlines(), 1):
         lists = _lists_of(line)
         if not lists:

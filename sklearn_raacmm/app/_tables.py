@@ -174,8 +174,9 @@ class Layout(Columns):
         # A name for each row is the pose's, where places are found without labels.
         of_each = labels is not None and len(set(labels.tolist())) == len(labels) > 1
         if of_each and (by_tracker or not self.needed):
-            name = self.header[self.position_column]
-            self.notes.append(f"Column {name} names each row: it says nothing of positions.")
+            column: Any = self.position_column
+            name = self.header[column]
+            self.notes += [f"Column {name} names each row: it says nothing of positions."]
             table = replace(table, positions=None)
         if self.labelled and table.positions is not None:
             _refuse_lonely_labels(self.path, table)
@@ -207,7 +208,8 @@ class Layout(Columns):
             return None
         of_angles = [i in self.angle_columns for i in range(self.width)]
         cells = [_PLAIN_NUMBER if own else _PLAIN_CELL for own in of_angles]
-        line = re.compile(rf"{re.escape(source.separator).join(cells)}(?:\r?\n|\Z)")
+        separator = re.escape(str(source.separator))
+        line = re.compile(rf"{separator.join(cells)}(?:\r?\n|\Z)")
         with open(source.path, encoding=source.encoding, newline="") as file:
             next(islice(file, self.header_row, self.header_row), None)
             while text := "".join(islice(file, _LINES_AT_A_TIME)):
@@ -222,7 +224,8 @@ class Layout(Columns):
 
     def _plain_table(self, lines, number):
         """The table of some of these lines, of which the first has this number."""
-        cells = self.source.separator.join(lines).split(self.source.separator)
+        separator = str(self.source.separator)
+        cells = separator.join(lines).split(separator)
         angles = [list(map(float, cells[i :: self.width])) for i in self.angle_columns]
         angles = self.factor * np.array(angles).T / self.turns
         others = self._others(lambda i: cells[i :: self.width])
@@ -358,7 +361,7 @@ def _with_points(layout, table, source):
         table.notes.append(
             f"Points of {path}, matched by the column {layout.header[column]}."
             + named_first(" Rows without a point, left out", [str(cells[i][column]) for i in lost])
-            + named_first(" Points without a row", [names[i] for i in spare])
+            + named_first(" Points without a row", [list(names or ())[i] for i in spare])
         )
         parts = {name: getattr(table, name)[kept] for name in ("angles", "rows")}
         others = {name: values[kept] for name, values in table.others.items()}
@@ -378,7 +381,7 @@ def _match(layout, cells, names):
 
     Names must tell all rows and all points apart, and most of the fewer must have a partner.
     """
-    row_of_name = {name: i for i, name in enumerate(names or ())}
+    row_of_name: dict[Any, int] = {name: i for i, name in enumerate(names or ())}
     best: tuple[Any, Any, int] = ([], [], -1)
     for column in range(len(layout.header)):
         own = [text_of_label(row[column]) for row in cells]

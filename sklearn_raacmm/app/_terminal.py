@@ -120,9 +120,9 @@ def _cut(label, most=24):
 def expected_seconds(n_rows):
     """About how long learning from so many rows takes here, by a product measured now, s."""
     some = np.random.default_rng(0).normal(size=(750, 750))
-    some @ some
+    np.matmul(some, some)
     start = perf_counter()
-    some @ some
+    np.matmul(some, some)
     product = 8 * (perf_counter() - start)
     return _PRODUCTS * (n_rows / _ROWS) ** _EXPONENT * product
 

@@ -167,7 +167,8 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     p = len(model.coef)
     half = after.half[:p] + _fold(model, after, codes) @ after.half[p:]
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
-    noise_scale, std_scale = interval_scales(*after.left_out, np.ones(len(after.left_out[0])))
+    errors, noise, std = after.left_out
+    noise_scale, std_scale = interval_scales(errors, noise, std, np.ones(len(errors)))
     model = replace(
         model,
         half=half,

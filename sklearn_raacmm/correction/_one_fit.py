@@ -70,8 +70,8 @@ class Data:
                 raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
         are_named = positions is not None
         if blocks is not None:
-            of_block, codes = encode_groups(blocks, len(angles), "blocks")
-            blocks = of_block[codes]
+            names, codes = encode_groups(blocks, len(angles), "blocks")
+            blocks = names[codes]
         labels, codes = encode_groups(positions if are_named else np.ones(len(angles)), len(angles))
         checked = [check_length(entry, labels.tolist()) for entry in lengths]
         tied = [i for entry in checked for i in entry[:2]]
@@ -120,7 +120,7 @@ class Data:
         self.stations = None if stations is None else stations[self.rows]
         self.joined = []
         if blocks is not None:
-            of_blocks = [np.unique(positions[blocks == name]) for name in of_block]
+            of_blocks = [np.unique(positions[blocks == name]) for name in np.unique(blocks)]
             self.joined = [tuple(one.tolist()) for one in of_blocks]
 
     def seen_by(self, calibration):

@@ -178,7 +178,8 @@ def explanations(
 def _moved_from(left, motions):
     """The row from which on a base or tracker stood elsewhere, and what it leaves (n, 3)."""
     own = left - motions @ np.linalg.lstsq(motions.reshape(left.size, 6), left.ravel())[0]
-    return best_split(own, motions, np.zeros(6), motions, np.arange(len(left)))[1::2]
+    _, row, _, left = best_split(own, motions, np.zeros(6), motions, np.arange(len(left)))
+    return row, left
 
 
 def _late(y, expected, codes):

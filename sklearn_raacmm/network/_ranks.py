@@ -58,19 +58,20 @@ def _beyond(values, ranks):
 def to_ranks(knots, X):
     """Ranks (n, d) of rows (n, d)."""
     found = np.empty(X.shape)
-    for x, into, (values, ranks, below, above) in zip(X.T, found.T, by_feature(knots), strict=True):
-        into[:] = np.interp(x, values, ranks)
-        into += below * np.minimum(x - values[0], 0) + above * np.maximum(x - values[-1], 0)
+    for i, (values, ranks, below, above) in enumerate(by_feature(knots)):
+        x = X[:, i]
+        found[:, i] = np.interp(x, values, ranks)
+        found[:, i] += below * np.minimum(x - values[0], 0) + above * np.maximum(x - values[-1], 0)
     return found
 
 
 def rank_slopes(knots, X):
     """Derivatives (n, d) of the ranks by the features; at a knot the mean of both sides'."""
     found = np.empty(X.shape)
-    for x, into, (values, ranks, below, above) in zip(X.T, found.T, by_feature(knots), strict=True):
+    for i, (values, ranks, below, above) in enumerate(by_feature(knots)):
         slopes = np.concatenate([[below], np.diff(ranks) / np.diff(values), [above]])
-        into[:] = slopes[np.searchsorted(values, x, side="left")]
-        into += slopes[np.searchsorted(values, x, side="right")]
+        found[:, i] = slopes[np.searchsorted(values, X[:, i], side="left")]
+        found[:, i] += slopes[np.searchsorted(values, X[:, i], side="right")]
     return 0.5 * found
 
 

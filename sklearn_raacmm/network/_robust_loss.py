@@ -61,7 +61,7 @@ def reweigh(estimator, blocks, codes):
     if auto and (large or "log_marginal_likelihood_value_" not in first):
         return
     X, Y, given = blocks.X, blocks.Y, blocks.weights
-    factor, counted = np.ones(len(given)), given > 0
+    factor, counted, residuals = np.ones(len(given)), given > 0, np.zeros_like(Y)
     for i in range(MAX_FITS):
         residuals = Y - predict_mean(pack(estimator.networks_), X)
         last, factor = factor, biweights(residuals, given, codes)
@@ -118,7 +118,7 @@ def _heavy_tails(Y, residuals, factor) -> Iterator[Finding]:
                 "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
                 "transformer=PowerTransformer()).",
                 "note",
-                rows=tuple(far),
+                rows=tuple(far.tolist()),
             )
             return
 

@@ -112,7 +112,7 @@ def search(
     """
     (n, d), q = data.X.shape, data.Y.shape[1]
     decides = start is None or refit == 2
-    if not decides:
+    if start is not None and not decides:
         may_be_raw, ranks = start.ranks is None, None if start.ranks is None else ranks
     first_ranks = None if may_be_raw else ranks
     sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
@@ -123,7 +123,7 @@ def search(
         ridge = np.ones(q) if alpha is None else alpha
         return Structure(kernels[0], width, ridge, ranks=first_ranks)
     constants = data.codes is not None and bool(data.codes.any())
-    if not decides:
+    if start is not None and not decides:
         kernels = kernels[:1] if refit == 1 else (start.kernel,)
         constants = start.ratio > 0
 
