@@ -858,8 +858,9 @@ WITH_CENTRE = np.vstack([BLOB, BLOB.mean(axis=0)])
 TWICE = np.repeat(X[:6], 2, axis=0)
 WAVES = 0.05 * np.cos(SMALL[:, :3])
 OWN = rbf(X, Y)
-# Causes whose size is found, not given as that of the table: they follow any unit of y.
-BENDS = {"causes": ["gravity", "wobble"]}
+# A cause whose size is found, not given as that of the table, and far from its limit: it follows
+# any unit of y.
+WOBBLES = {"causes": ["wobble"]}
 FAR = {"kernel": "matern52", "degree": -1}
 ONE = {"n_centers": 1, "length_scale": 1e5, "alpha": 1e12, "degree": 1}
 EXACT = {"n_centers": 6, "length_scale": 0.2, "alpha": 0}
@@ -891,10 +892,10 @@ EDGES = {
     "arm's model: zero residuals": (lambda: jhr(SMALL, WAVES * 0), np.zeros((40, 3))),
     "arm's model: denormal angles": (lambda: jhr(SMALL * TINY, WAVES), jhr(SMALL * 0, WAVES)),
     "arm's model: large residuals": (
-        lambda: jhr(SMALL, WAVES * 2.0**4, **BENDS) * 2.0**-4, jhr(SMALL, WAVES, **BENDS)
+        lambda: jhr(SMALL, WAVES * 2.0**4, **WOBBLES) * 2.0**-4, jhr(SMALL, WAVES, **WOBBLES)
     ),
     "arm's model: tiny residuals": (
-        lambda: jhr(SMALL, WAVES * 2.0**-150, **BENDS) * 2.0**150, jhr(SMALL, WAVES, **BENDS)
+        lambda: jhr(SMALL, WAVES * 2.0**-150, **WOBBLES) * 2.0**150, jhr(SMALL, WAVES, **WOBBLES)
     ),
     "arm's model: weight on one row": (
         lambda: jhr(SMALL, WAVES, np.eye(40)[7]), jhr(SMALL[7:8], WAVES[7:8])

@@ -28,8 +28,9 @@ _ROUNDS = 4
 _PRICE, _NEAR = 20.0, np.cos(np.deg2rad(2))
 # Where the fit leaves less than this share of the residuals there is nothing to be gained.
 _NOTHING_LEFT = 1e-3
-# Variances of gravity's columns that are compared, in square arc seconds.
-_VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
+# Variances of gravity's columns that are compared, over that at which one of them is seen as large
+# as the noise.
+_VARIANCES = 10.0 ** np.arange(-1.0, 9.5, 0.5)
 # Directions that are compared, on a spiral over half a sphere, for opposite ones count as the same.
 # From the best one the search goes in steps that begin and end at these angles, rad.
 _HEIGHT = (np.arange(48) + 0.5) / 48
@@ -74,7 +75,8 @@ def _better_vertical(fitted):
     changes signs only: of both the one is taken along which the arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
-    if state.noise_variance <= _NOTHING_LEFT**2 * np.square(fitted.rows.y).mean():
+    size = np.square(fitted.rows.y).mean()
+    if size == 0 or state.noise_variance < _NOTHING_LEFT**2 * size:
         return ()
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
@@ -151,8 +153,9 @@ def _evidence_and_coef(up, products, moments):
     """
     value, vectors = np.linalg.eigh(np.einsum("a,aibj,b->ij", up, products, up))
     value, r = np.maximum(value, 0.0), up @ moments @ vectors
-    v = _VARIANCES[:, None]
+    variances = _VARIANCES * moments.size / max(np.einsum("aiai->", products), 1e-300)
+    v = variances[:, None]
     evidence = 0.5 * (v * np.square(r) / (1 + v * value) - np.log1p(v * value)).sum(axis=1)
     best = np.argmax(evidence)
-    v = _VARIANCES[best]
+    v = variances[best]
     return float(evidence[best]), vectors @ (v * r / (1 + v * value))

