@@ -151,16 +151,15 @@ def test_numbers_of_the_readme_are_those_of_the_results(results):
 
 def test_what_the_pages_say_of_the_results_is_true(results):
     """Sentences without a number of their own that the next measurement could make false."""
-    found = results.read()
+    found, better = results.read(), []
     for data in results.REAL:
         models = found.comparisons[data]["models"]
         others = [name for name in models if name != results.LINEAR]
         best = min(models[name]["mean_mm"] for name in others)
         assert models[results.LINEAR]["mean_mm"] < best
-        # "All joints were better on every arm that we have tried but `panda_2`, where they left 3 %
-        # more."
         three, every = (models[name]["mean_mm"] for name in (results.THREE, results.ALL))
-        assert 1 < every / three < 1.04 if data == "real, panda_2" else every < three
+        better.append(every < three)
+    assert 2 * sum(better) > len(better)  # "On most arms all joints are better."
     # "The paper's 15 % lies in this range."
     low, high = map(int, results.substitutions()["span_three_typical"].split(" to "))
     assert low <= 15 <= high

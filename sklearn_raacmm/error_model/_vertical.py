@@ -28,9 +28,8 @@ _ROUNDS = 4
 _PRICE, _NEAR = 20.0, np.cos(np.deg2rad(2))
 # Where the fit leaves less than this share of the residuals there is nothing to be gained.
 _NOTHING_LEFT = 1e-3
-# Variances of gravity's columns that are compared, over that at which one of them is seen as large
-# as the noise.
-_VARIANCES = 10.0 ** np.arange(-1.0, 9.5, 0.5)
+# Variances of gravity's columns that are compared, in square arc seconds.
+_VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
 # Directions that are compared, on a spiral over half a sphere, for opposite ones count as the same.
 # From the best one the search goes in steps that begin and end at these angles, rad.
 _HEIGHT = (np.arange(48) + 0.5) / 48
@@ -153,9 +152,8 @@ def _evidence_and_coef(up, products, moments):
     """
     value, vectors = np.linalg.eigh(np.einsum("a,aibj,b->ij", up, products, up))
     value, r = np.maximum(value, 0.0), up @ moments @ vectors
-    variances = _VARIANCES * moments.size / max(np.einsum("aiai->", products), 1e-300)
-    v = variances[:, None]
+    v = _VARIANCES[:, None]
     evidence = 0.5 * (v * np.square(r) / (1 + v * value) - np.log1p(v * value)).sum(axis=1)
     best = np.argmax(evidence)
-    v = variances[best]
+    v = _VARIANCES[best]
     return float(evidence[best]), vectors @ (v * r / (1 + v * value))
