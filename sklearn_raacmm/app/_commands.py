@@ -44,7 +44,13 @@ from sklearn_raacmm.app._terminal import (
 from sklearn_raacmm.correction import learn_correction, plan_poses
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
-from sklearn_raacmm.utils import FindingWarning, check_places, numbered_rows, write_whole
+from sklearn_raacmm.utils import (
+    FindingWarning,
+    check_places,
+    natural_order,
+    numbered_rows,
+    write_whole,
+)
 
 # Exit codes; 1 is Python's own, for a fault of this program, and 2 is bad input.
 OK, NO_HELP = 0, 3
@@ -219,8 +225,9 @@ def describe_plan(table, layout, arm, options):
     if table.positions is not None:
         labels, counts = np.unique(table.positions, return_counts=True)
         rows = f"{counts.min()} to {counts.max()}" if np.ptp(counts) else f"{counts[0]}"
-        say(named_first(f"Positions: {len(labels)}, with {rows} rows each", labels.tolist()))
-        facts["positions"] = labels.tolist()
+        labels = labels[natural_order(labels)].tolist()
+        say(named_first(f"Positions: {len(labels)}, with {rows} rows each", labels))
+        facts["positions"] = labels
     elif table.points is None:
         say("Positions: no column names them; learning finds the rows that share a place.")
     if lengths := known_lengths(options):
