@@ -18,8 +18,8 @@ _MOST_ROWS = 12
 _GREEN, _YELLOW, _BOLD, _PLAIN = "\x1b[32m", "\x1b[33m", "\x1b[1m", "\x1b[0m"
 # Seconds between two lines where nobody sees a bar, and between two looks at a bar.
 _LINE_EVERY, _BAR_EVERY = 60.0, 1.0
-# Learning, in products of two 1500 x 1500 matrices: so many for so many rows, with this exponent. An
-# order of time, by what `benchmarks/bench_speed.py` says of fits; no choice of a number.
+# Learning, in products of two 1500 x 1500 matrices: so many for so many rows, with this exponent.
+# An order of time, by what `benchmarks/bench_speed.py` says of fits; no choice of a number.
 _PRODUCTS, _ROWS, _EXPONENT = 50.0, 350, 0.55
 
 
