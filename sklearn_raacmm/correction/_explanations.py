@@ -51,9 +51,9 @@ _ANOTHER_TABLE, _CALIBRATED = 1.0, 0.1
 # was less likely by 14 nats at least, of six other arms likelier by 58 at least.
 _ALL_OF_IT, _SAME_MAKE = 10.0, (0.1, 0.3, 1.0)
 # The table of an arm in use changes by less than its drawing leaves open, or any other arm of the
-# make would be a change: of the parts 1, 0.3, 0.1 and 0.03 this one tells both apart best, 26 nats
-# and more for 16 changes, 134 and more for three other arms (two simulated arms).
-_IN_USE = 0.3
+# make would be a change: of the parts 1, 0.3 and 0.1 this one tells both apart best, 44 nats and
+# more for 20 changes, 208 and more for three other arms (two simulated arms).
+_IN_USE = 0.1
 
 
 def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
