@@ -4,10 +4,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import re
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import load_arm, parse_numbers, print_notes
@@ -28,6 +31,15 @@ _ANGLES = ("alpha", "theta_offset")
 # How near to a quarter turn in rad a twist has to be, and the largest length in metres, by which
 # units are known that no header names.
 _QUARTER, _MOST_METRES = 1e-2, 10.0
+# Fields of a table that UR's own calibration adds to, their names there, and mm or rad of a unit.
+_DELTAS = (
+    ("a", "delta_a", 1000.0),
+    ("alpha", "delta_alpha", 1.0),
+    ("d", "delta_d", 1000.0),
+    ("theta_offset", "delta_theta", 1.0),
+)
+# Offsets beyond this, mm, no arm has: common normals of nearly parallel axes are anywhere.
+_FARTHEST_MM = 1e4
 _FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
 _DRAWING = r"""
            elbow: axes 2 and 3 cross, or pass at the elbow offset
@@ -65,10 +77,13 @@ def arm(options):
         raise TableError("--into needs --out, the file to write; it may be the same file.")
     to_file = options.out not in (None, "-")
     if to_file:
-        check_places([options.out], filter(None, [options.source, options.dh]))
+        read = [options.source, options.dh, options.calibration]
+        check_places([options.out], filter(None, read))
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
+    if options.calibration:
+        shown = with_deltas(shown, options.calibration)
     shown = _with_encoders(shown, options)
     print(shown)
     text = shown.to_json()
@@ -156,6 +171,70 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
             if unit not in units:
                 raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
             values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
+    kept = {"name": Path(path).stem, "names": values.pop("names", ())}
+    if convention == "standard" and "joint_signs" not in values:
+        near = _with_near_frames(**values, probe=probe)
+        if near is not None:
+            return near.replace(**kept)
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
-    return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)
+    return Arm(**values, **pose, **kept, convention=convention, probe=probe)
+
+
+def with_deltas(nominal, path):
+    """A nominal arm with what a robot's own calibration adds to its table: UR's calibration.conf.
+
+    There the fields are delta_a, delta_alpha, delta_d and delta_theta, in m and rad.
+    """
+    if nominal.convention != "standard":
+        raise TableError(f"{path} changes a standard table, and the arm has a modified one.")
+    text, values = Path(path).read_text(encoding="utf-8-sig"), {}
+    for name, field, factor in _DELTAS:
+        found = re.search(rf"{field}\s*=\s*\[([^\]]*)\]", text)
+        if found is None:
+            raise TableError(f"{path} has no {field}, which UR's calibration adds to a table.")
+        numbers = parse_numbers(
+            f"{path}: {field}", found[1], nominal.n_joints, "one for each joint"
+        )
+        values[name] = getattr(nominal, name) + factor * np.array(numbers)
+    kept = {"name": nominal.name, "names": nominal.names}
+    near = _with_near_frames(**values, probe=nominal.probe)
+    return nominal.replace(**values) if near is None else near.replace(**kept)
+
+
+def _with_near_frames(a, alpha, d, probe, theta_offset=0.0):
+    """The arm of a standard table with offsets that no arm has; None of others.
+
+    Two axes that are nearly parallel have their common normal anywhere. A chain of joints about the
+    same axes is read as that of a robot's own file, where such axes are taken as parallel.
+    """
+    a, alpha, d, theta = np.broadcast_arrays(a, alpha, d, theta_offset)
+    if np.abs(d).max() <= _FARTHEST_MM:
+        return None
+
+    def moved(axis, angle, shift):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler(axis, angle).as_matrix()
+        pose["xyz".index(axis), 3] = shift
+        return pose
+
+    # Frame of each joint: about its axis, and but for the last where it is next to the one before.
+    frames, end = [np.eye(4)], np.eye(4)
+    for row in zip(theta, d, a, alpha, strict=True):
+        frames.append(end @ moved("z", *row[:2]))
+        end = frames[-1] @ moved("x", *row[:1:-1])
+        if len(frames) <= len(a):
+            along = frames[-1][:3, 2]
+            frames[-1][:3, 3] -= ((frames[-1][:3, 3] - frames[-2][:3, 3]) @ along) * along
+    end[:3, 3] += end[:3, :3] @ probe
+    joints = []
+    for i, (before, after) in enumerate(pairwise([*frames, end]), 1):
+        own, kind = np.linalg.inv(before) @ after, "revolute" if i <= len(a) else "fixed"
+        rpy = Rotation.from_matrix(own[:3, :3]).as_euler("xyz")
+        xyz, rpy = (" ".join(map(repr, v.tolist())) for v in (own[:3, 3] / _FACTORS["m"], rpy))
+        joints.append(
+            f'<joint name="joint{i}" type="{kind}"><parent link="{i - 1}"/><child link="{i}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="0 0 1"/></joint>'
+        )
+    near = Arm.from_urdf(f'<robot name="arm">{"".join(joints)}</robot>')
+    return near.replace(probe=near.probe.round(9))

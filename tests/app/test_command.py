@@ -477,6 +477,68 @@ def test_corrections_of_a_robot_are_no_arm(tmp_path, refused):
     refused("not which arm that is", "arm", tmp_path / "calibration.conf")
 
 
+def by_matrices(a, alpha, d, theta, angles):
+    """Ends of chains of a standard table, by products of the four motions of each row."""
+    ends = []
+    for row in angles:
+        pose = np.eye(4)
+        for one in zip(a, alpha, d, row + theta, strict=True):
+            c, s, ca, sa = np.cos(one[3]), np.sin(one[3]), np.cos(one[1]), np.sin(one[1])
+            pose = pose @ [
+                [c, -s * ca, s * sa, one[0] * c],
+                [s, c * ca, -c * sa, one[0] * s],
+                [0, sa, ca, one[2]],
+                [0, 0, 0, 1],
+            ]
+        ends.append(pose[:3, 3])
+    return np.array(ends)
+
+
+@pytest.mark.parametrize("far", [True, False])
+def test_a_robots_own_calibration_of_its_table(far, tmp_path, capsys):
+    """UR's axes 2 to 4 are nearly parallel: their common normals may be 100 m away."""
+    rng = np.random.default_rng(0)
+    nominal, angles = Arm.from_name("ur5"), rng.uniform(-2, 2, (50, 6))
+    theta, a, d, alpha = rng.normal(0, 1e-3, (4, 6)) * [[1], [1], [1], [0.5]]
+    if far:  # axis 3 is turned by 0.5 mrad about y, and the forearm's joints stand as they did
+        alpha[1:3] = 5e-4, -5e-4
+        d[1:4], theta[1:4] = (118.35, -121.02, 2.661), (-0.2651, 0.6214, -0.3559)
+    lists = {"theta": theta, "a": a, "d": d, "alpha": alpha}
+    lines = [f"delta_{name} = [ {', '.join(map(str, v))} ]" for name, v in lists.items()]
+    (tmp_path / "c.conf").write_text("\n".join(["[mounting]", *lines]) + "\n")
+    words = ["arm", "ur5", "--calibration", str(tmp_path / "c.conf")]
+    assert main([*words, "--out", str(tmp_path / "arm.json")]) == 0
+    found = Arm.from_json(tmp_path / "arm.json")
+    fields = nominal.a + 1e3 * a, nominal.alpha + alpha, nominal.d + 1e3 * d
+    expected = by_matrices(*fields, nominal.theta_offset + theta, angles)
+    off = np.abs(found.forward(angles) - expected).max()
+    said = re.findall(
+        r"moves the probe by up to ([\d.]+) mm", " ".join(capsys.readouterr().err.split())
+    )
+    assert (len(said) > 0) == far
+    assert off < (sum(map(float, said)) if far else 1e-9)
+    assert np.abs(found.d).max() < 10_000
+    # A table with such offsets is read alike.
+    rows = np.column_stack([fields[0], np.rad2deg(fields[1]), fields[2], np.rad2deg(theta)])
+    lines = [
+        "a [mm],alpha [deg],d [mm],theta [deg]",
+        *(",".join(map(repr, r)) for r in rows.tolist()),
+    ]
+    (tmp_path / "dh.csv").write_text("\n".join(lines) + "\n")
+    read = main(["arm", "--dh", str(tmp_path / "dh.csv"), "--out", str(tmp_path / "arm.json")])
+    assert read == 0
+    again = Arm.from_json(tmp_path / "arm.json")
+    np.testing.assert_allclose(again.forward(angles), found.forward(angles), atol=1e-6)
+
+
+def test_what_a_calibration_file_lacks(tmp_path, refused):
+    (tmp_path / "c.conf").write_text("delta_a = [ 0, 0 ]\ndelta_alpha = [ 0, 0, 0, 0, 0, 0 ]\n")
+    refused("delta_a needs 6 numbers", "arm", "ur5", "--calibration", tmp_path / "c.conf")
+    (tmp_path / "c.conf").write_text("delta_d = [ 0, 0, 0, 0, 0, 0 ]\n")
+    refused("has no delta_a", "arm", "ur5", "--calibration", tmp_path / "c.conf")
+    refused("has a modified one", "arm", "panda", "--calibration", tmp_path / "c.conf")
+
+
 @pytest.mark.parametrize(
     ("root", "sentence"),
     [("mujoco", "MuJoCo's MJCF: take the URDF"), ("sdf", "Gazebo's SDF: take the URDF")],

@@ -272,6 +272,15 @@ def straight(mm=0.2):
     return base(arm=ARM, angles=angles, points=ARM.forward(angles) + [900, 0, 0] + noise)
 
 
+def way(mm=5.0):
+    """300 poses so far apart, the joints in proportion: lengths off by 0.3 mm would not be seen."""
+    step = np.array([0.2, -0.5, 0.3, 0.4, -0.2, 0.1])
+    step *= mm / np.linalg.norm(ARM.jacobian(TEST.data[:1])[0] @ step)
+    angles = TEST.data[0] + (np.arange(300) - 150)[:, None] * step
+    noise = np.random.default_rng(4).normal(0, 0.005, (300, 3))
+    return base(arm=ARM, angles=angles, points=ARM.forward(angles) + [900, 0, 0] + noise)
+
+
 def stated_too_well():
     """Two bars, of one of which the standard deviation is 100 times too small."""
     first, second = known((0, 1), (2, 3)).lengths
@@ -292,6 +301,7 @@ def own_file_of_another_arm(kind):
 
 WORSE = [
     ("calibrate_tracker", "poses on a line of 60 mm", straight, "poses-alike"),
+    ("calibrate_tracker", "poses on a path of 1.5 m", way, "poses-alike"),
     ("calibrate_tracker", "an upper arm of three times its length", lambda: base(arm=mistyped(3, 1 / 3)), "table-off|no-such-arm"),
     ("calibrate_tracker", "606 for 500", lambda: base(arm=mistyped(3, 0.82)), "table-off"),
     ("update_cones", "another arm's own file", lambda: own_file_of_another_arm("cones"), "another-arm|other-table"),
