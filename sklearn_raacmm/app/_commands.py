@@ -74,6 +74,9 @@ def learn(options):
     layout = find_rows(options, arm, needed=False)
     table = layout.read()
     print_notes(table.notes)
+    if layout.source.what.startswith("Fanuc") and not arm.couplings:
+        arm = arm.replace(couplings=[(3, 2, 1)])
+        print_notes(["A Fanuc shows joint 3 from the horizontal: its own angle is J3 + J2."])
     if options.dry_run:
         return OK, describe_plan(table, layout, arm, options)
     measured = table.angles, table.positions, table.points, known_lengths(options)
