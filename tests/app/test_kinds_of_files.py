@@ -6,6 +6,7 @@ All hold the same four poses of a UR-like arm, so that one comparison judges all
 import datetime
 import io
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -500,6 +501,21 @@ def test_joint_3_of_a_fanuc_is_shown_from_the_horizontal(tmp_path, monkeypatch, 
     said = capsys.readouterr().err
     assert [one.couplings for one in given] == [((3, 2, 1),)] * 2
     assert said.count("its own angle is J3 + J2") == 1
+
+
+def test_the_axis_that_moves_the_base_is_found(tmp_path, capsys):
+    """A robot on a track: by how much and where to E1 moves it, in the tracker's frame."""
+    arm, rng = Arm.from_name("irb120"), np.random.default_rng(0)
+    angles, axis = rng.uniform(-1.2, 1.2, (40, 6)), rng.uniform(0, 2000, 40)
+    points = arm.forward(angles) + np.outer(axis, [0.6, 0.8, 0]) + rng.normal(0, 0.02, (40, 3))
+    rows = np.column_stack([np.rad2deg(angles), axis, points]).round(4).tolist()
+    header = [*Q, "E1", "X", "Y", "Z"]
+    (tmp_path / "log.csv").write_text(joined([header, *rows]))
+    words = ["--arm", "irb120", "--points", "X,Y,Z", "--out", str(tmp_path / "out")]
+    assert main(["learn", str(tmp_path / "log.csv"), *words]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert re.search(r"E1 times \(0\.(6|59999)\d*, 0\.(8|79999)\d*, \S+\) mm taken off", said)
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_external_axis_that_moves_is_named(tmp_path):

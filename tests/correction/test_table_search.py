@@ -222,6 +222,49 @@ def test_zeros_anywhere(data, kind):
         take(data.nominal_arm, "zeros")
 
 
+def tracked(n=80):
+    """A robot on a tracker, no two of whose joints count alike, and where its rows are."""
+    rng = np.random.default_rng(5)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    angles = rng.uniform(-1.2, 1.2, (n, 6))
+    return arm, angles, arm.forward(angles) + rng.normal(scale=0.03, size=(n, 3)) + [700, 0, 0]
+
+
+def test_a_tracker_that_was_set_up_again():
+    arm, angles, points = tracked()
+    turn, shift = Rotation.from_rotvec([0, 0.1, 0.5]), np.array([400, -300, 50])
+    points[31:] = turn.apply(points[31:]) + shift
+    found = search_table(arm, angles, points=points)
+    assert found.change == "the base or the tracker moved between rows 30 and 31"
+    assert found.options == "--station with other labels from row 31 on"
+    assert found.arm == arm
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+
+
+def test_cones_that_were_set_up_again(data):
+    """Two rounds through the same cones, and the plate was turned between them."""
+    order = np.r_[np.arange(0, 120, 2), np.arange(1, 120, 2)]
+    angles, labels = data.data[order], data.groups[order]
+    # Another cone's poses are those of the same cone elsewhere.
+    labels[60:] = (labels[60:] + 3) % 8
+    found = search_table(data.nominal_arm, angles, labels)
+    assert found.change == "the base or the cones moved between rows 59 and 60"
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+
+
+def test_an_external_axis_that_moves_the_base():
+    """By (0, 0.6, 0.8) mm a unit in the tracker's frame; what does not move is of no use."""
+    arm, angles, points = tracked()
+    axis, way = np.random.default_rng(6).uniform(0, 2000, len(angles)), np.array([0, 0.6, 0.8])
+    others = {"E2": np.full(len(angles), 5.0), "E1": axis}
+    found = search_table(arm, angles, points=points + np.outer(axis, way), others=others)
+    assert "E1 times (" in found.change
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+    numbers = found.change.split("(")[1].split(")")[0].split(",")
+    np.testing.assert_allclose([float(value) for value in numbers], way, atol=1e-4)
+    assert search_table(arm, angles, points=points + np.outer(axis, way)) is None
+
+
 def test_what_leaves_centimetres_is_no_proposal():
     """Lengths of another arm, and zeros anywhere: what is better, and wrong, is not proposed."""
     test = make_single_point(n_positions=6, n_poses=15, random_state=3)
