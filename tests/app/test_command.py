@@ -531,6 +531,24 @@ def test_a_robots_own_calibration_of_its_table(far, tmp_path, capsys):
     np.testing.assert_allclose(again.forward(angles), found.forward(angles), atol=1e-6)
 
 
+def test_an_arm_from_its_data(tmp_path, capsys, refused):
+    """Of a simulated test in six cones and a bar, with nothing but the layout."""
+    test = make_single_point(6, 10, bars=[500], random_state=0)
+    (a, b, length, _) = test.lengths[0]
+    rows = np.column_stack([test.groups, np.rad2deg(test.data).round(6)]).tolist()
+    lines = [f"K{int(row[0])},{','.join(map(str, row[1:]))}" for row in rows]
+    names = ",".join(f"q{i} [deg]" for i in range(1, 7))
+    table, out = tmp_path / "log.csv", tmp_path / "arm.json"
+    table.write_text("\n".join([f"cone,{names}", *lines]) + "\n")
+    words = ["arm", "--from-data", str(table), "--layout", "2-2-2"]
+    assert main([*words, "--length", f"K{a}:K{b}:{length}:0.01", "--out", str(out)]) == 0
+    found, said = Arm.from_json(out), " ".join(capsys.readouterr().out.split())
+    assert np.sort(np.abs(found.d))[-2:] == pytest.approx([500, 750], abs=2)
+    assert "seen from above: does its angle grow? Was the probe higher in row" in said
+    refused("--from-data and --layout belong together", *words[:3])
+    refused("without a known distance", *words)
+
+
 def test_what_a_calibration_file_lacks(tmp_path, refused):
     (tmp_path / "c.conf").write_text("delta_a = [ 0, 0 ]\ndelta_alpha = [ 0, 0, 0, 0, 0, 0 ]\n")
     refused("delta_a needs 6 numbers", "arm", "ur5", "--calibration", tmp_path / "c.conf")

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction, search_table
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    arm_from_data,
+    calibrate,
+    learn_correction,
+    search_table,
+)
 from sklearn_raacmm.correction._table_search import taken
 from sklearn_raacmm.datasets import make_single_point
 
@@ -53,9 +60,17 @@ def test_what_was_done_is_named(data, signs, columns, factor, change):
     )
 
 
+def centred(points):
+    return points - points.mean(axis=0)
+
+
 def hand(arm, other, angles):
     """Whether the points of two arms are the same ones turned (1), or mirrored (-1): best fits."""
-    first, second = (one - one.mean(axis=0) for one in (arm.forward(angles), other.forward(angles)))
+    return hand_of(arm.forward(angles), other.forward(angles))
+
+
+def hand_of(points, others):
+    first, second = centred(points), centred(others)
     left = [Rotation.align_vectors(first, sign * second)[1] for sign in (1, -1)]
     return 1 if left[0] < left[1] else -1
 
@@ -263,6 +278,38 @@ def test_an_external_axis_that_moves_the_base():
     numbers = found.change.split("(")[1].split(")")[0].split(",")
     np.testing.assert_allclose([float(value) for value in numbers], way, atol=1e-4)
     assert search_table(arm, angles, points=points + np.outer(axis, way)) is None
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_arm_of_which_only_the_layout_is_known(seed):
+    """Ten cones and one bar show lengths, zeros and probe; senses are drawn, too."""
+    test, rng = (
+        make_single_point(10, 12, bars=[500], random_state=seed),
+        np.random.default_rng(seed),
+    )
+    angles = rng.choice([-1, 1], 6) * test.data + rng.uniform(-np.pi, np.pi, 6)
+    signs = []
+    for mirrored in (False, True):
+        found = arm_from_data("2-2-2", angles, test.groups, test.lengths, mirrored=mirrored)
+        points, truth = found.forward(angles), test.arm.forward(test.data)
+        sign = hand_of(points, truth)
+        turn, _ = Rotation.align_vectors(centred(sign * points), centred(truth))
+        off = centred(sign * points) - turn.apply(centred(truth))
+        assert np.sqrt(np.square(off).sum(axis=1).mean()) < 0.2
+        signs.append(sign)
+    assert sorted(signs) == [-1, 1]
+    scatter = calibrate(found, angles, test.groups, lengths=test.lengths).typical_scatter_mm
+    right = calibrate(test.nominal_arm, test.data, test.groups, lengths=test.lengths)
+    assert scatter < 1.02 * right.typical_scatter_mm
+
+
+def test_a_layout_that_points_contradict(data):
+    rows = np.random.default_rng(1).permutation(len(data.data))
+    bar = [(0, 1, 500, 0.01)]
+    with pytest.raises(ValueError, match="points of no 2-2-2 arm coincide: within a position they"):
+        arm_from_data("2-2-2", data.data[rows], data.groups, bar)
+    with pytest.raises(ValueError, match="without a known distance nothing shows the scale"):
+        arm_from_data("2-2-2", data.data, data.groups, [])
 
 
 def test_what_leaves_centimetres_is_no_proposal():
