@@ -64,5 +64,6 @@ from sklearn_raacmm.utils._rows import (
     slip_factors,
     tukey_weights,
 )
+from sklearn_raacmm.utils._stored import stored_classes, trusted_types
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]
