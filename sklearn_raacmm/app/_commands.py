@@ -215,7 +215,7 @@ def describe_plan(table, layout, arm, options):
     for i, (name, low, high) in enumerate(zip(names, lows, highs, strict=True), 1):
         print(f"  joint {i}: {name[:40]:{min(width, 40)}s} {low:10.3f} to {high:10.3f} {unit}")
     if np.ptp(in_rad(table), axis=0).max() < _STILL:
-        say(f"The arm did not move: {n} rows are 1 pose.")
+        raise TableError(f"the arm did not move: {n} rows are 1 pose. Measure other poses, too.")
     facts = {"rows": n, "angle_unit": unit, "angles": names, "causes": list(table.others)}
     if table.points is not None:
         spread = np.ptp(table.points, axis=0)
