@@ -47,6 +47,7 @@ from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import (
     FindingWarning,
     check_places,
+    ignored_findings,
     natural_order,
     numbered_rows,
     write_whole,
@@ -103,13 +104,14 @@ def learn(options):
         table = replace(table, positions=result.calibration.groups)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
-    report = write_report(result, facts=facts, row_numbers=table.rows)
-    # Everything is made before the first file gets its name.
-    contents = corrected_file(layout, result, options)
+    # Everything is made before the first file gets its name; findings stand in the result.
+    with ignored_findings():
+        report = write_report(result, facts=facts, row_numbers=table.rows)
+        contents = corrected_file(layout, result, options)
+        card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
-    card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     taught = replace(result, facts=result.facts | {"training": card["training"]})
     # The verdict first: it is the answer, and what follows says why.
     print_verdict(result.verdict, result.helps)
