@@ -6,16 +6,14 @@
 import json
 import re
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
 from sklearn_raacmm.app._sources import TableError, parse_number
-from sklearn_raacmm.arm import Arm, usual_pose
+from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
 from sklearn_raacmm.correction import arm_from_data
 from sklearn_raacmm.utils import check_places, write_whole
 
@@ -32,15 +30,6 @@ _ANGLES = ("alpha", "theta_offset")
 # How near to a quarter turn in rad a twist has to be, and the largest length in metres, by which
 # units are known that no header names.
 _QUARTER, _MOST_METRES = 1e-2, 10.0
-# Fields of a table that UR's own calibration adds to, their names there, and mm or rad of a unit.
-_DELTAS = (
-    ("a", "delta_a", 1000.0),
-    ("alpha", "delta_alpha", 1.0),
-    ("d", "delta_d", 1000.0),
-    ("theta_offset", "delta_theta", 1.0),
-)
-# Offsets beyond this, mm, no arm has: common normals of nearly parallel axes are anywhere.
-_FARTHEST_MM = 1e4
 _FACTORS = {"mm": 1.0, "m": 1000.0, "deg": np.pi / 180, "rad": 1.0}
 _DRAWING = r"""
            elbow: axes 2 and 3 cross, or pass at the elbow offset
@@ -68,7 +57,8 @@ where the origin is. Calibration finds all others, offsets too, to hundredths of
 def arm(options):
     """Show an arm, and write its file."""
     given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    if sum(one is not None for one in (*given, options.from_data)) > 1:
+    named = sum(one is not None for one in (*given, options.from_data))
+    if named > 1 + bool(_deltas(options.dh)):
         raise TableError(
             "give one arm: a file or name, --dh, --lengths-222, --lengths-223 or --from-data."
         )
@@ -82,13 +72,11 @@ def arm(options):
         raise TableError("--into needs --out, the file to write; it may be the same file.")
     to_file = options.out not in (None, "-")
     if to_file:
-        read = [options.source, options.dh, options.calibration, options.from_data]
+        read = [options.source, options.dh, options.from_data]
         check_places([options.out], filter(None, read))
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
-    if options.calibration:
-        shown = with_deltas(shown, options.calibration)
     shown = _with_encoders(shown, options)
     print(shown)
     text = shown.to_json()
@@ -124,6 +112,8 @@ def _meant_arm(options):
             return Arm.from_lengths(layout, *lengths, **offsets)
     if options.from_data:
         return _arm_of_layout(options)
+    if deltas := _deltas(options.dh):
+        return _calibrated_ur(load_arm(options.source or ""), deltas)
     if options.dh:
         convention = "modified" if options.modified else "standard"
         return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))
@@ -138,6 +128,27 @@ def _meant_arm(options):
     layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
     lengths = {name: parse_number(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
     return Arm.from_lengths(layout, **lengths)
+
+
+def _deltas(path):
+    """Numbers of a UR's own calibration by their names, such as theta; {} of any other file."""
+    if path is None or not Path(path).is_file():
+        return {}
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    lists = re.findall(r"(?m)^\s*delta_(theta|a|d|alpha)\s*=\s*\[([^\]]*)\]", text)
+    return {name: list(map(parse_number, numbers.split(","))) for name, numbers in lists}
+
+
+def _calibrated_ur(nominal, deltas):
+    """A nominal arm with what its controller's file calibration.conf adds, in m and rad."""
+    n = nominal.n_joints
+    if {len(numbers) for numbers in deltas.values()} != {n} or nominal.convention != "standard":
+        raise TableError(f"--dh holds the calibration of a UR, and {nominal!r} is none.")
+    fields = {"a": 1000.0, "alpha": 1.0, "d": 1000.0, "theta": 1.0}
+    added = [factor * np.array(deltas.get(name, n * [0.0])) for name, factor in fields.items()]
+    table = np.add([nominal.a, nominal.alpha, nominal.d, nominal.theta_offset], added).T
+    names = {"name": nominal.name, "names": nominal.names, "limits": nominal.limits}
+    return read_far_axes(Arm, table, nominal.probe, **names)
 
 
 def _arm_of_layout(options):
@@ -197,70 +208,11 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
             if unit not in units:
                 raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
             values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
-    kept = {"name": Path(path).stem, "names": values.pop("names", ())}
-    if convention == "standard" and "joint_signs" not in values:
-        near = _with_near_frames(**values, probe=probe)
-        if near is not None:
-            return near.replace(**kept)
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
-    return Arm(**values, **pose, **kept, convention=convention, probe=probe)
-
-
-def with_deltas(nominal, path):
-    """A nominal arm with what a robot's own calibration adds to its table: UR's calibration.conf.
-
-    There the fields are delta_a, delta_alpha, delta_d and delta_theta, in m and rad.
-    """
-    if nominal.convention != "standard":
-        raise TableError(f"{path} changes a standard table, and the arm has a modified one.")
-    text, values = Path(path).read_text(encoding="utf-8-sig"), {}
-    for name, field, factor in _DELTAS:
-        found = re.search(rf"{field}\s*=\s*\[([^\]]*)\]", text)
-        if found is None:
-            raise TableError(f"{path} has no {field}, which UR's calibration adds to a table.")
-        numbers = parse_numbers(
-            f"{path}: {field}", found[1], nominal.n_joints, "one for each joint"
-        )
-        values[name] = getattr(nominal, name) + factor * np.array(numbers)
-    kept = {"name": nominal.name, "names": nominal.names}
-    near = _with_near_frames(**values, probe=nominal.probe)
-    return nominal.replace(**values) if near is None else near.replace(**kept)
-
-
-def _with_near_frames(a, alpha, d, probe, theta_offset=0.0):
-    """The arm of a standard table with offsets that no arm has; None of others.
-
-    Two axes that are nearly parallel have their common normal anywhere. A chain of joints about the
-    same axes is read as that of a robot's own file, where such axes are taken as parallel.
-    """
-    a, alpha, d, theta = np.broadcast_arrays(a, alpha, d, theta_offset)
-    if np.abs(d).max() <= _FARTHEST_MM:
-        return None
-
-    def moved(axis, angle, shift):
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_euler(axis, angle).as_matrix()
-        pose["xyz".index(axis), 3] = shift
-        return pose
-
-    # Frame of each joint: about its axis, and but for the last where it is next to the one before.
-    frames, end = [np.eye(4)], np.eye(4)
-    for row in zip(theta, d, a, alpha, strict=True):
-        frames.append(end @ moved("z", *row[:2]))
-        end = frames[-1] @ moved("x", *row[:1:-1])
-        if len(frames) <= len(a):
-            along = frames[-1][:3, 2]
-            frames[-1][:3, 3] -= ((frames[-1][:3, 3] - frames[-2][:3, 3]) @ along) * along
-    end[:3, 3] += end[:3, :3] @ probe
-    joints = []
-    for i, (before, after) in enumerate(pairwise([*frames, end]), 1):
-        own, kind = np.linalg.inv(before) @ after, "revolute" if i <= len(a) else "fixed"
-        rpy = Rotation.from_matrix(own[:3, :3]).as_euler("xyz")
-        xyz, rpy = (" ".join(map(repr, v.tolist())) for v in (own[:3, 3] / _FACTORS["m"], rpy))
-        joints.append(
-            f'<joint name="joint{i}" type="{kind}"><parent link="{i - 1}"/><child link="{i}"/>'
-            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="0 0 1"/></joint>'
-        )
-    near = Arm.from_urdf(f'<robot name="arm">{"".join(joints)}</robot>')
-    return near.replace(probe=near.probe.round(9))
+    if convention == "standard" and np.abs(values["d"]).max() > MAX_LENGTH_MM:
+        offsets = values.get("theta_offset", np.zeros(len(rows)))
+        table = np.column_stack([values["a"], values["alpha"], values["d"], offsets])
+        values = {field: values[field] for field in ("joint_signs", "names") if field in values}
+        return read_far_axes(Arm, table, probe, name=Path(path).stem, **values)
+    return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)

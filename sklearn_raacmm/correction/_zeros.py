@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from sklearn_raacmm.arm import Arm, check_angles, parameter_jacobian
-from sklearn_raacmm.calibration import calibrate, check_length
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.measurements import check_length
 from sklearn_raacmm.utils import align, centred, encode_groups, group_means, listed
 
 # Rows that zeros are found from, starts at most, and steps of each: for speed. A start has found

@@ -472,65 +472,6 @@ def test_units_of_a_table_of_an_arm(text, a_mm, alpha_deg, tmp_path, capsys):
     assert ("in rad" in said) == ("0.0892" in text and "[mm]" not in text)
 
 
-def test_corrections_of_a_robot_are_no_arm(tmp_path, refused):
-    (tmp_path / "calibration.conf").write_text("[mounting]\ndelta_theta = [ 4.5e-05, 0 ]\n")
-    refused("not which arm that is", "arm", tmp_path / "calibration.conf")
-
-
-def by_matrices(a, alpha, d, theta, angles):
-    """Ends of chains of a standard table, by products of the four motions of each row."""
-    ends = []
-    for row in angles:
-        pose = np.eye(4)
-        for one in zip(a, alpha, d, row + theta, strict=True):
-            c, s, ca, sa = np.cos(one[3]), np.sin(one[3]), np.cos(one[1]), np.sin(one[1])
-            pose = pose @ [
-                [c, -s * ca, s * sa, one[0] * c],
-                [s, c * ca, -c * sa, one[0] * s],
-                [0, sa, ca, one[2]],
-                [0, 0, 0, 1],
-            ]
-        ends.append(pose[:3, 3])
-    return np.array(ends)
-
-
-@pytest.mark.parametrize("far", [True, False])
-def test_a_robots_own_calibration_of_its_table(far, tmp_path, capsys):
-    """UR's axes 2 to 4 are nearly parallel: their common normals may be 100 m away."""
-    rng = np.random.default_rng(0)
-    nominal, angles = Arm.from_name("ur5"), rng.uniform(-2, 2, (50, 6))
-    theta, a, d, alpha = rng.normal(0, 1e-3, (4, 6)) * [[1], [1], [1], [0.5]]
-    if far:  # axis 3 is turned by 0.5 mrad about y, and the forearm's joints stand as they did
-        alpha[1:3] = 5e-4, -5e-4
-        d[1:4], theta[1:4] = (118.35, -121.02, 2.661), (-0.2651, 0.6214, -0.3559)
-    lists = {"theta": theta, "a": a, "d": d, "alpha": alpha}
-    lines = [f"delta_{name} = [ {', '.join(map(str, v))} ]" for name, v in lists.items()]
-    (tmp_path / "c.conf").write_text("\n".join(["[mounting]", *lines]) + "\n")
-    words = ["arm", "ur5", "--calibration", str(tmp_path / "c.conf")]
-    assert main([*words, "--out", str(tmp_path / "arm.json")]) == 0
-    found = Arm.from_json(tmp_path / "arm.json")
-    fields = nominal.a + 1e3 * a, nominal.alpha + alpha, nominal.d + 1e3 * d
-    expected = by_matrices(*fields, nominal.theta_offset + theta, angles)
-    off = np.abs(found.forward(angles) - expected).max()
-    said = re.findall(
-        r"moves the probe by up to ([\d.]+) mm", " ".join(capsys.readouterr().err.split())
-    )
-    assert (len(said) > 0) == far
-    assert off < (sum(map(float, said)) if far else 1e-9)
-    assert np.abs(found.d).max() < 10_000
-    # A table with such offsets is read alike.
-    rows = np.column_stack([fields[0], np.rad2deg(fields[1]), fields[2], np.rad2deg(theta)])
-    lines = [
-        "a [mm],alpha [deg],d [mm],theta [deg]",
-        *(",".join(map(repr, r)) for r in rows.tolist()),
-    ]
-    (tmp_path / "dh.csv").write_text("\n".join(lines) + "\n")
-    read = main(["arm", "--dh", str(tmp_path / "dh.csv"), "--out", str(tmp_path / "arm.json")])
-    assert read == 0
-    again = Arm.from_json(tmp_path / "arm.json")
-    np.testing.assert_allclose(again.forward(angles), found.forward(angles), atol=1e-6)
-
-
 def test_an_arm_from_its_data(tmp_path, capsys, refused):
     """Of a simulated test in six cones and a bar, with nothing but the layout."""
     test = make_single_point(6, 10, bars=[500], random_state=0)
@@ -549,14 +490,6 @@ def test_an_arm_from_its_data(tmp_path, capsys, refused):
     refused("without a known distance", *words)
 
 
-def test_what_a_calibration_file_lacks(tmp_path, refused):
-    (tmp_path / "c.conf").write_text("delta_a = [ 0, 0 ]\ndelta_alpha = [ 0, 0, 0, 0, 0, 0 ]\n")
-    refused("delta_a needs 6 numbers", "arm", "ur5", "--calibration", tmp_path / "c.conf")
-    (tmp_path / "c.conf").write_text("delta_d = [ 0, 0, 0, 0, 0, 0 ]\n")
-    refused("has no delta_a", "arm", "ur5", "--calibration", tmp_path / "c.conf")
-    refused("has a modified one", "arm", "panda", "--calibration", tmp_path / "c.conf")
-
-
 @pytest.mark.parametrize(
     ("root", "sentence"),
     [("mujoco", "MuJoCo's MJCF: take the URDF"), ("sdf", "Gazebo's SDF: take the URDF")],
@@ -564,3 +497,52 @@ def test_what_a_calibration_file_lacks(tmp_path, refused):
 def test_other_descriptions_of_robots_are_named(root, sentence, tmp_path, refused):
     (tmp_path / "m.xml").write_text(f"<{root}><worldbody/></{root}>")
     refused(sentence, "arm", tmp_path / "m.xml")
+
+
+# What a UR's controller stores of its own arm: changes of the nominal table, m and rad.
+UR_CHANGES = {
+    "theta": [4.5e-05, -0.2651, 0.6214, -0.3559, 1.2e-04, -9.1e-06],
+    "a": [0.000112, 0.0121, 0.0019, 0.000023, 0.0000045, 0],
+    "d": [0.00021, 118.35, -121.02, 2.661, 0.000145, -0.00031],
+    "alpha": [-0.00031, 0.00087, -0.00105, 0.00021, -0.00044, 0],
+}
+
+
+def of_definition(table, angles):
+    """Probe points of a standard table: the product of its transformations."""
+    points = []
+    for row in angles:
+        pose = np.eye(4)
+        for (a, alpha, d, offset), angle in zip(table, row, strict=True):
+            c, s, ca, sa = (f(v) for v in (angle + offset, alpha) for f in (np.cos, np.sin))
+            pose = pose @ [
+                [c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d],
+                [0, 0, 0, 1],
+            ]  # fmt: skip
+        points.append(pose[:3, 3])
+    return np.array(points)
+
+
+def test_the_calibration_of_a_ur_itself(tmp_path, capsys, refused):
+    """Two axes 0.00087 rad from parallel have a common normal 118 m away: taken as parallel."""
+    conf, made = tmp_path / "calibration.conf", tmp_path / "arm.json"
+    lines = [f"delta_{name} = {numbers}" for name, numbers in UR_CHANGES.items()]
+    conf.write_text("[mounting]\n" + "\n".join(lines) + "\njoint_checksum = [ 0x1, 0x2 ]\n")
+    refused("name it, such as raacmm arm ur10e --dh", "arm", conf)
+    refused("and <Arm 'panda'", "arm", "panda", "--dh", conf)
+    assert main(["arm", "ur10", "--dh", str(conf), "--out", str(made)]) == 0
+    assert "moves the probe by up to 1.5 mm" in capsys.readouterr().err
+    nominal, arm = Arm.from_name("ur10"), Arm.from_json(made)
+    added = [UR_CHANGES[name] for name in ("a", "alpha", "d", "theta")] * np.c_[[1e3, 1, 1e3, 1]]
+    table = np.add([nominal.a, nominal.alpha, nominal.d, nominal.theta_offset], added).T
+    angles = np.random.default_rng(0).uniform(-3, 3, (50, 6))
+    points = of_definition(table, angles)
+    assert np.linalg.norm(arm.forward(angles) - points, axis=1).max() < 1.5
+    assert np.linalg.norm(nominal.forward(angles) - points, axis=1).max() > 100
+    assert arm.names == nominal.names
+    rows = [["a [mm]", "alpha [deg]", "d [mm]", "theta offset [deg]"]]
+    rows += (table * [1, 180 / np.pi, 1, 180 / np.pi]).tolist()
+    (tmp_path / "dh.csv").write_text("\n".join(",".join(map(str, row)) for row in rows))
+    assert main(["arm", "--dh", str(tmp_path / "dh.csv"), "--out", str(made)]) == 0
+    same = Arm.from_json(made)
+    np.testing.assert_allclose(same.forward(angles), arm.forward(angles), atol=1e-9)
