@@ -4,13 +4,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from sklearn_raacmm.arm import Arm, check_angles, parameter_jacobian
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.measurements import check_length
 from sklearn_raacmm.utils import align, centred, encode_groups, group_means, listed
@@ -41,31 +43,41 @@ def with_found_zeros(
     points = None if points is None else points[few]
     columns = np.r_[3 * arm.n_joints + free, 4 * arm.n_joints + np.arange(3)]
 
-    def changed(x):
+    def fields(x):
         offset = arm.theta_offset.copy()
         offset[free] = np.angle(np.exp(1j * (offset[free] + x[:-3])))
-        return arm.replace(theta_offset=offset, probe=arm.probe + x[-3:])
+        return {"theta_offset": offset, "probe": arm.probe + x[-3:]}
 
-    def left(x, with_slope=False) -> Any:
-        ours, slope = parameter_jacobian(changed(x), angles)
+    @lru_cache(1)  # what is left and its slope are asked for one after the other
+    def both(key):
+        ours, slope = parameter_jacobian(_trial(arm, **fields(np.frombuffer(key))), angles)
         slope = slope[:, :, columns]
         if points is None:
-            found, slope = centred(ours, codes), centred(slope, codes)
-        else:
-            turn, shift = align(ours, points)
-            ours = ours @ turn.T + shift
-            found, slope = ours - points, turn @ slope
-            # What the base takes up: small turns about the points' middle, and shifts.
-            turns = np.cross(np.eye(3), (ours - ours.mean(axis=0))[:, None]).transpose(0, 2, 1)
-            base = np.concatenate([turns, np.tile(np.eye(3), (len(ours), 1, 1))], axis=2)
-            base, slope = base.reshape(-1, 6), slope.reshape(-1, len(columns))
-            slope = slope - base @ np.linalg.lstsq(base, slope)[0]
-        return slope.reshape(-1, len(columns)) if with_slope else found.ravel()
+            return centred(ours, codes), centred(slope, codes)
+        turn, shift = align(ours, points)
+        ours = ours @ turn.T + shift
+        # What the base takes up: small turns about the points' middle, and shifts.
+        turns = np.cross(np.eye(3), (ours - ours.mean(axis=0))[:, None]).transpose(0, 2, 1)
+        base = np.concatenate([turns, np.tile(np.eye(3), (len(ours), 1, 1))], axis=2)
+        base, slope = base.reshape(-1, 6), (turn @ slope).reshape(-1, len(columns))
+        return ours - points, slope - base @ np.linalg.lstsq(base, slope)[0]
+
+    def left(x):
+        return both(x.tobytes())[0].ravel()
+
+    def slope_of(x):
+        return both(x.tobytes())[1].reshape(-1, len(columns))
 
     start = np.zeros(len(columns))  # the table as it is given
     good = 0.5 * len(angles) * (_FOUND * arm.reach_mm) ** 2
     scale = np.repeat(_SIZES, [len(free), 3])
-    return changed(_best_of_starts(left, start, len(free), good, lambda x: left(x, True), scale))
+    return arm.replace(**fields(_best_of_starts(left, start, len(free), good, slope_of, scale)))
+
+
+def _trial(arm, **changes):
+    """What kinematics need of an arm with some fields changed: an `Arm` would check them."""
+    names = (*FIELDS, "joint_signs", "convention", "couplings")
+    return SimpleNamespace(**{name: getattr(arm, name) for name in names} | changes)
 
 
 def _best_of_starts(left, start, n_free, good, jac, scale):
@@ -152,7 +164,7 @@ def arm_from_data(
     last = np.zeros(len(columns))
 
     def parts(zeros, rows):
-        one = arm.replace(theta_offset=np.r_[0.0, zeros, 0.0])
+        one = _trial(arm, theta_offset=np.r_[0.0, zeros, 0.0])
         slope = parameter_jacobian(one, angles[rows])[1][:, :, columns]
         means = group_means(slope, codes[rows])[codes[rows]]
         return [
