@@ -14,6 +14,14 @@ from sklearn_raacmm.measurements._explanations import (
     medians_of,
     of_own_points,
 )
+from sklearn_raacmm.measurements._features import (
+    KINDS,
+    Linearised,
+    linearise,
+    linearised,
+    touch_findings,
+    touch_weights,
+)
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     angle_faults,
@@ -27,9 +35,11 @@ from sklearn_raacmm.measurements._targets import base_motions, check_targets
 __all__ = [
     "EQUAL",
     "FAR",
+    "KINDS",
     "LEAST_ROWS",
     "PRICE",
     "UNITS",
+    "Linearised",
     "angle_faults",
     "base_motions",
     "best_split",
@@ -40,9 +50,13 @@ __all__ = [
     "find_dwells",
     "find_poses",
     "likeliest",
+    "linearise",
+    "linearised",
     "medians_of",
     "moved_positions",
     "of_own_points",
     "order_explained_by",
+    "touch_findings",
+    "touch_weights",
     "within_turn",
 ]

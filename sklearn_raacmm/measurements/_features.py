@@ -1,0 +1,277 @@
+"""Features that a probe touched: what a touch shows of each kind, and what is unknown of it.
+
+Every kind of feature is one entry of `KINDS`. A touch of a surface shows how far the probe is from
+it, along its normal; a probe in a cone shows where it is in all three directions.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.utils import Finding, slip_factors, tukey_weights
+
+# Samples of touches that a first fit starts from, of which the one wins that half of all touches
+# are nearest to, and rounds of weights. Of 200 simulated planes and balls of 12 touches, three of
+# them slips, 197 kept no slip (``tests/measurements/test_features.py``).
+_SAMPLES, _ROUNDS = 30, 6
+# Steps of a sphere, and the part of its size below which a step is the last.
+_MOST_STEPS, _SETTLED = 20, 1e-10
+# Part of the squares of a step's columns that is added: touches of a flat cap show no sphere.
+_RIDGE = 1e-13
+# A form has to leave less than this part of what a simpler one leaves of the same touches: a plane
+# of a line, a sphere of a plane; and so many mm are nothing. A choice.
+_TELLS_APART, _NOTHING_MM = 0.5, 1e-6
+_LEAST_SQUARE = 1e-300  # of a distance: no division by 0
+
+
+class Linearised(NamedTuple):
+    """Touches of a feature about its fitted form, (n, ...), or of several features, (g, n, ...)."""
+
+    residual: (
+        np.ndarray
+    )  # (n, 3) mm, the point less the nearest one of the form: along `directions`
+    directions: np.ndarray  # (n, 3, 3) projection on the directions that a touch shows
+    unknowns: np.ndarray  # (n, 3, q) what a unit of each unknown moves the touched point by, mm
+
+
+class Kind(NamedTuple):
+    """What is special of one kind of feature.
+
+    ``fit(points, size, weights)`` is the form of least squares, a centre first, and ``rows(points,
+    form)`` the `Linearised` touches. Where the touches are on a `part` of the feature that is too
+    small, a `simpler` form explains them as well; they leave it in the `flat` directions in which
+    they spread least.
+    """
+
+    fit: Callable[..., Any]
+    rows: Callable[..., Linearised]
+    n_unknowns: int
+    has_size: bool = False
+    flat: int = 0
+    simpler: str = ""
+    part: str = ""
+
+
+def linearise(
+    kind: str, points: np.ndarray, size: Any = None, weights: np.ndarray | None = None
+) -> Linearised:
+    """Touches of a feature about the form that is fitted to them.
+
+    Parameters
+    ----------
+    kind : str
+        A name of `KINDS`: "cone" (a point that is held: its place is unknown, 3), "tracker" (the
+        `points` are those of the arm less the measured ones: nothing is unknown), "plane" (unknown
+        are its shift along the normal in mm, and two turns in rad) or "sphere" (its centre in mm,
+        and its size).
+    points : ndarray of shape (n, 3) or (g, n, 3)
+        Where the arm says that the centre of the probe was, mm; of g features of one kind.
+    size : float or ndarray of shape (g,), default=None
+        Diameter of the sphere on which the centre of the probe was, mm: the form has this size,
+        and the last unknown is by how many mm the true one is larger. None: the form has the size
+        that fits best.
+    weights : ndarray of shape (n,) or (g, n), default=None
+        Weights of the touches in the fit. None: all count alike, slips, too; see `touch_weights`.
+
+    Returns
+    -------
+    Linearised
+        Residual (n, 3) in mm, directions (n, 3, 3), and unknowns (n, 3, q); (g, n, ...) of several.
+    """
+    weights = np.ones(points.shape[:-1]) if weights is None else weights
+    return KINDS[kind].rows(points, KINDS[kind].fit(points, size, weights))
+
+
+def linearised(
+    features: Sequence[Any], codes: np.ndarray, points: np.ndarray, weights: Any = None
+) -> Linearised:
+    """Rows (n, 3) of several features, (kind, size) each, by the feature of each row, `codes` (n,).
+
+    Unknowns are filled up with columns of zeros to the largest number that a feature has. Features
+    of one kind are fitted together. Without weights (n,) those of `touch_weights` are taken.
+    """
+    n, q = len(points), max((KINDS[kind].n_unknowns for kind, _ in features), default=0)
+    whole = Linearised(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, q)))
+    weights = touch_weights(features, codes, points) if weights is None else weights
+    alike: dict[Any, list[int]] = {}
+    for code, (kind, size) in enumerate(features):
+        alike.setdefault((kind, size is None), []).append(code)
+    order = np.argsort(codes, kind="stable")
+    ends = np.searchsorted(codes[order], np.arange(len(features) + 1))
+    for (kind, is_open), members in alike.items():
+        of = np.array(members)
+        counts = ends[of + 1] - ends[of]
+        place = np.arange(counts.max(initial=0))
+        used = place < counts[:, None]
+        # Features of fewer rows are filled up with their first one, without weight.
+        rows = order[ends[of][:, None] + np.where(used, place, 0)]
+        size = None if is_open else np.array([features[code][1] for code in members])
+        part = linearise(kind, points[rows], size, weights[rows] * used)
+        own = rows[used]
+        whole.residual[own], whole.directions[own] = part.residual[used], part.directions[used]
+        whole.unknowns[own, :, : part.unknowns.shape[-1]] = part.unknowns[used]
+    return whole
+
+
+def touch_weights(features: Sequence[Any], codes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights (n,) of the touches of several features, 0 for slips, without any model of the arm.
+
+    Parameters as in `linearised`. Points of cones are weighed by `slip_factors`, touches of a
+    surface by a robust fit of it.
+    """
+    weights = np.ones(len(points))
+    cones = np.isin(codes, [i for i, (kind, _) in enumerate(features) if kind == "cone"])
+    weights[cones] = slip_factors(points[cones], np.unique(codes[cones], return_inverse=True)[1])
+    for code, (kind, size) in enumerate(features):
+        if KINDS[kind].flat:
+            own = codes == code
+            weights[own] = _touch_weights(KINDS[kind], points[own], size)
+    return weights
+
+
+def _touch_weights(of, points, size):
+    """Weights (n,) of the touches of one surface.
+
+    The fit starts from the form through a few touches that half of all are nearest to, and then
+    weighs the touches by Tukey's biweight.
+    """
+    n = len(points)
+    if n < of.n_unknowns + 3:  # too few to say which of them is a slip
+        return np.ones(n)
+
+    def left(weights):  # (..., n) mm
+        many = np.broadcast_to(points, (*weights.shape, 3))
+        return np.linalg.norm(of.rows(many, of.fit(many, size, weights)).residual, axis=-1)
+
+    order = np.random.default_rng(0).random((_SAMPLES, n)).argsort(axis=1)
+    off = left((order < of.n_unknowns).astype(float))
+    halves = np.median(off, axis=1)
+    best = int(np.argmin(halves))
+    weights = (off[best] <= halves[best]).astype(float)
+    for _ in range(_ROUNDS):
+        weights = tukey_weights(left(weights)[:, None])
+    return weights
+
+
+def touch_findings(
+    features: Sequence[Any], codes: np.ndarray, points: np.ndarray, labels: Sequence[Any]
+) -> Iterator[Finding]:
+    """Yield features whose touches do not show what they are: a ball on a cap, a plane on a line.
+
+    `features` are (kind, size) each and `labels` their names, `codes` (n,) the feature of each row.
+    """
+    for code, ((kind, size), label) in enumerate(zip(features, labels, strict=True)):
+        own, of = points[codes == code], KINDS[kind]
+        n_unknown = of.n_unknowns - (of.has_size and size is not None)
+        if not of.flat:
+            continue
+        if len(own) <= n_unknown:
+            text = (
+                f"The {kind} {label} has {len(own)} touches, but {n_unknown} numbers of it are "
+                "unknown: its touches say nothing."
+            )
+            yield Finding("few-touches", text, "Touch it more often.", positions=(label,))
+            continue
+        weights = _touch_weights(of, own, size)
+        left = np.square(linearise(kind, own, size, weights).residual).sum(axis=1)
+        away = own - _mean(own, None, weights)
+        spread = np.linalg.eigvalsh((weights[:, None] * away).T @ away)[: of.flat].sum()
+        # Standard deviations, as of fits whose unknowns have taken a part.
+        free = np.maximum(weights.sum() - np.array([n_unknown, 4 - of.flat]), 1.0)
+        form, simpler = np.sqrt(np.array([weights @ left, max(spread, 0.0)]) / free)
+        if form + _NOTHING_MM > _TELLS_APART * simpler:
+            text = (
+                f"The {kind} {label} was touched on {of.part} only: a {of.simpler} leaves "
+                f"{simpler:.2g} mm of its {len(own)} touches, and a {kind} {form:.2g} mm."
+            )
+            advice = "Touch all of it that the probe can reach."
+            yield Finding("touches-alike", text, advice, positions=(label,), size_mm=form)
+
+
+def _mean(points, size, weights):
+    total = weights.sum(axis=-1)[..., None]
+    return np.einsum("...n,...nc->...c", weights, points) / total
+
+
+def _point_rows(points, centre):
+    whole = np.broadcast_to(np.eye(3), (*points.shape, 3))
+    return Linearised(points - centre[..., None, :], whole, whole)
+
+
+def _tracker_rows(points, _):
+    whole = np.broadcast_to(np.eye(3), (*points.shape, 3))
+    return Linearised(points, whole, whole[..., :0])
+
+
+def _plane(points, size, weights):
+    """Centre (..., 3) of a plane, and its normal and two directions in it, (..., 3, 3) columns."""
+    centre = _mean(points, size, weights)
+    away = points - centre[..., None, :]
+    spread = np.einsum("...n,...nc,...nd->...cd", weights, away, away)
+    return centre, np.linalg.eigh(spread)[1]
+
+
+def _plane_rows(points, form):
+    centre, axes = form
+    along = (points - centre[..., None, :]) @ axes  # (..., n, 3): off the plane, and in it
+    normal = np.broadcast_to(axes[..., None, :, 0], points.shape)
+    turned = np.concatenate([np.ones_like(along[..., :1]), along[..., 1:]], axis=-1)
+    directions = normal[..., :, None] * normal[..., None, :]
+    unknowns = normal[..., :, None] * turned[..., None, :]
+    return Linearised(along[..., :1] * normal, directions, unknowns)
+
+
+def _sphere(points, size, weights):
+    """Centre (..., 3) and size (...) of a sphere by least squares of the distances from it."""
+    mean = _mean(points, size, weights)
+    away = points - mean[..., None, :]
+    ones = np.ones_like(away[..., :1])
+
+    def solved(columns, target):
+        sides = np.swapaxes(weights[..., None] * columns, -1, -2)
+        normal = sides @ columns
+        ridge = _RIDGE * np.trace(normal, axis1=-2, axis2=-1)[..., None, None]
+        normal = normal + (ridge + _LEAST_SQUARE) * np.eye(columns.shape[-1])
+        return np.linalg.solve(normal, sides @ target[..., None])[..., 0]
+
+    # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit.
+    found = solved(np.concatenate([2 * away, ones], axis=-1), np.square(away).sum(axis=-1))
+    centre = found[..., :3]
+    radius = np.sqrt(np.maximum(found[..., 3] + np.square(centre).sum(axis=-1), _LEAST_SQUARE))
+    if size is not None:  # a sphere of another size through the same touches is on the same line
+        centre, radius = centre * (size / 2 / radius)[..., None], size / 2 + 0 * radius
+    for _ in range(_MOST_STEPS):
+        off = away - centre[..., None, :]
+        distance = np.linalg.norm(off, axis=-1)
+        outward = off / np.maximum(distance, _LEAST_SQUARE)[..., None]
+        columns = outward if size is not None else np.concatenate([outward, ones], axis=-1)
+        step = solved(columns, distance - radius[..., None])
+        centre, radius = centre + step[..., :3], radius + step[..., 3:].sum(axis=-1)
+        if (np.abs(step).max(axis=-1) <= _SETTLED * np.abs(radius)).all():
+            break
+    return centre + mean, 2 * radius
+
+
+def _sphere_rows(points, form):
+    centre, size = form
+    off = points - centre[..., None, :]
+    distance = np.linalg.norm(off, axis=-1)[..., None]
+    outward = off / np.maximum(distance, _LEAST_SQUARE)
+    directions = outward[..., :, None] * outward[..., None, :]
+    shift = np.broadcast_to(np.eye(3), directions.shape)
+    unknowns = np.concatenate([shift, outward[..., :, None] / 2], axis=-1)
+    return Linearised((distance - size[..., None, None] / 2) * outward, directions, unknowns)
+
+
+KINDS: dict[str, Kind] = {
+    "cone": Kind(_mean, _point_rows, 3),
+    "tracker": Kind(_mean, _tracker_rows, 0),
+    "plane": Kind(_plane, _plane_rows, 3, flat=2, simpler="line", part="a line"),
+    "sphere": Kind(
+        _sphere, _sphere_rows, 4, has_size=True, flat=1, simpler="plane", part="a small cap"
+    ),
+}
