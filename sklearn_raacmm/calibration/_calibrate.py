@@ -35,7 +35,6 @@ from sklearn_raacmm.utils import (
     one_blas_thread,
     one_warning,
     param_checks,
-    slip_factors,
     validate_params,
 )
 
@@ -63,6 +62,7 @@ _PRIOR = [
         "prior_length_mm": _PRIOR,
         "prior_angle_rad": _PRIOR,
         "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
+        "tip_diameter": [param_checks.Interval(Real, 0, None, closed="left")],
         "accept": ["array-like", str],
     },
     prefer_skip_nested_validation=True,
@@ -77,6 +77,8 @@ def calibrate(
     lengths: Iterable[Sequence[Any]] = (),
     tools: ArrayLike | None = None,
     stations: ArrayLike | None = None,
+    features: Iterable[Sequence[Any]] = (),
+    tip_diameter: float = 0.0,
     correction: Any = None,
     free: Iterable[str] = FIELDS,
     loss: str = "soft_l1",
@@ -114,6 +116,15 @@ def calibrate(
     stations : array-like of shape (n_samples,), default=None
         Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
         of its own. For `points` only.
+    features : iterable of (label, kind) or (label, kind, size, standard deviation), default=()
+        What was touched under the labels of `groups` that are no fixed points: kind "plane" or
+        "sphere", of which the diameter and its standard deviation may be known, mm:
+        ``[("ball 1", "sphere", 30.0, 0.001), ("plate", "plane")]``. `lengths` may join their
+        centres, and planes across: a gauge block is two planes and its length.
+    tip_diameter : float, default=0.0
+        Diameter of the probe's own ball, mm; 0 is a point. Sizes and blocks are larger by it for
+        the centre of the probe, or smaller if they were touched inside: what fits is taken, unless
+        a fifth part of the feature says "outside" or "inside".
     correction : object, default=None
         Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points. Needed
@@ -162,6 +173,11 @@ def calibrate(
     departures from the nominal arm over theirs. Robust losses weigh whole points, so that the
     result does not depend on the directions of the axes, and known lengths.
 
+    Touches of a plane or a sphere count by their distance from it. Its place, turns and size are
+    found with the parameters, and are no parameters either: they are projected out of the touches,
+    linearised at every step. A size that is stated is compared with the one that is found, as a
+    known length is.
+
     A single-point test cannot see the common scale of all lengths, but a smaller arm scatters less,
     so that least squares alone would shrink it. The distances are therefore divided by the scale of
     the links: the prior, or known lengths, alone decide the scale.
@@ -192,6 +208,7 @@ def calibrate(
     True
     """
     lengths, free = listed("lengths", lengths), listed("free", free)
+    features = listed("features", features)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
         raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     asked = None if correction is None else check_correction(correction, angles, angle_unit)
@@ -199,7 +216,9 @@ def calibrate(
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
     if groups is None and points is None:
         groups = find_places(arm, angles)
-    problem = check_problem(angles, groups, points, lengths, tools, stations)
+    problem = check_problem(
+        angles, groups, points, lengths, tools, stations, features, tip_diameter
+    )
     poses, angles, problem = one_row_a_pose(angles, problem)
     for finding in wrong_units(arm, angles, problem):
         finding.report()
@@ -218,7 +237,7 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    of_poses = _result(fit, given, before, groups)
+    of_poses = _result(fit, given, before, groups, features)
     rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
     result = replace(
         of_poses,
@@ -273,9 +292,9 @@ def _settle(fit, correction, asked):
         fit.run()
 
 
-def _result(fit, given, before, groups):
+def _result(fit, given, before, groups, features):
     """Everything that is to be known of a fit that has settled."""
-    problem, index = fit.problem, fit.problem.index
+    problem = fit.problem
     stations = in_brackets(problem.station_labels, problem.n_stations)
     names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
@@ -284,7 +303,7 @@ def _result(fit, given, before, groups):
         values[turn] = Rotation.from_matrix(rotation).as_rotvec()
         bases.append((rotation, values[shift]))
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
-    robust = fit.robust_distances()
+    robust = fit.as_of_three(fit.robust_distances())
     informative = robust[problem.informative]
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
@@ -299,13 +318,15 @@ def _result(fit, given, before, groups):
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(None if index is None else slip_factors(fit.points(), index)),
+        residuals_mm=fit.residuals(fit.first_weights()),
         length_errors_mm=fit.length_errors(),
+        length_sd_mm=fit.sd_of_errors(),
         sigma_mm=float(fit.sigma),
         outliers=tuple(int(i) for i in farthest if robust[i] > limit),
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),
+        features=tuple(features),
         arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
         bases=dict(zip(problem.station_labels, bases, strict=False)),
         base_rotation=bases[0][0] if bases else None,

@@ -10,7 +10,14 @@ import numpy as np
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM
 from sklearn_raacmm.calibration._problem import Problem, rows_of
-from sklearn_raacmm.measurements import UNITS, angle_faults, find_poses
+from sklearn_raacmm.measurements import (
+    UNITS,
+    angle_faults,
+    check_features,
+    find_poses,
+    probe_offsets,
+    touch_findings,
+)
 from sklearn_raacmm.utils import Finding, encode_groups, floats
 
 # A picometre: smaller than any length is known, large enough to divide by.
@@ -29,7 +36,9 @@ _NO_GROWTH = (_REFERENCE_C, _STEEL)  # of an entry without temperature
 _LABELS_SHOWN = 12
 
 
-def check_problem(angles, groups, points, lengths, tools, stations):
+def check_problem(
+    angles, groups, points, lengths, tools, stations, features: Any = (), tip_diameter=0.0
+):
     """The data of a calibration as a `Problem`."""
     n = len(angles)
     if n == 0:
@@ -45,8 +54,9 @@ def check_problem(angles, groups, points, lengths, tools, stations):
         points = floats("points", points, 3)
         if len(points) != n:
             raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-        if lengths:
-            raise ValueError("lengths are between groups; measured points have no use for them.")
+        if lengths or features:
+            what = "lengths are between groups" if lengths else "features are groups of touches"
+            raise ValueError(f"{what}; measured points have no use for them.")
         return Problem(None, points, [], **labels)
     if stations is not None:
         raise ValueError(
@@ -56,6 +66,15 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     positions, index = encode_groups(groups, n)
     positions = positions.tolist()
     lengths = [check_length(entry, positions) for entry in lengths]
+    if features:
+        kinds, sizes = check_features(features, positions)
+        for finding in touch_findings(kinds, index, None, positions):
+            finding.report()
+        ends = [[kinds[i][0] for i in entry[:2]] for entry in lengths]
+        labels["offsets"] = [probe_offsets(pair, tip_diameter) for pair in ends]
+        labels["offsets"] += [probe_offsets(["sphere"], tip_diameter, e[4]) for e in sizes]
+        lengths += [entry[:4] for entry in sizes]
+        labels["features"] = kinds
     problem = Problem(index, None, lengths, **labels)
     if problem.n_informative == 0:
         raise ValueError(f"each of the {len(positions)} groups has one point: none can scatter.")

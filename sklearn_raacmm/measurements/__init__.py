@@ -16,11 +16,17 @@ from sklearn_raacmm.measurements._explanations import (
 )
 from sklearn_raacmm.measurements._features import (
     KINDS,
+    Form,
     Linearised,
+    check_features,
+    known_length,
     linearise,
     linearised,
+    probe_offsets,
     touch_findings,
     touch_weights,
+    with_forms,
+    without_unknowns,
 )
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
@@ -39,16 +45,19 @@ __all__ = [
     "LEAST_ROWS",
     "PRICE",
     "UNITS",
+    "Form",
     "Linearised",
     "angle_faults",
     "base_motions",
     "best_split",
+    "check_features",
     "check_targets",
     "directions_of",
     "drift_of",
     "explanations",
     "find_dwells",
     "find_poses",
+    "known_length",
     "likeliest",
     "linearise",
     "linearised",
@@ -56,7 +65,10 @@ __all__ = [
     "moved_positions",
     "of_own_points",
     "order_explained_by",
+    "probe_offsets",
     "touch_findings",
     "touch_weights",
+    "with_forms",
     "within_turn",
+    "without_unknowns",
 ]
