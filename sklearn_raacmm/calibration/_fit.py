@@ -99,7 +99,7 @@ class Fit:
         n = arm.n_joints
         of_one = problem.index
         if problem.features:
-            left = self._touched(points, jac, self.first_weights())[1]
+            left = self._touched(points, jac, np.ones(len(points)))[1]
         else:
             left = jac - jac.mean(axis=0) if of_one is None else centred(jac, of_one)
         felt = np.sum(left**2, axis=(0, 1))
@@ -489,8 +489,9 @@ class Fit:
         """Standard deviations of the errors of known lengths, of the two ends as well, mm."""
         if not self.problem.lengths:
             return np.empty(0)
-        sd = np.array([entry[3] for entry in self.problem.lengths])
-        return np.hypot(sd, self._found()[2])
+        sd = np.hypot([entry[3] for entry in self.problem.lengths], self._found()[2])
+        # What the table does not explain is much the same in all touches of a feature.
+        return np.hypot(sd, self.sigma) if self.problem.features else sd
 
     def covariance(self, mask):
         """Posterior covariance of the free parameters; infinite where nothing is known.

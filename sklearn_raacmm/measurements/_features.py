@@ -34,9 +34,7 @@ _SIDES = {"outside": 1, "inside": -1}
 class Linearised(NamedTuple):
     """Touches of a feature about its fitted form, (n, ...), or of several features, (g, n, ...)."""
 
-    residual: (
-        np.ndarray
-    )  # (n, 3) mm, the point less the nearest one of the form: along `directions`
+    residual: np.ndarray  # (n, 3) mm, the point less the nearest one of the form
     directions: np.ndarray  # (n, 3, 3) projection on the directions that a touch shows
     unknowns: np.ndarray  # (n, 3, q) what a unit of each unknown moves the touched point by, mm
 
@@ -52,10 +50,10 @@ class Form(NamedTuple):
 class Kind(NamedTuple):
     """What is special of one kind of feature.
 
-    ``fit(points, size, weights)`` is the `Form` of least squares, and ``rows(points, form)`` are
-    the `Linearised` touches. Where the touches are on a `part` of the feature that is too
-    small, a `simpler` form explains them as well; they leave it in the `flat` directions in which
-    they spread least.
+    ``fit(points, size, weights, through)`` is the `Form` of least squares, or the one through as
+    many points with weight as it has unknowns, and ``rows(points, form)`` are the `Linearised`
+    touches. Where the touches are on a `part` of the feature that is too small, a `simpler` form
+    explains them as well; they leave it in the `flat` directions in which they spread least.
     """
 
     fit: Callable[..., Any]
@@ -219,17 +217,20 @@ def _touch_weights(of, points, size):
     if n < of.n_unknowns + 3:  # too few to say which of them is a slip
         return np.ones(n)
 
-    def left(weights):  # (..., n) mm
+    def left(weights, through=False):  # (..., n) mm
         many = np.broadcast_to(points, (*weights.shape, 3))
-        return np.linalg.norm(of.rows(many, of.fit(many, size, weights)).residual, axis=-1)
+        form = of.fit(many, size, weights, through)
+        return np.linalg.norm(of.rows(many, form).residual, axis=-1)
 
     order = np.random.default_rng(0).random((_SAMPLES, n)).argsort(axis=1)
-    off = left((order < of.n_unknowns).astype(float))
+    off = left((order < of.n_unknowns).astype(float), through=True)
     halves = np.median(off, axis=1)
     best = int(np.argmin(halves))
     weights = (off[best] <= halves[best]).astype(float)
     for _ in range(_ROUNDS):
-        weights = tukey_weights(left(weights)[:, None])
+        before, weights = weights, tukey_weights(left(weights)[:, None])
+        if np.array_equal(weights, before):
+            break
     return weights
 
 
@@ -310,7 +311,7 @@ def _mean(points, size, weights):
     return np.einsum("...n,...nc->...c", weights, points) / total
 
 
-def _point(points, size, weights):
+def _point(points, size, weights, through=False):
     return Form(_mean(points, size, weights))
 
 
@@ -324,7 +325,7 @@ def _tracker_rows(points, form):
     return Linearised(points, whole, whole[..., :0])
 
 
-def _plane(points, size, weights):
+def _plane(points, size, weights, through=False):
     centre = _mean(points, size, weights)
     away = points - centre[..., None, :]
     spread = np.einsum("...n,...nc,...nd->...cd", weights, away, away)
@@ -341,26 +342,30 @@ def _plane_rows(points, form):
     return Linearised(along[..., :1] * normal, directions, unknowns)
 
 
-def _sphere(points, size, weights):
+def _sphere(points, size, weights, through=False):
     """The sphere of least squares of the distances of the points from it."""
     mean = _mean(points, size, weights)
     away = points - mean[..., None, :]
     ones = np.ones_like(away[..., :1])
 
-    def solved(columns, target):
+    def solved(columns, target, weights=weights):
         sides = np.swapaxes(weights[..., None] * columns, -1, -2)
         normal = sides @ columns
         ridge = _RIDGE * np.trace(normal, axis1=-2, axis2=-1)[..., None, None]
         normal = normal + (ridge + _LEAST_SQUARE) * np.eye(columns.shape[-1])
         return np.linalg.solve(normal, sides @ target[..., None])[..., 0]
 
-    # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit.
-    found = solved(np.concatenate([2 * away, ones], axis=-1), np.square(away).sum(axis=-1))
+    # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit. Touches
+    # of something else, far away, would count by the fourth power of their distance.
+    square = np.square(away).sum(axis=-1)
+    usual = np.median(square, axis=-1, keepdims=True) + _LEAST_SQUARE
+    less = weights / np.square(np.maximum(square / usual, 1.0))
+    found = solved(np.concatenate([2 * away, ones], axis=-1), square, less)
     centre = found[..., :3]
     radius = np.sqrt(np.maximum(found[..., 3] + np.square(centre).sum(axis=-1), _LEAST_SQUARE))
     if size is not None:  # a sphere of another size through the same touches is on the same line
         centre, radius = centre * (size / 2 / radius)[..., None], size / 2 + 0 * radius
-    for _ in range(_MOST_STEPS):
+    for _ in range(0 if through else _MOST_STEPS):
         off = away - centre[..., None, :]
         distance = np.linalg.norm(off, axis=-1)
         outward = off / np.maximum(distance, _LEAST_SQUARE)[..., None]
