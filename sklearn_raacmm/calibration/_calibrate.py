@@ -107,9 +107,9 @@ def calibrate(
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
-        They are stated at 20 degrees C. One that was warmer or colder has two more numbers: its
-        temperature in degrees C, and how much of itself it grows by per K (without: steel,
-        11.5e-6): ``("A", "B", 500.012, 0.005, 25)`` is 29 um longer.
+        They are stated at 20 degrees C; one more number is the temperature in degrees C, a second
+        the expansion per K (without: steel, 11.5e-6): ``("A", "B", 500.012, 0.005, 25)`` is 29 um
+        longer.
     tools : array-like of shape (n_samples,), default=None
         Label of the tool of each sample, where several probes or targets were used in turn: each
         has a probe vector of its own.
@@ -117,14 +117,12 @@ def calibrate(
         Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
         of its own. For `points` only.
     features : iterable of (label, kind) or (label, kind, size, standard deviation), default=()
-        What was touched under the labels of `groups` that are no fixed points: kind "plane" or
-        "sphere", of which the diameter and its standard deviation may be known, mm:
-        ``[("ball 1", "sphere", 30.0, 0.001), ("plate", "plane")]``. `lengths` may join their
-        centres, and planes across: a gauge block is two planes and its length.
+        Groups that are touches of a "plane" or "sphere", perhaps of known diameter, mm:
+        ``("ball 1", "sphere", 30.0, 0.001)``. `lengths` may join centres and planes, such as those
+        of a gauge block.
     tip_diameter : float, default=0.0
-        Diameter of the probe's own ball, mm; 0 is a point. Sizes and blocks are larger by it for
-        the centre of the probe, or smaller if they were touched inside: what fits is taken, unless
-        a fifth part of the feature says "outside" or "inside".
+        Diameter of the probe's own ball, mm, by which sizes and blocks differ for its centre: on
+        the side that fits best, or as a fifth part, "outside" or "inside", says.
     correction : object, default=None
         Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points. Needed
@@ -153,17 +151,16 @@ def calibrate(
     ------
     ValueError
         If shapes, labels or numbers do not fit together; FindingError, if something has to be put
-        right before, such as labels or lengths that are wrong, and is not accepted.
+        right before and is not accepted.
     TypeError
         If `arm` is not an Arm, or `correction` has no method predict.
 
     Warns
     -----
     FindingWarning
-        Of what is found in the data, such as too few rows for the free parameters, labels that do
-        not fit where the probe was, a known length that disagrees, a set-up that has moved, a
-        correction that does harm, a table that is far off, or a fit that makes no sense; see
-        ``result.findings``, which also notes poses that are too much alike.
+        Of what is found in the data, such as too few rows, labels that do not fit where the probe
+        was, a known length that disagrees, a set-up that has moved, a table that is far off, or
+        poses that are too much alike; see ``result.findings``.
 
     Notes
     -----
@@ -173,10 +170,8 @@ def calibrate(
     departures from the nominal arm over theirs. Robust losses weigh whole points, so that the
     result does not depend on the directions of the axes, and known lengths.
 
-    Touches of a plane or a sphere count by their distance from it. Its place, turns and size are
-    found with the parameters, and are no parameters either: they are projected out of the touches,
-    linearised at every step. A size that is stated is compared with the one that is found, as a
-    known length is.
+    Touches count by their distance from the plane or sphere, whose unknowns are projected out, too.
+    A stated size counts as a known length.
 
     A single-point test cannot see the common scale of all lengths, but a smaller arm scatters less,
     so that least squares alone would shrink it. The distances are therefore divided by the scale of
@@ -188,8 +183,6 @@ def calibrate(
     offset of 60 mm must not widen what is believed of the links, which carry the scale. With few
     data these prior standard deviations are drawn to 0.4 mm, 0.3 mm and 0.003 rad
     (``benchmarks/bench_lengths.py scale``).
-
-    The parameters of two parallel axes in a row (UR10) depend on each other; the prior chooses.
 
     Examples
     --------
@@ -308,6 +301,9 @@ def _result(fit, given, before, groups, features):
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
     doubtful = robust > min(limit, doubt_limit(informative, fit.sigma))
+    outliers = [int(i) for i in farthest if robust[i] > limit]
+    if outliers:  # of touches that show one coordinate a shorter distance is as rare
+        limit = min(limit, float(fit.robust_distances()[outliers].min()))
     return CalibrationResult(
         arm=fit.arm(),
         names=tuple(names),
@@ -322,7 +318,7 @@ def _result(fit, given, before, groups, features):
         length_errors_mm=fit.length_errors(),
         length_sd_mm=fit.sd_of_errors(),
         sigma_mm=float(fit.sigma),
-        outliers=tuple(int(i) for i in farthest if robust[i] > limit),
+        outliers=tuple(outliers),
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),

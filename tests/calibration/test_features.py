@@ -81,7 +81,7 @@ def test_projected_unknowns_are_those_of_an_explicit_search():
 
 
 def test_a_wrong_size_and_a_wrong_block_are_named():
-    test = make_features(5, 0, 2, 25, blocks=[100.0, 200.0, 300.0], random_state=1)
+    test = make_features(5, 0, 2, 25, blocks=[250.0, 300.0, 300.0], random_state=1)
     assert not calibrated(test).findings
     features = [(a, kind, *((30.1, 0.001) if a == 2 else of)) for a, kind, *of in test.features]
     result = calibrated(test, features)
