@@ -34,8 +34,8 @@ _MEANING = {
 # Departures from the table that are worth a word, mm and rad: more than a tape and a protractor get
 # wrong; and the same in standard deviations of a prior that was given.
 _FAR_MM, _FAR_RAD, _FAR_PRIORS = 10.0, 0.1, 10.0
-# Of its drawing, or of the reach where that is 0: no length of an arm is off by more.
-_OTHER_LENGTH = 0.1
+# Of its drawing, or of the reach where that is 0, and mm: no length of an arm is off by more.
+_OTHER_LENGTH, _TOLERANCE_MM = 0.1, 2.0
 # A length that was typed wrong is off by up to this, mm; a parameter is seen where its standard
 # deviation is less than this part of the prior's.
 _TYPED_MM, _SEEN = 100.0, 0.5
@@ -146,8 +146,13 @@ def _wrong_table(fit, sd, scatter):
     """
     names, nominal, values, far = fit.names, fit.nominal, fit.x[: len(sd)], _far(fit, sd)
     departure = np.abs(values - nominal)
-    # Parameters that only others determine wander: an offset along the last axis and the probe.
-    is_wrong = (departure > far) & ~(departure < _SDS_OFF * sd)
+    # Parameters that only others determine wander: an offset along the last axis and the probe. Not
+    # long lengths, of whatever standard deviation.
+    is_length = fit.is_free & np.isin(fit.kind, ["length_mm", "short_length_mm"])
+    drawing = np.where(nominal == 0.0, fit.nominal_arm.reach_mm, np.abs(nominal))
+    off = is_length & (departure > np.maximum(_OTHER_LENGTH * drawing, _TOLERANCE_MM))
+    is_seen = ~(departure < _SDS_OFF * sd) | (off & (fit.kind == "length_mm"))
+    is_wrong = ((departure > far) | off) & is_seen
     wrong = [i for i in np.argsort(-departure / far) if is_wrong[i]]
     if not wrong:
         return
@@ -169,10 +174,7 @@ def _wrong_table(fit, sd, scatter):
         )
     text = f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}."
     size = max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
-    drawing = np.where(nominal == 0.0, fit.nominal_arm.reach_mm, np.abs(nominal))
-    off = [i for i in wrong if departure[i] > _OTHER_LENGTH * drawing[i]]
-    is_other = any(not names[i].startswith(ANGLES) for i in off)
-    weight: Any = "repair" if is_other else "doubt"
+    weight: Any = "repair" if off[wrong].any() else "doubt"
     yield Finding("table-off", text, advice, weight, joints=tuple(sorted({*joints})), size_mm=size)
 
 

@@ -324,6 +324,25 @@ def test_what_makes_things_worse_hands_nothing_over(name, make, expected):
     assert caught.value.finding.code in expected.split("|")
 
 
+@pytest.mark.parametrize("name", ["calibrate_cones", "calibrate_tracker"])
+@pytest.mark.parametrize("factor", [0.89, 1.12])
+@pytest.mark.filterwarnings("ignore")
+def test_no_length_is_handed_over_that_is_a_tenth_off_its_drawing(name, factor):
+    """One length after another, of the links and of the offsets, is drawn wrongly."""
+    for field in ("a", "d"):
+        for joint in np.flatnonzero(np.abs(getattr(TEST.nominal_arm, field)) > 20):
+            values = getattr(TEST.nominal_arm, field).copy()
+            values[joint] *= factor
+            drawn = TEST.nominal_arm.replace(**{field: values})
+            with_scale = {"lengths": known((0, 1), arm=drawn).lengths} if "cones" in name else {}
+            try:
+                FUNCTIONS[name](base(arm=drawn, **with_scale))
+            except FindingError:
+                continue
+            # The height of the base shows nothing, and stays as it was drawn.
+            assert (field, joint) == ("d", 0)
+
+
 def update_mistakes(kind):
     """What may be wrong with the residuals that an update is given, of cones or of a tracker."""
     y, f = getattr(OF, kind), EXPECTED[kind == "tracker"]
