@@ -46,7 +46,7 @@ from sklearn_raacmm.utils import (
 LOG_NOISE = (0.0, 4.0)
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
-_REGISTERED_PLACE_MM = 5.0
+REGISTERED_PLACE_MM = 5.0
 # Noise that every measurement has, mm: without any, rounding would decide beside the millimetres
 # of base and tool.
 LEAST_NOISE_MM = 1e-4
@@ -148,11 +148,11 @@ def place_columns(arm, angles, with_base):
     Each of the size that a registration may be wrong by.
     """
     angles = angles[:, : arm.n_joints]  # without extra columns
-    tool = _REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
+    tool = REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
     if not with_base:  # of a single-point test the base shows nothing
         return tool
     base = base_motions(arm.forward(angles), arm.reach_mm)
-    return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
+    return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
 
 
 def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
