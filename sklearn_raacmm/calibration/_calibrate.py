@@ -36,6 +36,7 @@ from sklearn_raacmm.utils import (
     one_warning,
     param_checks,
     slip_factors,
+    stage,
     validate_params,
 )
 
@@ -68,6 +69,7 @@ _PRIOR = [
     prefer_skip_nested_validation=True,
 )
 @one_warning
+@stage("calibration")
 def calibrate(
     arm: Arm,
     angles: ArrayLike,

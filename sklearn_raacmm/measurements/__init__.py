@@ -14,6 +14,7 @@ from sklearn_raacmm.measurements._explanations import (
     medians_of,
     of_own_points,
 )
+from sklearn_raacmm.measurements._lengths import check_length
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     angle_faults,
@@ -33,6 +34,7 @@ __all__ = [
     "angle_faults",
     "base_motions",
     "best_split",
+    "check_length",
     "check_targets",
     "directions_of",
     "drift_of",
