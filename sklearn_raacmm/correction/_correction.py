@@ -464,14 +464,16 @@ class Correction:
         else:
             turn, shift = align(seen, y - self.model.predict(X))
             y = y - seen @ turn.T - shift
+        how: Any = {"groups": positions, "date": date}
         unchanged = nothing_changed(model, X, y, positions, date)
-        free = ["probe"] * (not unchanged and probe_is_new(model, X, y, positions))
-        new: Any = self.register(*given, free=free, accept=accept)
-        if unchanged:
+        if unchanged or not probe_is_new(model, X, y, positions):
+            if not unchanged:
+                model = update_correction(model, X, y, accept=accept, **how)
+            new: Any = replace(self, model=model).register(*given, free=(), accept=accept)
             return replace(new, model=model)
+        new = self.register(*given, accept=accept)
         y = new.calibration.residuals(angles, points, positions)
-        updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
-        return replace(new, model=updated)
+        return replace(new, model=update_correction(new.model, X, y, accept=accept, **how))
 
     def move(self, probe: ArrayLike) -> Self:
         """The same with another probe, whose vector is known.
