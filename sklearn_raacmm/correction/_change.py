@@ -170,7 +170,10 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     half = after.half[:p] + _fold(model, after, codes) @ after.half[p:]
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     errors, noise, std = after.left_out
-    noise_scale, std_scale = interval_scales(errors, noise, std, np.ones(len(errors)))
+    # Until new poses say otherwise errors exceed what is expected as those of the old model do.
+    logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
+    scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
+    noise_scale, std_scale = scales
     model = replace(
         model,
         half=half,
