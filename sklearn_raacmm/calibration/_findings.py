@@ -67,7 +67,8 @@ def findings_of_fit(fit, result, bare, poses):
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
-        yield from moved_positions(left, fit.angles, groups, poses.first)
+        held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
+        yield from moved_positions(left[held], fit.angles[held], groups[held], poses.first[held])
     yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)
 
@@ -75,7 +76,7 @@ def findings_of_fit(fit, result, bare, poses):
 def _lengths(fit, result):
     """Known lengths that disagree, unless cones and table make no sense without them either."""
     if fit.problem.lengths:
-        cones = fit.of(lengths=[])
+        cones = fit.of(lengths=[], offsets=None)
         if not [*_no_such_arm(fit, result, cones.distances().mean())]:
             yield from wrong_lengths(fit, cones, encode_groups(result.groups)[0])
 
