@@ -335,12 +335,35 @@ def _of_named(linear, part, named):
     as a rule are; waves of order 2 are smaller.
     """
     orders = np.repeat(linear.terms.harmonics[:, 1], 2)
-    names = np.array([*[""] * len(orders), *linear.layout.names])
-    for j in range(1, linear.arm.n_joints + 1):
-        part = np.where(names == f"theta_offset{j}", f"offset of joint {j}", part)
+    part = _with_names(linear, part)
     sizes = np.full(len(part), _KNOCK_ARCSEC)
     sizes[: len(orders)] *= np.where(orders > _NEW_ORDERS, 0.0, orders**-2.0)
     return part, np.where(np.isin(part, named), sizes, 0.0)
+
+
+def _with_names(linear, part):
+    """Parts (n_columns,), of which offsets and probe have the names of `causes_of`."""
+    part = part.astype("U32")
+    for i, name in enumerate(linear.layout.names, start=linear.layout.n_waves):
+        if name.startswith("theta_offset"):
+            part[i] = f"offset of joint {name.removeprefix('theta_offset')}"
+        elif name.startswith("probe") and part[i] == "kinematics":
+            part[i] = "probe"
+    return part
+
+
+def doubts_of(linear, angles, codes=None):
+    """Share of what is not known of points at some poses that is of each part, the largest first.
+
+    Of the variance of all coordinates, in a single-point test about their positions: what a part
+    has in common with others is halved between them, so that all shares are 1 together.
+    """
+    half = linear.gauge_free_half
+    columns = centred(linear.columns(angles), codes)
+    shares = np.einsum("ncp,ncp->p", columns, columns @ half @ half.T)
+    part, place = np.unique(_with_names(linear, parts_of(linear)), return_inverse=True)
+    shares = np.bincount(place, shares) / max(shares.sum(), 1e-300)
+    return {str(part[i]): float(shares[i]) for i in np.argsort(-shares, kind="stable")}
 
 
 def _fold(linear, after, codes):

@@ -18,6 +18,7 @@ from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
+from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._one_fit import given_causes
@@ -287,6 +288,31 @@ class Correction:
         drawn = points[:, :, None] - model.sample_y(X, n_samples, rng, with_noise=with_noise)
         scale = self._scale_beside(model.linear_model_) * rng.normal(size=n_samples)
         return drawn + (points - _shoulder(self.arm))[:, :, None] * scale
+
+    def doubts(
+        self, angles: ArrayLike, positions: ArrayLike | None = None, *, angle_unit: str = "rad"
+    ) -> dict[str, float]:
+        """Of which causes most is not known, of corrected points at some poses.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        positions : array-like of shape (n_samples,), default=None
+            Labels of positions, about which points deviate. None: of points in the base frame.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        dict of str to float
+            Share of the variance of the points by cause, such as "probe" or "offset of joint 3",
+            the largest first; empty where no model of causes is in use.
+        """
+        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit))
+        codes = None if positions is None else encode_groups(positions, len(X))[1]
+        linear = linear_in_use(self.model)
+        return {} if linear is None else doubts_of(linear, X, codes)
 
     def check(
         self,

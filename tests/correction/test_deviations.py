@@ -1,6 +1,7 @@
 """Standard deviations of coordinates and distances against draws, geometry, and simulated arms."""
 
 from copy import copy
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,8 +14,10 @@ from sklearn_raacmm import (
     learn_correction,
     position_residuals,
 )
+from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._correction import _shoulder
 from sklearn_raacmm.datasets import SimulatedArm, make_gauge, make_single_point
+from sklearn_raacmm.utils import centred
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "ur10", "panda"])
@@ -195,3 +198,26 @@ def test_an_update_keeps_the_probe_that_was_registered():
     test = make_single_point(3, 12, machine=other, random_state=1)
     updated = correction.update(test.data, test.groups)
     assert updated.arm.probe[2] - correction.arm.probe[2] == pytest.approx(100, abs=1)
+
+
+def test_doubts_are_named_by_their_causes():
+    """A probe that is not known by 1 mm is most of what is not known of points."""
+    names = ["probe_x", "probe_y", "probe_z"]
+    test = make_single_point(4, 10, random_state=0)
+    fit = ArmResidualRegressor(test.arm, orders=2).fit(test.data, test.target, groups=test.groups)
+    linear = fit.linear_model_
+    wide = np.zeros((len(linear.coef), 3))
+    for k, name in enumerate(names):
+        column = linear.layout.others[linear.layout.names.index(name)]
+        wide[linear.layout.n_waves + linear.layout.names.index(name), k] = 1 / column.unit
+    linear = replace(
+        linear, half=np.hstack([linear.half, wide]), seen=np.pad(linear.seen, ((0, 0), (0, 3)))
+    )
+    shares = doubts_of(linear, test.data, test.groups)
+    assert next(iter(shares)) == "probe"
+    assert sum(shares.values()) == pytest.approx(1)
+    assert shares["probe"] > 0.9
+    whole = np.square(centred(linear.columns(test.data) @ linear.gauge_free_half, test.groups))
+    alone = linear.columns(test.data) @ np.where(wide.any(axis=1)[:, None], wide, 0)
+    expected = np.square(centred(alone, test.groups)).sum() / whole.sum()
+    assert shares["probe"] == pytest.approx(expected, rel=0.05)
