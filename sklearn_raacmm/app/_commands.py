@@ -47,6 +47,7 @@ from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import (
     FindingWarning,
     check_places,
+    ignored_findings,
     natural_order,
     numbered_rows,
     write_whole,
@@ -103,13 +104,14 @@ def learn(options):
         table = replace(table, positions=result.calibration.groups)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
-    report = write_report(result, facts=facts, row_numbers=table.rows)
-    # Everything is made before the first file gets its name.
-    contents = corrected_file(layout, result, options)
+    # Everything is made before the first file gets its name; findings stand in the result.
+    with ignored_findings():
+        report = write_report(result, facts=facts, row_numbers=table.rows)
+        contents = corrected_file(layout, result, options)
+        card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
-    card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     taught = replace(result, facts=result.facts | {"training": card["training"]})
     # The verdict first: it is the answer, and what follows says why.
     print_verdict(result.verdict, result.helps)
@@ -215,7 +217,7 @@ def describe_plan(table, layout, arm, options):
     for i, (name, low, high) in enumerate(zip(names, lows, highs, strict=True), 1):
         print(f"  joint {i}: {name[:40]:{min(width, 40)}s} {low:10.3f} to {high:10.3f} {unit}")
     if np.ptp(in_rad(table), axis=0).max() < _STILL:
-        say(f"The arm did not move: {n} rows are 1 pose.")
+        raise TableError(f"the arm did not move: {n} rows are 1 pose. Measure other poses, too.")
     facts = {"rows": n, "angle_unit": unit, "angles": names, "causes": list(table.others)}
     if table.points is not None:
         spread = np.ptp(table.points, axis=0)

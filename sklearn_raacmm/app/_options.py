@@ -130,7 +130,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--position": _value("NAME", "column of the positions' labels"),
     "--unit": _choice(("deg", "rad"), "unit of the joint angles", dest="angle_unit"),
     "--counts-per-turn": _value("N", "counts of the encoders in a turn, one or one for each joint"),
-    "--sheet": _value("NAME", "sheet of a spreadsheet, name or number"),
+    "--sheet": _value("NAME", "sheet of a spreadsheet, name or number; topics of a log of ROS"),
     "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),
     "--points-sd": _number("MM", "sd of a tracker's coordinate, not the arm's", default=0.0),
     "--length": _value(

@@ -35,6 +35,7 @@ from sklearn_raacmm.utils import (
     one_blas_thread,
     one_warning,
     param_checks,
+    stage,
     validate_params,
 )
 
@@ -68,6 +69,7 @@ _PRIOR = [
     prefer_skip_nested_validation=True,
 )
 @one_warning
+@stage("calibration")
 def calibrate(
     arm: Arm,
     angles: ArrayLike,

@@ -108,9 +108,9 @@ class CalibrationResult:
 
     arm: Arm
     names: tuple[Any, ...] = field(repr=False)
-    nominal: np.ndarray = field(repr=False)
-    values: np.ndarray = field(repr=False)
-    standard_deviations: np.ndarray = field(repr=False)
+    nominal: Floats = field(repr=False)
+    values: Floats = field(repr=False)
+    standard_deviations: Floats = field(repr=False)
     unidentified: tuple[Any, ...]
     unidentified_combinations: tuple[Any, ...] = field(repr=False)
     prior_sd: dict[str, Any] = field(repr=False)
@@ -123,18 +123,18 @@ class CalibrationResult:
     scatter_given_mm: float
     scatter_before_mm: float
     scatter_after_mm: float
-    residuals_mm: np.ndarray = field(repr=False)
-    length_errors_mm: np.ndarray = field(repr=False)
-    length_sd_mm: np.ndarray = field(repr=False)
+    residuals_mm: Floats = field(repr=False)
+    length_errors_mm: Floats = field(repr=False)
+    length_sd_mm: Floats = field(repr=False)
     sigma_mm: float
     outliers: tuple[Any, ...]
     outlier_limit_mm: float = field(repr=False)
-    sample_weight: np.ndarray = field(repr=False)
+    sample_weight: Floats = field(repr=False)
     groups: np.ndarray | None = field(repr=False)
     arms: dict[str, Any] = field(repr=False)
     bases: dict[str, Any] = field(repr=False)
-    base_rotation: np.ndarray | None = field(repr=False)
-    base_translation: np.ndarray | None = field(repr=False)
+    base_rotation: Floats | None = field(repr=False)
+    base_translation: Floats | None = field(repr=False)
     converged: bool
     findings: tuple[Any, ...] = ()
     features: tuple[Any, ...] = ()

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.correction._correction import Correction
-from sklearn_raacmm.correction._files import TRUSTED_TYPES
 from sklearn_raacmm.correction._learn import learn_correction
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
@@ -13,7 +12,6 @@ from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._update import update_correction
 
 __all__ = [
-    "TRUSTED_TYPES",
     "Correction",
     "CorrectionCheck",
     "CorrectionScores",

@@ -15,10 +15,10 @@ from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, check_arm
-from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_places, places_of
+from sklearn_raacmm.calibration import are_wrong, calibrate, find_places, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
+from sklearn_raacmm.measurements import check_length, find_poses, order_explained_by, within_turn
 from sklearn_raacmm.residuals import last_step_of, position_residuals
 from sklearn_raacmm.utils import (
     Finding,

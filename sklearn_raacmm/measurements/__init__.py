@@ -28,6 +28,7 @@ from sklearn_raacmm.measurements._features import (
     with_forms,
     without_unknowns,
 )
+from sklearn_raacmm.measurements._lengths import check_length
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     angle_faults,
@@ -51,6 +52,7 @@ __all__ = [
     "base_motions",
     "best_split",
     "check_features",
+    "check_length",
     "check_targets",
     "directions_of",
     "drift_of",

@@ -6,6 +6,7 @@ All hold the same four poses of a UR-like arm, so that one comparison judges all
 import datetime
 import io
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -45,6 +46,12 @@ def as_table(header, values=DEG, separator=",", end="\n"):
     rows = [["station", *header]]
     rows += [[lab, *row] for lab, row in zip(LABELS, values, strict=True)]
     return "".join(separator.join(map(str, row)) + end for row in rows)
+
+
+def markdown(text):
+    """A table of Markdown of one of commas."""
+    rows = [f"| {line.replace(',', ' | ')} |" for line in text.splitlines()]
+    return "\n".join([rows[0], "|" + "---|" * (rows[0].count("|") - 1), *rows[1:], ""])
 
 
 def of_places(text):
@@ -234,6 +241,18 @@ KINDS = {
     "chinese": {"text": as_table([f"关节{i}\uff08度\uff09" for i in range(1, 7)]),
                 "encoding": "gb18030"},
     "japanese": {"text": as_table([f"関節{i} [度]" for i in range(1, 7)]), "encoding": "cp932"},
+    # A page of notes, a program's own files, and exponents as Fortran writes them.
+    "markdown": {"text": "# Log\n\nIn the lab.\n\n" + markdown(as_table(Q))},
+    "markdown without bars": {"text": re.sub(r"(?m)^\| ?| ?\|$", "", markdown(as_table(Q)))},
+    "org": {"text": markdown(as_table(Q)).replace("---|---", "---+---")},
+    "toml": {"text": "".join(
+        f'[[pose]]\nplace = "{lab}"\nq_deg = {row}\n\n'
+        for lab, row in zip(LABELS, DEG.tolist(), strict=True))},
+    "python, a dict a line": {"text": "".join(
+        f"{dict(zip(['place', *Q], [lab, *row], strict=True))}\n"
+        for lab, row in zip(LABELS, DEG.tolist(), strict=True))},
+    "exponents of fortran": with_points("".join(
+        " ".join(f"{v:.9E}".replace("E", "D") for v in row) + "\n" for row in DEG)),
     "ls, names of places": {"text": of_places(PROGRAM["fanuc ls"])},
 }  # fmt: skip
 
