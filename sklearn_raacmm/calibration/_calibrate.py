@@ -139,14 +139,13 @@ def calibrate(
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     accept : str or list of str, default=()
-        Codes of findings, such as "moved-position", with which the result is handed over all the
-        same.
+        Codes of findings with which the result is handed over all the same.
 
     Returns
     -------
     CalibrationResult
-        The calibrated arm, the parameters with their standard deviations, those that could not be
-        identified, the scatter before and after, and the outliers.
+        The calibrated arm, the parameters with their standard deviations, the scatter before and
+        after, and the outliers.
 
     Raises
     ------
