@@ -219,7 +219,7 @@ def calibrate(
     problem = Measurements.taken(angles, groups, **given)
     if problem.points is not None:
         problem = replace(problem, lengths=[], offsets=None)
-    check_measured(problem)
+    check_measured(arm, problem)
     poses = problem.poses
     for finding in poses.findings():
         finding.report()

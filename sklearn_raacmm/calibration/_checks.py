@@ -5,6 +5,7 @@
 
 import numpy as np
 
+from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.calibration._problem import rows_of
 from sklearn_raacmm.measurements import UNITS, angle_faults, touch_findings
 from sklearn_raacmm.utils import Finding
@@ -16,12 +17,15 @@ _LEAST_REACH_MM, _REACH_IN_METRES = 200.0, 10.0
 _IN_MM = "Give millimetres; in a file name the unit in the header, such as {} [m]."
 
 
-def check_measured(measured):
-    """Whether a calibration can be made of these: they have rows, and some scatter."""
+def check_measured(arm, measured):
+    """Whether a calibration of this arm can be made of these: they have rows, and some scatter."""
+    check_angles(measured.angles, arm.n_joints, "rad")
     if not len(measured.angles):
         raise ValueError("angles are empty: there is nothing to calibrate with.")
     if measured.points is not None:
         return
+    if measured.index is None:
+        raise ValueError("there are neither groups nor points: nothing says where the probe was.")
     labels, given = measured.labels.tolist(), measured.index[measured.poses.pose]
     if measured.features:
         for finding in touch_findings(measured.features, measured.index, None, labels):

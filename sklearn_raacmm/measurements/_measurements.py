@@ -163,7 +163,8 @@ class Measurements:
         """What a function was given: measurements, or all that :meth:`of` makes them of."""
         if not isinstance(angles, cls):
             return cls.of(angles, groups, **given)
-        doubled = [name for name, value in given.items() if name in _PARTS and np.size(value or ())]
+        doubled = [n for n in _PARTS if (v := given.get(n)) is not None and np.shape(v) != (0,)]
+        doubled += ["tip_diameter"] * bool(given.get("tip_diameter"))
         if groups is not None or doubled:
             raise ValueError(
                 f"{(['groups'] if groups is not None else doubled)[0]} are in the measurements "

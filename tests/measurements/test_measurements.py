@@ -110,3 +110,21 @@ def test_some_rows_keep_what_belongs_to_them():
 def test_parts_that_do_not_fit_together_are_refused(given, words):
     with pytest.raises(ValueError, match=words):
         Measurements.of(np.zeros((20, 6)), **given)
+
+
+def test_measurements_that_do_not_fit_a_call_are_refused():
+    test = make_single_point(3, 10, random_state=1)
+    measured = Measurements.of(test.data, test.groups)
+    for given, name in (
+        ({"points": test.points}, "points"),
+        ({"groups": test.groups}, "groups"),
+        ({"lengths": [(0, 1, 100.0, 0.1)]}, "lengths"),
+        ({"tip_diameter": 3.0}, "tip_diameter"),
+    ):
+        with pytest.raises(ValueError, match=f"{name} are in the measurements already"):
+            calibrate(test.nominal_arm, measured, **given)
+    with pytest.raises(ValueError, match="neither groups nor points"):
+        calibrate(test.nominal_arm, Measurements.of(test.data))
+    seven = Measurements.of(np.zeros((20, 7)), np.arange(20) % 2)
+    with pytest.raises(ValueError, match="6 joints"):
+        calibrate(test.nominal_arm, seven)
