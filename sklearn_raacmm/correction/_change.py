@@ -170,10 +170,9 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     errors, noise, std = after.left_out
     noise_scale, std_scale = interval_scales(errors, noise, std, np.ones(len(errors)))
     model = replace(
-        model,
+        model.with_noise(after.noise_sd**2),
         half=half,
         gauge_free_half=half,
-        noise_variance=after.noise_sd**2,
         noise_scale=noise_scale,
         std_scale=std_scale,
         n_positions=float(len(np.unique(poses.positions))),
@@ -291,7 +290,7 @@ def as_prior(linear):
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
     free orders cost more than they find (``benchmarks/bench_after_the_lab.py months``).
     """
-    linear = replace(linear, noise_variance=max(linear.noise_variance, LEAST_NOISE_MM**2))
+    linear = linear.with_noise(max(linear.noise_variance, LEAST_NOISE_MM**2))
     if "harmonics" not in linear.prior_sd:
         return linear
     wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, _NEW_ORDERS + 1)}
@@ -468,8 +467,9 @@ def _pooled(linears, layout):
     roots = [np.vstack([kept * one.half, kept * one.gauge_free_half]) for one in aligned]
     pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r")
     half, gauge_free = np.vsplit(np.asarray(pooled).T, 2)
+    noise = float(np.median([one.noise_variance for one in linears]))
     return replace(
-        aligned[0],
+        aligned[0].with_noise(noise),
         layout=layout.with_harmonics(np.array(pairs, dtype=int)),
         coef=trust * mean,
         half=half,
@@ -477,7 +477,6 @@ def _pooled(linears, layout):
         fading_half=gauge_free,
         log_bayes_factor=np.zeros(len(pairs)),
         prior_sd=prior_sd,
-        noise_variance=float(np.median([one.noise_variance for one in linears])),
         noise_scale=1.0,
         std_scale=1.0,
         scale_sd=0.0,  # that is of known lengths of another arm
