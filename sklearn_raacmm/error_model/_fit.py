@@ -85,8 +85,9 @@ _POSES, _HELD_POSES = 256, 5000
 # Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those by
 # which the share of it is found that coefficients follow.
 _ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
-# Change of the noise's shares from which on rows are whitened anew.
-_SETTLED_NOISE = 0.1
+# Change of the noise's shares from which on rows are whitened anew. After so many choices the choice
+# then stays, where the weights have settled.
+_SETTLED_NOISE, _WITH_NEW_NOISE = 0.1, 2
 _TINY = 1e-300
 
 # What the weights leave of the noise variance, of normal errors in three coordinates: E[w d^2] /
@@ -350,9 +351,13 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
     levers = columns.levers(rows.X)
     if rows.noise is None:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
+    weighed = True
     for choice in range(_MAX_CHOICES):
         start = factor
-        state = search(Problem(sums, structures), state)
+        if choice < _WITH_NEW_NOISE or weighed:
+            state = search(Problem(sums, structures), state)
+        else:
+            state = refit(sums, structures, state, state.lines, _REFIT_STEPS)
         state, factor, sums = _settled(rows, columns, structures, sums, state, factor)
         if structures.share is not None and not state.with_field:
             beside = _beside_field(rows, columns, structures, sums, state, factor)
@@ -361,10 +366,11 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
         if choice + 1 == _MAX_CHOICES:
             break
         noise = _noise_of(rows.weighted(factor), columns, state)
+        weighed = bool(np.abs(factor - start).mean() >= _SETTLED_CHOICE)
         if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
             rows = rows._replace(noise=noise, root=noise.roots(levers))
             sums = rows.weighted(factor).sums(columns)
-        elif np.abs(factor - start).mean() < _SETTLED_CHOICE:
+        elif not weighed:
             break
     return state, factor, rows
 
