@@ -174,3 +174,12 @@ def test_what_the_pages_say_of_the_results_is_true(results):
 
 def test_pages_and_docstrings_are_within_their_limits(script, capsys):
     assert script("count_words").main() == 0, capsys.readouterr().out
+
+
+def test_codes_in_the_glossary_are_codes_of_findings():
+    page = read(DOC / "glossary.md")
+    table = page[page.index("\n|", page.index("## Codes of findings")) :]
+    source = "".join(map(read, (ROOT / "sklearn_raacmm").rglob("*.py")))
+    codes = re.findall(r"`([a-z-]+)`", table)
+    assert len(codes) > 40
+    assert [code for code in codes if f'"{code}"' not in source] == []

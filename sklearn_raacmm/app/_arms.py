@@ -4,15 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import json
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import load_arm, parse_numbers, print_notes
+from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
 from sklearn_raacmm.app._sources import TableError, parse_number
-from sklearn_raacmm.arm import Arm, usual_pose
+from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
+from sklearn_raacmm.correction import arm_from_data
 from sklearn_raacmm.utils import check_places, write_whole
 
 # Names that drawings and papers give the columns; the first three are needed.
@@ -55,8 +57,13 @@ where the origin is. Calibration finds all others, offsets too, to hundredths of
 def arm(options):
     """Show an arm, and write its file."""
     given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    if sum(one is not None for one in given) > 1:
-        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    named = sum(one is not None for one in (*given, options.from_data))
+    if named > 1 + bool(_deltas(options.dh)):
+        raise TableError(
+            "give one arm: a file or name, --dh, --lengths-222, --lengths-223 or --from-data."
+        )
+    if bool(options.layout) != bool(options.from_data):
+        raise TableError("--from-data and --layout belong together.")
     if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
         raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
     if (options.modified or options.probe) and not options.dh:
@@ -65,7 +72,8 @@ def arm(options):
         raise TableError("--into needs --out, the file to write; it may be the same file.")
     to_file = options.out not in (None, "-")
     if to_file:
-        check_places([options.out], filter(None, [options.source, options.dh]))
+        read = [options.source, options.dh, options.from_data]
+        check_places([options.out], filter(None, read))
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
@@ -102,6 +110,10 @@ def _meant_arm(options):
     for layout, lengths in (("2-2-2", options.lengths_222), ("2-2-3", options.lengths_223)):
         if lengths:
             return Arm.from_lengths(layout, *lengths, **offsets)
+    if options.from_data:
+        return _arm_of_layout(options)
+    if deltas := _deltas(options.dh):
+        return _calibrated_ur(load_arm(options.source or ""), deltas)
     if options.dh:
         convention = "modified" if options.modified else "standard"
         return read_dh(options.dh, convention, parse_numbers("--probe", options.probe or "0,0,0"))
@@ -116,6 +128,46 @@ def _meant_arm(options):
     layout = input("Layout, 2-2-2 or 2-2-3: ").strip()
     lengths = {name: parse_number(input(f"{text}, mm: ")) for name, text in _QUESTIONS}
     return Arm.from_lengths(layout, **lengths)
+
+
+def _deltas(path):
+    """Numbers of a UR's own calibration by their names, such as theta; {} of any other file."""
+    if path is None or not Path(path).is_file():
+        return {}
+    text = Path(path).read_text(encoding="utf-8", errors="replace")
+    lists = re.findall(r"(?m)^\s*delta_(theta|a|d|alpha)\s*=\s*\[([^\]]*)\]", text)
+    return {name: list(map(parse_number, numbers.split(","))) for name, numbers in lists}
+
+
+def _calibrated_ur(nominal, deltas):
+    """A nominal arm with what its controller's file calibration.conf adds, in m and rad."""
+    n = nominal.n_joints
+    if {len(numbers) for numbers in deltas.values()} != {n} or nominal.convention != "standard":
+        raise TableError(f"--dh holds the calibration of a UR, and {nominal!r} is none.")
+    fields = {"a": 1000.0, "alpha": 1.0, "d": 1000.0, "theta": 1.0}
+    added = [factor * np.array(deltas.get(name, n * [0.0])) for name, factor in fields.items()]
+    table = np.add([nominal.a, nominal.alpha, nominal.d, nominal.theta_offset], added).T
+    names = {"name": nominal.name, "names": nominal.names, "limits": nominal.limits}
+    return read_far_axes(Arm, table, nominal.probe, **names)
+
+
+def _arm_of_layout(options):
+    """The arm of a layout that a single-point test shows; what no data show is asked."""
+    options.table, options.points = options.from_data, None
+    table = find_rows(options, Arm.from_lengths(options.layout, *[1.0] * 4)).read()
+    print_notes(table.notes)
+    unit, lengths = table.angle_unit, known_lengths(options)
+    given = options.layout, table.angles, table.positions, lengths
+    found = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
+    height = found.forward(table.angles, angle_unit=unit)[:, 2]
+    high, low = table.rows[[np.argmax(height), np.argmin(height)]]
+    print(
+        "No data show what two questions decide. Turn joint 1 counter-clockwise, seen from above: "
+        f"does its angle grow? Was the probe higher in row {high} than in row {low}? One yes and "
+        "one no: it is the mirror image, take the other one of --mirrored and without it. If the "
+        "angle falls, add --up 0,0,-1."
+    )
+    return found.replace(name=Path(options.table).stem)
 
 
 def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
@@ -158,4 +210,9 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
             values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
+    if convention == "standard" and np.abs(values["d"]).max() > MAX_LENGTH_MM:
+        offsets = values.get("theta_offset", np.zeros(len(rows)))
+        table = np.column_stack([values["a"], values["alpha"], values["d"], offsets])
+        values = {field: values[field] for field in ("joint_signs", "names") if field in values}
+        return read_far_axes(Arm, table, probe, name=Path(path).stem, **values)
     return Arm(**values, **pose, convention=convention, probe=probe, name=Path(path).stem)

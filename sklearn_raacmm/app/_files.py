@@ -53,7 +53,7 @@ def load_arm(source, base=None, tip=None):
         if "delta_theta" in path.read_text(encoding="utf-8", errors="replace"):
             raise TableError(
                 f"{source} holds what a UR's own calibration adds to a nominal arm, and not which "
-                "arm that is: take the YAML file that UR's ur_calibration makes of it."
+                f"arm that is: name it, such as raacmm arm ur10e --dh {source}."
             )
         return Arm.from_json(path)
     try:

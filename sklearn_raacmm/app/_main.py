@@ -43,6 +43,10 @@ def main(arguments: list[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else arguments
     parser = make_parser("--json" in words)
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may follow
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     try:
         options = parser.parse_args(with_config(words))
     except ValueError as error:  # of the file of options

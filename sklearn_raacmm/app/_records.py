@@ -6,9 +6,12 @@ What a file is, its content says, never the ending of its name.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import ast
 import json
 import re
+import tomllib
 from collections import Counter
+from contextlib import suppress
 from typing import Any
 
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
@@ -214,21 +217,20 @@ def _pairs(head, read, n_numbers):
 
 
 def _json(head, read, n_numbers):
-    """Records of JSON, of one document or of one in each line."""
-    if head.lstrip()[:1] not in ("{", "["):
+    """Records of JSON, TOML or Python, of one document or of one in each line."""
+    if head.lstrip()[:1] not in ("{", "[") and "\n[[" not in head:
         return None
     text = read()
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        lines = [line for line in text.splitlines() if line.strip()]
-        if len(lines) < 2 or not all(line.lstrip().startswith("{") for line in lines):
-            return None
-        try:
-            found = list(map(json.loads, lines))
-        except (ValueError, RecursionError):
-            return None
-    return _of_records("JSON", found, n_numbers)
+    lines = [line for line in text.splitlines() if line.strip()]
+    by_line = all(line.lstrip().startswith("{") for line in lines)
+    for what, parse in (
+        ("JSON", json.loads), ("TOML", tomllib.loads), ("Python", ast.literal_eval),
+    ):  # fmt: skip
+        for parts in ([text], *[lines] * by_line):
+            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+                found = list(map(parse, parts))
+                return _of_records(what, found[0] if len(found) == 1 else found, n_numbers)
+    return None
 
 
 def _yaml(head, read, n_numbers):

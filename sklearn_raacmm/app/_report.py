@@ -138,12 +138,17 @@ def render(name, **values):
 
 
 def with_history(page, history):
-    """A report, or a page without one, with what has happened since at its beginning."""
+    """A report, or a page without one, with its last step below the title and all at its end."""
     page = page or f'<!DOCTYPE html>\n<meta charset="utf-8">\n{render("_style.html")}<body>\n'
-    page = re.sub(r"(?s)<!-- history -->.*<!-- end of history -->\n?", "", page)
-    head, body, rest = page.partition("<body>\n")
     steps = [step for step in history if step["what"] != "learn"]
-    return f"{head}{body}{render('_history.html', steps=steps)}{rest}"
+    for name, template in (("last step", "_last_step.html"), ("steps", "_history.html")):
+        first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        if first not in page:  # it is no report of ours
+            page = page.replace("</body>", "") + f"\n{first}{last}"
+        text = render(template, steps=steps) if steps else ""
+        before, rest = page.split(first, 1)
+        page = f"{before}{first}\n{text}{last}{rest.split(last, 1)[1]}"
+    return page
 
 
 def _number(value, digits):

@@ -29,7 +29,9 @@ _CHUNK = 1 << 20
 # From the least ambiguous on; None is any white space.
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", None: "blanks"}
 _DECIMALS = {".": "point", ",": "comma"}
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+# Fortran writes exponents with a D.
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
+_FLOAT = str.maketrans(",dD", ".ee")
 # A number with a unit in its cell.
 _WITH_UNIT = re.compile(
     rf"({_NUMBER.pattern})\s*(deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
@@ -51,6 +53,8 @@ _SCRIPTS = (
 )
 # Hard blanks and typographic minus signs are those of word processors, wide brackets of Asian ones.
 _PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"})
+# A line under the header of a table in Markdown, whose rows may begin and end with bars.
+_RULE = re.compile(r"[\s|:+-]*--[\s|:+-]*")
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 # A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
@@ -59,6 +63,8 @@ _MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
 _BLOCK_ROWS = 8192
 SHEETS = (".xlsx", ".xlsm")
 _ARRAYS = (".npy", ".npz", ".mat")
+# Logs of ROS 1 and ROS 2.
+_BAGS = (".bag", ".mcap", ".db3")
 
 
 class TableError(ValueError):
@@ -78,7 +84,7 @@ def parse_number(text):
     """Number that somebody typed, with either decimal sign."""
     if not _NUMBER.fullmatch(text.strip()):
         raise TableError(f"{text!r} is not a number.")
-    return float(text.strip().replace(",", "."))
+    return float(text.strip().translate(_FLOAT))
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,8 @@ class Dialect:
     def split(self, lines):
         """Yield (line number from 1, cells) of lines of text."""
         lines = (line.translate(_PLAIN) for line in lines)
+        if self.separator == "|":
+            lines = ("\n" if _RULE.fullmatch(line) else _without_bars(line) for line in lines)
         if self.separator is None:
             # MATLAB ends the rows of a matrix by semicolons.
             yield from enumerate((line.rstrip("\r\n ;]").split() for line in lines), 1)
@@ -131,7 +139,7 @@ class Dialect:
                 return None
             cell = with_unit[1]
         other = "." if self.decimal == "," else ","
-        return None if other in cell else float(cell.replace(",", "."))
+        return None if other in cell else float(cell.translate(_FLOAT))
 
     def count(self, cells):
         """How many cells hold numbers."""
@@ -163,6 +171,12 @@ class Dialect:
             f"Columns parted by {_SEPARATORS[self.separator]}, decimal "
             f"{_DECIMALS[self.decimal]}s, {self.encoding}"
         )
+
+
+def _without_bars(line):
+    """A row of Markdown without the bars at both of its ends."""
+    bare = line.strip()
+    return bare[1:-1] if len(bare) > 1 and bare[0] == bare[-1] == "|" else line
 
 
 def unit_in(cell):
@@ -204,6 +218,8 @@ def find_source(path, n_numbers, sheet=None):
     `sheet` is the name or number, from 1, of a spreadsheet's; None: the first with such rows.
     """
     path = Path(path)
+    if path.suffix.lower() in _BAGS or (path / "metadata.yaml").is_file():
+        return _bag(path, n_numbers, (sheet or "").split(","))
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
     if path.suffix.lower() in SHEETS:
@@ -408,3 +424,15 @@ def _find_records(path, n_numbers):
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
     return None if found is None else Dialect(path, what=found[0], table=found[1])
+
+
+def _bag(path, n_numbers, topics):
+    """The rows of a log of ROS."""
+    check_installed("rosbags")
+    from sklearn_raacmm.app._bags import read_bag
+
+    try:
+        what, names, rows = read_bag(path, n_numbers, topics)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}") from None
+    return Dialect(path, what=what, table=[(0, names), *rows])

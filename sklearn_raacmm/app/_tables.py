@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.utils import Floats
 
 # Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
 # puts into quotation marks; so many lines are looked at together.
@@ -45,10 +46,10 @@ class Table:
         Further columns by name: numbers, or text where one cell is no number.
     """
 
-    angles: np.ndarray
+    angles: Floats
     angle_unit: str
     positions: Any
-    points: np.ndarray | None
+    points: Floats | None
     rows: np.ndarray
     notes: list[Any] = field(default_factory=list)
     others: dict[str, Any] = field(default_factory=dict)

@@ -98,6 +98,8 @@ def print_scores(scores, rows_named="positions"):
         f"Standard deviations: {100 * scores.coverage:.1f} % of the coordinates left out are in "
         f"their 95 % intervals; the stated ones are {scores.std_factor:.2f} times as large."
     )
+    if scores.changes:
+        say(f"What calibration changed of the table: {'; '.join(scores.changes)}.")
     low, high = min(scores.fold_shares), max(scores.fold_shares)
     say(
         f"Share of the correction in use: {100 * scores.share:.0f} % (folds: "

@@ -15,6 +15,7 @@ from sklearn_raacmm.arm._kinematics import (
     points_of,
 )
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
+from sklearn_raacmm.arm._urdf import read_far_axes
 
 __all__ = [
     "FIELDS",
@@ -31,6 +32,7 @@ __all__ = [
     "own_angles",
     "parameter_jacobian",
     "points_of",
+    "read_far_axes",
     "solve",
     "usual_pose",
 ]

@@ -196,7 +196,7 @@ def _joint(element, where):
             ends = (-np.inf, np.inf) if ends == (-_FAR, _FAR) else ends
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
-    place, child = _pose(MM_PER_M * np.array(xyz), rpy), element.find("child").get("link")
+    place, child = pose_of(MM_PER_M * np.array(xyz), rpy), element.find("child").get("link")
     return Joint(name, place, axis, ends, child, max(off, default=0.0))
 
 
@@ -207,7 +207,7 @@ def rigid(turn, shift):
     return result
 
 
-def _pose(xyz, rpy):
+def pose_of(xyz, rpy):
     """Origin of a joint, from mm and rad."""
     turn = Rotation.from_euler("xyz", rpy).as_matrix()  # about the fixed axes, in this order
     return rigid(np.round(turn, _DIGITS), xyz)
@@ -227,7 +227,7 @@ def _ur_joints(text, where):
             raise ValueError(
                 f"{where}: the joint {key!r} needs the numbers {', '.join(_UR_KEYS)}, one a line."
             ) from None
-        place, off = _pose(MM_PER_M * np.array(xyz), rpy), np.array(given[3:], dtype=float) - rpy
+        place, off = pose_of(MM_PER_M * np.array(xyz), rpy), np.array(given[3:], dtype=float) - rpy
         rounded = float(np.abs(off).max())
         joints.append(Joint(name, place, np.eye(3)[2], (-np.inf, np.inf), rounded=rounded))
     return joints
@@ -352,12 +352,12 @@ def urdf_text(arm):
     warn_of_sums(arm)
     rows, before = [], np.eye(4)
     for i in range(arm.n_joints):
-        link = _pose((arm.a[i], 0, 0), (arm.alpha[i], 0, 0))
+        link = pose_of((arm.a[i], 0, 0), (arm.alpha[i], 0, 0))
         if arm.convention == "standard":
-            origin = before @ _pose((0, 0, 0), (0, 0, arm.theta_offset[i]))
-            before = _pose((0, 0, arm.d[i]), (0, 0, 0)) @ link
+            origin = before @ pose_of((0, 0, 0), (0, 0, arm.theta_offset[i]))
+            before = pose_of((0, 0, arm.d[i]), (0, 0, 0)) @ link
         else:  # a rotation about z and a shift along it change places
-            origin = link @ _pose((0, 0, arm.d[i]), (0, 0, arm.theta_offset[i]))
+            origin = link @ pose_of((0, 0, arm.d[i]), (0, 0, arm.theta_offset[i]))
         limits = arm.limits[i] if arm.limits is not None else (-np.inf, np.inf)
         name = arm.names[i] if arm.names else f"joint{i + 1}"
         rows.append((name, origin, arm.joint_signs[i], limits))

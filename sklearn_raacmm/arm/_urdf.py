@@ -13,6 +13,7 @@ import numpy as np
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._chain import (
     edited,
+    pose_of,
     read_chain,
     rigid,
     turn_between,
@@ -48,16 +49,13 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
         raise ValueError(f"{where}: the chain has {n} revolute joints, not several.")
     directions = [frame[:3, :3] @ joint.axis for frame, joint in moving]
     points = [frame[:3, 3] for frame, _ in moving]
-    directions, points, tip_point = _straighten(directions, points, frames[-1][:3, 3])
-    table, probe, placed = _table(directions, points, tip_point)
-    parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
+    fields, placed = _fields_of_axes(directions, points, frames[-1][:3, 3])
     limits = np.array([joint.limits for _, joint in moving])
     # The first link of a file stands upright: its z axis is the vertical.
     upright = reduce(np.matmul, (joint.origin for joint in mount), np.eye(4))
     up = placed[:3, :3].T @ upright[2, :3]
     arm = cls(
-        **table, probe=probe, convention="modified", name=name,
-        **usual_pose(n, parallel, "modified"), names=tuple(joint.name for _, joint in moving),
+        **fields, name=name, names=tuple(joint.name for _, joint in moving),
         limits=limits if np.isfinite(limits).any() else None,
         up=np.where(np.abs(up) > _PARALLEL, up, 0.0),
     )  # fmt: skip
@@ -72,6 +70,34 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
             weight="doubt" if moved_mm > _MUCH_MM else "note",
         ).report()  # fmt: skip
     return arm, placed, joints, mount, text, where
+
+
+def read_far_axes(cls: Any, table: Any, probe: Any, **fields: Any) -> Any:
+    """Arm of a standard table whose `d` may be longer than any arm.
+
+    The common normal of two axes that are all but parallel may be a hundred metres away, as in a
+    UR's own calibration. `table` has rows a, alpha, d and theta offset, mm and rad. The axes are
+    the same, but those that are taken as parallel, and the arm is of the modified convention.
+    """
+    frame, at, directions, points = np.eye(4), np.zeros(3), [], []
+    for a, alpha, d, offset in table:
+        u, origin = frame[:3, 2], frame[:3, 3]
+        at = origin + ((at - origin) @ u) * u  # of each axis the point next to the one before
+        directions.append(u)
+        points.append(at)
+        frame = frame @ pose_of((0, 0, d), (0, 0, offset)) @ pose_of((a, 0, 0), (alpha, 0, 0))
+    own, _ = _fields_of_axes(directions, points, (frame @ [*probe, 1.0])[:3])
+    return cls(**own, **fields)
+
+
+def _fields_of_axes(directions, points, tip):
+    """Fields of `Arm` of these axes at zero angles and a probe, and the pose of its base."""
+    directions, points, tip = _straighten(directions, points, tip)
+    table, probe, placed = _table(directions, points, tip)
+    n = len(directions)
+    parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
+    own = usual_pose(n, parallel, "modified")
+    return {**table, **own, "probe": probe, "convention": "modified"}, placed
 
 
 def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from sklearn_raacmm.calibration._calibrate import calibrate, find_places
-from sklearn_raacmm.calibration._checks import check_length
 from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, places_of
 from sklearn_raacmm.calibration._lengths import are_wrong
@@ -17,7 +16,6 @@ __all__ = [
     "CalibrationResult",
     "are_wrong",
     "calibrate",
-    "check_length",
     "find_places",
     "lengths_of_places",
     "places_of",

@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import MAX_LENGTH_MM
 from sklearn_raacmm.calibration._problem import Problem, rows_of
-from sklearn_raacmm.measurements import UNITS, angle_faults, find_poses
+from sklearn_raacmm.measurements import (
+    UNITS,
+    angle_faults,
+    check_features,
+    check_length,
+    find_poses,
+    probe_offsets,
+    touch_findings,
+)
 from sklearn_raacmm.utils import Finding, encode_groups, floats
 
-# A picometre: smaller than any length is known, large enough to divide by.
-_LEAST_SD_MM = 1e-9
 # Spread of measured points over that of the arm's: beyond, one of them is in another unit.
 _SPREAD = 1.5
 # Measuring arms reach from half a metre on, robots are not much smaller.
 _LEAST_REACH_MM, _REACH_IN_METRES = 200.0, 10.0
 _IN_MM = "Give millimetres; in a file name the unit in the header, such as {} [m]."
-# Lengths are stated at 20 degrees C (ISO 1). Steel grows by 11.5e-6 of itself per K (ISO 3650). No
-# length is used so far from there, and no solid grows faster.
-_REFERENCE_C, _STEEL = 20.0, 11.5e-6
-_MOST_KELVIN, _MOST_EXPANSION = 60.0, 3e-4
-_NO_GROWTH = (_REFERENCE_C, _STEEL)  # of an entry without temperature
-# Labels that a message lists.
-_LABELS_SHOWN = 12
 
 
-def check_problem(angles, groups, points, lengths, tools, stations):
+def check_problem(
+    angles, groups, points, lengths, tools, stations, features: Any = (), tip_diameter=0.0
+):
     """The data of a calibration as a `Problem`."""
     n = len(angles)
     if n == 0:
@@ -45,8 +45,9 @@ def check_problem(angles, groups, points, lengths, tools, stations):
         points = floats("points", points, 3)
         if len(points) != n:
             raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-        if lengths:
-            raise ValueError("lengths are between groups; measured points have no use for them.")
+        if lengths or features:
+            what = "lengths are between groups" if lengths else "features are groups of touches"
+            raise ValueError(f"{what}; measured points have no use for them.")
         return Problem(None, points, [], **labels)
     if stations is not None:
         raise ValueError(
@@ -56,6 +57,15 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     positions, index = encode_groups(groups, n)
     positions = positions.tolist()
     lengths = [check_length(entry, positions) for entry in lengths]
+    if features:
+        kinds, sizes = check_features(features, positions)
+        for finding in touch_findings(kinds, index, None, positions):
+            finding.report()
+        ends = [[kinds[i][0] for i in entry[:2]] for entry in lengths]
+        labels["offsets"] = [probe_offsets(pair, tip_diameter) for pair in ends]
+        labels["offsets"] += [probe_offsets(["sphere"], tip_diameter, e[4]) for e in sizes]
+        lengths += [entry[:4] for entry in sizes]
+        labels["features"] = kinds
     problem = Problem(index, None, lengths, **labels)
     if problem.n_informative == 0:
         raise ValueError(f"each of the {len(positions)} groups has one point: none can scatter.")
@@ -97,43 +107,6 @@ def predicted(correction, angles, problem, probes):
             model = model.with_arm(model.arm_.replace(probe=probe))
         residuals[rows] = model.predict(angles[rows])
     return residuals
-
-
-def check_length(entry: Any, labels: Any) -> Any:
-    """A known length as (position, position, length, sd), positions by their index.
-
-    The length is that at the temperature of the entry, if it has one.
-    """
-    try:
-        first, second, *numbers = entry
-        length, sd, celsius, per_kelvin = map(float, [*numbers, *_NO_GROWTH[len(numbers) - 2 :]])
-    except (TypeError, ValueError):
-        raise ValueError(
-            "each of lengths must be (label, label, length, standard deviation), and perhaps its "
-            f"temperature and expansion, got {entry!r:.60}."
-        ) from None
-    if not (abs(celsius - _REFERENCE_C) <= _MOST_KELVIN and 0 <= per_kelvin <= _MOST_EXPANSION):
-        raise ValueError(
-            f"a length can be at {_REFERENCE_C - _MOST_KELVIN:g} to "
-            f"{_REFERENCE_C + _MOST_KELVIN:g} degrees C and grow by 0 to {_MOST_EXPANSION:g} of "
-            f"itself per K, got {entry!r:.60}."
-        )
-    length *= 1 + per_kelvin * (celsius - _REFERENCE_C)
-    for label in (first, second):
-        if label not in labels:
-            some = ", ".join(map(str, labels[:_LABELS_SHOWN]))
-            some += ", ..." * (len(labels) > _LABELS_SHOWN)
-            raise ValueError(
-                f"lengths name the group {label!r}, which has no samples; groups are {some}."
-            )
-    in_bounds = 0 < length <= 2 * MAX_LENGTH_MM and _LEAST_SD_MM <= sd < np.inf
-    if not in_bounds or first == second:
-        raise ValueError(
-            f"a length must join two different groups, it must be positive and at most "
-            f"{2 * MAX_LENGTH_MM:g} mm and its standard deviation at least {_LEAST_SD_MM:g} mm, "
-            f"got {entry!r:.60}."
-        )
-    return labels.index(first), labels.index(second), length, sd
 
 
 def one_row_a_pose(angles, problem):

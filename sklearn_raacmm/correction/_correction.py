@@ -79,7 +79,7 @@ class Correction:
     facts: dict[str, Any]
     scores: CorrectionScores | None = None
     calibration: CalibrationResult | None = None
-    angles: np.ndarray | None = None
+    angles: Floats | None = None
     positions: np.ndarray | None = None
 
     @property
@@ -339,7 +339,7 @@ class Correction:
         )  # fmt: skip
         if doubt is not None:
             y, weights = found.residuals(angles, points, positions), found.sample_weight
-            of_poses = weights, codes, places, model.fading_.most
+            of_poses = weights, codes, places, float(model.fading_.found(doubt).mean())
             model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
         turns = np.char.startswith(found.names, "base_r")
         open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)
@@ -530,7 +530,7 @@ class Correction:
             base = tuple(np.array(base[name]) for name in _BASE)
         return cls(Arm.from_json(arm), model, base, facts)
 
-    def inputs(self, angles: np.ndarray, extra: dict[str, Any] | None = None) -> np.ndarray:
+    def inputs(self, angles: Floats, extra: dict[str, Any] | None = None) -> Floats:
         """What the model takes: angles in rad, (n, n_joints), then its causes."""
         given = given_causes(extra, len(angles))
         unknown = [name for name in given if name not in self.causes]
@@ -542,7 +542,7 @@ class Correction:
         columns = [np.broadcast_to(value, len(angles)) for value in (self.causes | given).values()]
         return np.column_stack([angles, *columns])
 
-    def columns(self, X: np.ndarray) -> np.ndarray:
+    def columns(self, X: Floats) -> Floats:
         """What a corrected table gets, (n_samples, 10) in mm, of what `inputs` returns.
 
         Points; standard deviations of the coordinates in the base frame and within a position; that
@@ -553,7 +553,7 @@ class Correction:
         of_metre = np.sqrt(2 * np.mean(within**2, axis=1) + scale**2)
         return np.column_stack([points, self._of_coordinate(X, points, within), within, of_metre])
 
-    def residuals(self, angles: np.ndarray, points: ArrayLike) -> np.ndarray:
+    def residuals(self, angles: Floats, points: ArrayLike) -> Floats:
         """What the arm shows, in rad, less what a tracker measured, in the base frame, (n, 3) mm.
 
         Raises

@@ -14,12 +14,14 @@ from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.correction._own_models import OtherContentError, read_model
-from sklearn_raacmm.error_model import ArmResidualRegressor, Fading, Judgement, LinearModel, Terms
-from sklearn_raacmm.network import Network, RBFNetRegressor
-from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
-from sklearn_raacmm.utils import Finding, check_unpacked, digest_of, write_whole
+from sklearn_raacmm.utils import (
+    check_unpacked,
+    digest_of,
+    stored_classes,
+    trusted_types,
+    write_whole,
+)
 
 try:
     import fcntl
@@ -29,28 +31,6 @@ except ImportError:  # Windows
 _FACTS = "correction.json"
 # Of the folder.
 _FORMAT = 2
-# Classes of models, in files under the names of their subpackages.
-_CLASSES: tuple[type, ...] = (
-    Arm,
-    ArmResidualRegressor,
-    CylindricalResidualTarget,
-    Fading,
-    Finding,
-    Judgement,
-    LinearModel,
-    Network,
-    PoseFeatures,
-    RBFNetRegressor,
-    Terms,
-)
-#: What a skops file of any model made of this package's and scikit-learn's estimators needs trust
-#: in: ``skops.io.load(path, trusted=TRUSTED_TYPES)``. Names of this package's own, nothing else.
-TRUSTED_TYPES = [
-    f"{module}.{name}"
-    for kind in _CLASSES
-    for name in (kind.__qualname__, *["Arm.azimuth"] * (kind is Arm))
-    for module in (kind.__module__, kind.__module__.rpartition(".")[0])
-]
 # The module in the name of a class of ours in a skops file, behind that of its subpackage.
 _PRIVATE = re.compile(rb'(?<="__module__": )("sklearn_raacmm\.\w+)\._\w+(?=")')
 # Names that `write_whole` gives to files until they are complete.
@@ -82,11 +62,10 @@ def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
     """Fitted model of a skops file of this folder, which such a version has written."""
     with suppress(BadZipFile):  # which skops says
         check_unpacked(f"{folder}: the model", BytesIO(content))
-    kinds = {f"{one.__module__.rpartition('.')[0]}.{one.__qualname__}": one for one in _CLASSES}
     try:
         with suppress(OtherContentError):
-            return read_model(content, kinds)
-        return _skops().loads(content, trusted=TRUSTED_TYPES)
+            return read_model(content, stored_classes())
+        return _skops().loads(content, trusted=trusted_types())
     except Exception as error:  # of a file of another version, anything
         raise ValueError(
             f"{folder} was written by {written_by}, whose model this version, {__version__}, "

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from scipy.linalg import cholesky
 from scipy.stats import f as fisher
 
-from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.correction._change import NewPoses, day, place_columns
 from sklearn_raacmm.correction._changes import causes_of, likeliest_change, slipped_rows, widened
 from sklearn_raacmm.correction._condition import Whitened, explained, score_tests
 from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import check_length
 from sklearn_raacmm.utils import (
     centred,
     encode_groups,

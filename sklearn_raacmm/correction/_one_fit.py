@@ -15,10 +15,10 @@ from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, check_arm
-from sklearn_raacmm.calibration import are_wrong, calibrate, check_length, find_places, places_of
+from sklearn_raacmm.calibration import are_wrong, calibrate, find_places, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import find_poses, order_explained_by, within_turn
+from sklearn_raacmm.measurements import check_length, find_poses, order_explained_by, within_turn
 from sklearn_raacmm.residuals import last_step_of, position_residuals
 from sklearn_raacmm.utils import (
     Finding,
@@ -132,7 +132,7 @@ class Data:
         one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
         seen.joined = [*one_place, *self.joined]
         if self.lengths and self.points is None:
-            wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
+            wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         return seen
 

@@ -15,6 +15,7 @@ from sklearn_raacmm.arm import points_of
 from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 from sklearn_raacmm.utils import (
     Finding,
+    Floats,
     centred,
     encode_groups,
     group_means,
@@ -89,15 +90,15 @@ class CorrectionScores:
     table: dict[str, Any]
     summary: dict[str, Any]
     lengths: list[Any]
-    length_errors_before: np.ndarray
-    length_errors_after: np.ndarray
+    length_errors_before: Floats
+    length_errors_after: Floats
     coverage: float
     std_factor: float
     n_folds: int
     outliers: np.ndarray
     rows_by_position: list[Any]
-    left_before: np.ndarray
-    left_after: np.ndarray
+    left_before: Floats
+    left_after: Floats
     n_blocks: int
     fold_shares: tuple[float, ...]
     changes: tuple[str, ...] = ()

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_raacmm.arm import arm_for, check_angles, points_of
-from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.measurements import check_targets, find_dwells
+from sklearn_raacmm.measurements import check_length, check_targets, find_dwells
 from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
     Finding,

@@ -82,11 +82,11 @@ _REFIT_STEPS = 5
 _MANY_CHANGED = 0.5
 # Poses whose columns are made at a time, and most poses of which all are held: some 50 MB.
 _POSES, _HELD_POSES = 256, 5000
-# Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those by
-# which the share of it is found that coefficients follow.
+# Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those
+# by which the share of it is found that coefficients follow.
 _ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
-# Change of the noise's shares from which on rows are whitened anew. After so many choices the choice
-# then stays, where the weights have settled.
+# Change of the noise's shares from which on rows are whitened anew. After so many choices the
+# choice then stays, where the weights have settled.
 _SETTLED_NOISE, _WITH_NEW_NOISE = 0.1, 2
 _TINY = 1e-300
 

@@ -31,12 +31,12 @@ from sklearn_raacmm.utils._estimators import (
     warn_user,
 )
 from sklearn_raacmm.utils._files import check_places, check_unpacked, digest_of, write_whole
-from sklearn_raacmm.utils._findings import (
-    Finding as Finding,  # for type checkers of those who import it from here
+from sklearn_raacmm.utils._findings import (  # for type checkers of those who import them from here
+    Finding as Finding,
 )
+from sklearn_raacmm.utils._findings import FindingError as FindingError
+from sklearn_raacmm.utils._findings import FindingWarning as FindingWarning
 from sklearn_raacmm.utils._findings import (
-    FindingError,
-    FindingWarning,
     call_collecting,
     collected_findings,
     ignored_findings,
@@ -64,5 +64,6 @@ from sklearn_raacmm.utils._rows import (
     slip_factors,
     tukey_weights,
 )
+from sklearn_raacmm.utils._stored import stored_classes, trusted_types
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -472,9 +472,22 @@ def test_units_of_a_table_of_an_arm(text, a_mm, alpha_deg, tmp_path, capsys):
     assert ("in rad" in said) == ("0.0892" in text and "[mm]" not in text)
 
 
-def test_corrections_of_a_robot_are_no_arm(tmp_path, refused):
-    (tmp_path / "calibration.conf").write_text("[mounting]\ndelta_theta = [ 4.5e-05, 0 ]\n")
-    refused("not which arm that is", "arm", tmp_path / "calibration.conf")
+def test_an_arm_from_its_data(tmp_path, capsys, refused):
+    """Of a simulated test in six cones and a bar, with nothing but the layout."""
+    test = make_single_point(6, 10, bars=[500], random_state=0)
+    (a, b, length, _) = test.lengths[0]
+    rows = np.column_stack([test.groups, np.rad2deg(test.data).round(6)]).tolist()
+    lines = [f"K{int(row[0])},{','.join(map(str, row[1:]))}" for row in rows]
+    names = ",".join(f"q{i} [deg]" for i in range(1, 7))
+    table, out = tmp_path / "log.csv", tmp_path / "arm.json"
+    table.write_text("\n".join([f"cone,{names}", *lines]) + "\n")
+    words = ["arm", "--from-data", str(table), "--layout", "2-2-2"]
+    assert main([*words, "--length", f"K{a}:K{b}:{length}:0.01", "--out", str(out)]) == 0
+    found, said = Arm.from_json(out), " ".join(capsys.readouterr().out.split())
+    assert np.sort(np.abs(found.d))[-2:] == pytest.approx([500, 750], abs=2)
+    assert "seen from above: does its angle grow? Was the probe higher in row" in said
+    refused("--from-data and --layout belong together", *words[:3])
+    refused("without a known distance", *words)
 
 
 @pytest.mark.parametrize(
@@ -484,3 +497,52 @@ def test_corrections_of_a_robot_are_no_arm(tmp_path, refused):
 def test_other_descriptions_of_robots_are_named(root, sentence, tmp_path, refused):
     (tmp_path / "m.xml").write_text(f"<{root}><worldbody/></{root}>")
     refused(sentence, "arm", tmp_path / "m.xml")
+
+
+# What a UR's controller stores of its own arm: changes of the nominal table, m and rad.
+UR_CHANGES = {
+    "theta": [4.5e-05, -0.2651, 0.6214, -0.3559, 1.2e-04, -9.1e-06],
+    "a": [0.000112, 0.0121, 0.0019, 0.000023, 0.0000045, 0],
+    "d": [0.00021, 118.35, -121.02, 2.661, 0.000145, -0.00031],
+    "alpha": [-0.00031, 0.00087, -0.00105, 0.00021, -0.00044, 0],
+}
+
+
+def of_definition(table, angles):
+    """Probe points of a standard table: the product of its transformations."""
+    points = []
+    for row in angles:
+        pose = np.eye(4)
+        for (a, alpha, d, offset), angle in zip(table, row, strict=True):
+            c, s, ca, sa = (f(v) for v in (angle + offset, alpha) for f in (np.cos, np.sin))
+            pose = pose @ [
+                [c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d],
+                [0, 0, 0, 1],
+            ]  # fmt: skip
+        points.append(pose[:3, 3])
+    return np.array(points)
+
+
+def test_the_calibration_of_a_ur_itself(tmp_path, capsys, refused):
+    """Two axes 0.00087 rad from parallel have a common normal 118 m away: taken as parallel."""
+    conf, made = tmp_path / "calibration.conf", tmp_path / "arm.json"
+    lines = [f"delta_{name} = {numbers}" for name, numbers in UR_CHANGES.items()]
+    conf.write_text("[mounting]\n" + "\n".join(lines) + "\njoint_checksum = [ 0x1, 0x2 ]\n")
+    refused("name it, such as raacmm arm ur10e --dh", "arm", conf)
+    refused("and <Arm 'panda'", "arm", "panda", "--dh", conf)
+    assert main(["arm", "ur10", "--dh", str(conf), "--out", str(made)]) == 0
+    assert "moves the probe by up to 1.5 mm" in capsys.readouterr().err
+    nominal, arm = Arm.from_name("ur10"), Arm.from_json(made)
+    added = [UR_CHANGES[name] for name in ("a", "alpha", "d", "theta")] * np.c_[[1e3, 1, 1e3, 1]]
+    table = np.add([nominal.a, nominal.alpha, nominal.d, nominal.theta_offset], added).T
+    angles = np.random.default_rng(0).uniform(-3, 3, (50, 6))
+    points = of_definition(table, angles)
+    assert np.linalg.norm(arm.forward(angles) - points, axis=1).max() < 1.5
+    assert np.linalg.norm(nominal.forward(angles) - points, axis=1).max() > 100
+    assert arm.names == nominal.names
+    rows = [["a [mm]", "alpha [deg]", "d [mm]", "theta offset [deg]"]]
+    rows += (table * [1, 180 / np.pi, 1, 180 / np.pi]).tolist()
+    (tmp_path / "dh.csv").write_text("\n".join(",".join(map(str, row)) for row in rows))
+    assert main(["arm", "--dh", str(tmp_path / "dh.csv"), "--out", str(made)]) == 0
+    same = Arm.from_json(made)
+    np.testing.assert_allclose(same.forward(angles), arm.forward(angles), atol=1e-9)

@@ -157,7 +157,7 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     assert step["after_mm"] < step["before_mm"]
     # Report, card and points are those of the new model; the points of before are kept.
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.index(f"1. update, {step['date']}") < page.index("<h1>Learnt")
+    assert page.index("<h1>Learnt") < page.index(f"Update on {step['date']}: mean deviation")
     for when in ("before", "after"):
         assert f">{1000 * step[f'{when}_mm']:.1f}</td>" in page
     fingerprint = describe(saved.model)["fingerprint"]
@@ -178,8 +178,10 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
         "update", "move", "check",
     ]  # fmt: skip
     page = (out / "report.html").read_text(encoding="utf-8")
-    heads = re.findall(r"<h\d>(.*?)(?:, \d.*)?</h\d>", page)
-    assert heads == ["3. check", "2. move", "1. update", "Learnt"]
+    assert re.findall(r"<h\d>(.*?)</h\d>", page) == ["Learnt", "Since it was learnt"]
+    assert re.findall(r"<tr><td>(.*?)</td>", page) == ["update", "move", "check"]
+    (sentence,) = re.findall(r"<strong>(.*?)</strong>", page)
+    assert sentence.startswith(f"Check on {step['date']}: it ")
 
 
 def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):

@@ -2,7 +2,9 @@
 
 import io
 import json
+import os
 import re
+import subprocess
 import sys
 
 import numpy as np
@@ -145,3 +147,22 @@ def test_options_stand_beside_the_tables(folder, capsys):
         printed = capsys.readouterr().err
         assert "raacmm.toml: " in printed
         assert message in printed
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("raacmm reg", {"register"}),
+        ("raacmm learn --points", {"--points", "--points-sd"}),
+        ("raacmm learn --unit ", {"deg", "rad"}),
+        ("raacmm check --h", {"--help"}),
+    ],
+)
+def test_a_shell_completes_words_and_options(line, words, tmp_path):
+    pytest.importorskip("argcomplete", reason="argcomplete is not installed")
+    place = tmp_path / "answers"
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))}
+    asked["_ARGCOMPLETE_STDOUT_FILENAME"] = str(place)
+    command = [sys.executable, "-m", "sklearn_raacmm"]
+    subprocess.run(command, env=os.environ | asked, check=True)
+    assert {answer.strip() for answer in place.read_text().split("\013")} == words

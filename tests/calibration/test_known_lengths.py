@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import calibrate
-from sklearn_raacmm.calibration import check_length
 from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.measurements import check_length
 from sklearn_raacmm.utils import collected_findings
 
 TEST = make_single_point(9, 16, machine="typical", random_state=2)  # simulated

@@ -38,6 +38,20 @@ def test_a_fit_says_how_far_it_is_to_those_who_listen(caplog, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_two_runs_that_differ_show_from_which_stage_on(caplog):
+    """The first stage, the widths, knows nothing of the number of centres."""
+    X, lines = np.random.default_rng(0).uniform(-1, 1, (60, 2)), []
+    for n_centers in (5, 5, 6):
+        caplog.clear()
+        with caplog.at_level(logging.DEBUG, logger="sklearn_raacmm"):
+            RBFNetRegressor(n_centers, random_state=0).fit(X, X[:, 0])
+        debug = [record for record in caplog.records if record.levelno == logging.DEBUG]
+        lines.append([record.getMessage() for record in debug])
+    assert lines[0] == lines[1]
+    assert [one == other for one, other in zip(lines[0], lines[2], strict=True)] == [True, False]
+    assert all("root mean square" in line for line in lines[0])
+
+
 def test_labels_are_in_the_order_of_their_numbers():
     labels = ["cone 10", "cone 2", "b", "a 1 x 3", "a 1 x 20", 7]
     assert [labels[i] for i in natural_order(labels)] == [
