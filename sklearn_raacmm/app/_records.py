@@ -14,18 +14,22 @@ from collections import Counter
 from contextlib import suppress
 from importlib.util import find_spec
 from typing import Any
+from xml.etree import ElementTree
 
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
+_IN_LIST = rf"(?:^|,)\s*{_VALUE}"
+# The name of a record, where it has one. Bounded, so that no long cell takes minutes.
+_NAMED = r"(?:\b(\w{1,80})\s?=\s?)?"
 # Programs and logs of controllers: what they are, what their text holds in any case, which is found
 # faster than a pattern, the unit of their angles, a record with its name and its body, and the
-# joints in the body. Names are bounded, so that no long cell takes minutes.
+# joints in the body.
 _PROGRAMS = (
     # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
     (
         "KUKA KRL",
         ("{", "A1"),
         "deg",
-        r"(?:\b(\w{1,80})\s?=\s?)?\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
+        _NAMED + r"\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
         rf"A\d\s+{_VALUE}",
     ),
     # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
@@ -37,25 +41,25 @@ _PROGRAMS = (
         ("[[", ":="),
         "deg",
         r"\b(\w{1,80})\s?:=\s?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
-        rf"(?:^|,)\s*{_VALUE}",
+        _IN_LIST,
     ),
     (
         "ABB RAPID",
         ("[[", "9E"),
         "deg",
         r"()\[\[([^][]*)\]\s?,\s?\[[^][]*9[eE]\+?0?9[^][]*\]\]",
-        rf"(?:^|,)\s*{_VALUE}",
+        _IN_LIST,
     ),
     # Fanuc: section /POS of an LS file in joint representation.
     (
         "Fanuc LS",
         ("P[", "J1"),
         "deg",
-        r"P\[(\d+(?:\s*:\s*\"[^\"]*\")?)\]\s*\{([^{}]*)\}",
+        r'P\[(\d+(?:\s*:\s*"[^"]*")?)\]\s*\{([^{}]*)\}',
         rf"J\d\s*=\s*{_VALUE}\s*deg",
     ),
     # Doosan, programming manual: posj(J1, ..., J6).
-    ("Doosan posj", ("posj",), "deg", r"(?:\b(\w{1,80})\s?=\s?)?\bposj\s?\(([^()]*)\)", _VALUE),
+    ("Doosan posj", ("posj",), "deg", _NAMED + r"\bposj\s?\(([^()]*)\)", _VALUE),
     # Staubli VAL3: data of the type jointRx in a .dtx file.
     (
         "Staubli VAL3",
@@ -65,7 +69,7 @@ _PROGRAMS = (
         rf'j\d="{_VALUE}"',
     ),
     # Efort: a jointtarget is j:{J1, ..., J6, external axes}.
-    ("Efort", (":{",), "deg", r"(?:\b(\w{1,80})\s?=\s?)?\b[jJ]:\{([^{}]*)\}", _VALUE),
+    ("Efort", (":{",), "deg", _NAMED + r"\b[jJ]:\{([^{}]*)\}", _VALUE),
     # Yaskawa, job with POSTYPE PULSE: the counts of the axes' encoders.
     ("Yaskawa JBI", ("PULSE",), "counts", r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
 )
@@ -94,7 +98,7 @@ def find_records(text, read, n_numbers):
     `text` is the file's beginning, `read` a function that returns all of it. Of a file that holds
     poses of the tool where joints are needed, a ValueError says so.
     """
-    for find in (_json, _program, _yaml, _lists, _pairs):
+    for find in (_json, _program, _xml, _yaml, _lists, _pairs):
         if found := find(text, read, n_numbers):
             what, names, rows = found
             return what, [(0, names), *rows] if names else rows
@@ -234,6 +238,24 @@ def _json(head, read, n_numbers):
     return None
 
 
+def _xml(head, read, n_numbers):
+    """Records of XML, each an element with attributes or simple elements; or rows of HTML."""
+    if not head.lstrip().startswith("<") or "<!ENTITY" in head:
+        return None
+    try:
+        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", read(), flags=re.DOTALL))
+    except ElementTree.ParseError:
+        return None
+    if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
+        return "HTML", None, list(enumerate(rows, 1))
+    found: dict[str, list[Any]] = {}
+    for one in root.iter():
+        simple = {part.tag: part.attrib or (part.text or "").strip() for part in one}
+        found.setdefault(one.tag, []).append(one.attrib | simple)
+    records = (_of_records("XML", each, n_numbers) for each in found.values())
+    return max(filter(None, records), key=lambda one: (len(one[2]), len(one[1])), default=None)
+
+
 def _yaml(head, read, n_numbers):
     """Records of YAML: lists of them, or messages as `ros2 topic echo` writes them."""
     lines = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
@@ -313,7 +335,11 @@ def _records(value, n_numbers):
     if dicts and len(parts) > 2 and len({tuple(one) for one in parts}) == 1:
         return [{"name": key, **one} for key, one in value.items()]
     inner = [_records(one, n_numbers) for one in parts if isinstance(one, list | dict)]
-    return max(filter(None, inner), key=len, default=None)
+    found = max(filter(None, inner), key=len, default=None)
+    # Names of the joints may stand once for all records.
+    names = {key: one for key, one in value.items() if str(key).endswith(("name", "names"))}
+    names = {key: one for key, one in names.items() if isinstance(one, list)}
+    return [names | one for one in found] if found and isinstance(found[0], dict) else found
 
 
 def _shape(value):
