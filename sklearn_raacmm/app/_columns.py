@@ -57,7 +57,8 @@ _NO_LABEL = re.compile(r"name\W?\d+\]?$|frame_id")
 _TIME = re.compile(r"\d{1,4}[-./:]\d{1,2}[-./:]\d{1,4}|\d{1,2}:\d{2}")
 _TIME_NAMES = re.compile(r"_*(time|timestamp|date|datetime|zeit|datum|uhrzeit|utc)(stamp)?")
 # Series of other quantities than angles, of commanded angles, of joints, and of measured ones. UR
-# writes target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and effort.
+# writes target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and
+# effort.
 _OTHER_QUANTITY = re.compile(
     r"velocity|speed|qdd?(?![a-z])|(?<![a-z])vel|accel|effort|torque|moment|current|strom|voltage|"
     r"temperature|temp(?![a-z])|force|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs|"
@@ -77,7 +78,7 @@ _MOVES = 1e-6
 _TWO_TURNS = 720
 _NOT_COMMANDED = re.compile(r"^(?!.*(target|command|desired|setpoint|reference|goal|soll))")
 _OF_JOINTS = re.compile(r"(?<![a-z])(q|j|joint|axis|axe|achse|eje|theta|angle|enc|encoder)[\W_]*\d")
-_MEASURED = re.compile(r"actual|measured|encoder|feedback|(?<![a-z])ist(?![a-z])")
+MEASURED = re.compile(r"actual|meas|encoder|feedback|(?<![a-z])ist(?![a-z])")
 # Units that a format states without writing them into the file: UR RTDE guide, actual_q and
 # target_q; ROS, sensor_msgs/JointState.
 _IN_RADIANS = re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?states?\W")
@@ -512,7 +513,7 @@ class Columns:
     def _measured_angles(self, columns):
         """Those of these columns that are angles; of measured and commanded ones, the measured."""
         columns = [i for i in columns if not _OTHER_QUANTITY.search(self.names[i])]
-        for pattern in (_MEASURED, re.compile("position"), _NOT_COMMANDED, _OF_JOINTS):
+        for pattern in (MEASURED, re.compile("position"), _NOT_COMMANDED, _OF_JOINTS):
             wanted = [i for i in columns if pattern.search(self.names[i])]
             if len(columns) > 1 and wanted:
                 columns = wanted

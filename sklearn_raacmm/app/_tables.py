@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._columns import MEASURED, Columns
 from sklearn_raacmm.app._sources import TableError
 from sklearn_raacmm.utils import Floats
 
@@ -275,7 +275,19 @@ _COORDINATES = (
     ("z", "elevation", "height", "h", "up", "elev", "höhe", "hoehe", "u"),
 )
 # Names of a column of names, the surest first.
-_NAMES = ("point name", "pointid", "point id", "name", "id", "point", "target", "no", "nr", "n")
+_NAMES = (
+    "point name",
+    "pointid",
+    "point id",
+    "ptid",
+    "name",
+    "id",
+    "point",
+    "target",
+    "no",
+    "nr",
+    "n",
+)
 # Points, rows and columns that are named in a note.
 _MOST_NAMED = 8
 
@@ -316,6 +328,8 @@ def _columns_of_points(columns, wanted):
         [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
     ]
     triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
+    measured = [found for found in triples if MEASURED.search(columns.names[found[0]])]
+    triples = measured if len(triples) > 1 and measured else triples
     if len(triples) == 1:
         return triples[0]
     # Names, then x, y, z, then what else is known of a point.
