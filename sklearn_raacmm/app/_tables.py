@@ -276,18 +276,8 @@ _COORDINATES = (
 )
 # Names of a column of names, the surest first.
 _NAMES = (
-    "point name",
-    "pointid",
-    "point id",
-    "ptid",
-    "name",
-    "id",
-    "point",
-    "target",
-    "no",
-    "nr",
-    "n",
-)
+    "point name", "pointid", "point id", "ptid", "name", "id", "point", "target", "no", "nr", "n",
+)  # fmt: skip
 # Points, rows and columns that are named in a note.
 _MOST_NAMED = 8
 

@@ -489,7 +489,7 @@ POINT_FILES = {
     "pairs under names": ("".join(
         f"p{i}\nCnt=1  X= {x} Y= {y} Z= {z} RotX= 1.5\n"
         for i, (x, y, z) in enumerate(POINTS)), None),
-    "nominal and actual": ("PtID,Nominal X,Nominal Y,Nominal Z,Actual X,Actual Y,Actual Z\n" + joined(
+    "nominal, too": ("PtID,Nominal X,Nominal Y,Nominal Z,Actual X,Actual Y,Actual Z\n" + joined(
         [f"p{i}", *(point + 1), *point] for i, point in enumerate(POINTS)), None),
     "motive": ("Format Version,1.23,Length Units,Meters\n\n,,Marker,Marker,Marker\n,,1,1,1\n"
         "Frame,Time (Seconds),X,Y,Z\n" + joined(
