@@ -177,6 +177,8 @@ class Layout(Columns):
         if of_each and (by_tracker or not self.needed):
             column: Any = self.position_column
             name = self.header[column]
+            labelled = f"Labels of the positions: {name}."
+            self.notes[:] = [note for note in self.notes if note != labelled]
             self.notes += [f"Column {name} names each row: it says nothing of positions."]
             table = replace(table, positions=None)
         if self.labelled and table.positions is not None:
