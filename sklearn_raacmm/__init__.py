@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sklearn_raacmm.calibration import calibrate, lengths_of_places
     from sklearn_raacmm.correction import (
         Correction,
+        arm_from_data,
         check_correction,
         learn_correction,
         plan_poses,
@@ -43,6 +44,7 @@ __all__ = [
     "PoseFeatures",
     "RBFNetRegressor",
     "__version__",
+    "arm_from_data",
     "calibrate",
     "cartesian_to_cylindrical",
     "check_correction",

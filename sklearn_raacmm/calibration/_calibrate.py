@@ -35,7 +35,6 @@ from sklearn_raacmm.utils import (
     one_blas_thread,
     one_warning,
     param_checks,
-    slip_factors,
     stage,
     validate_params,
 )
@@ -64,6 +63,7 @@ _PRIOR = [
         "prior_length_mm": _PRIOR,
         "prior_angle_rad": _PRIOR,
         "angle_unit": [param_checks.StrOptions({"rad", "deg"})],
+        "tip_diameter": [param_checks.Interval(Real, 0, None, closed="left")],
         "accept": ["array-like", str],
     },
     prefer_skip_nested_validation=True,
@@ -79,6 +79,8 @@ def calibrate(
     lengths: Iterable[Sequence[Any]] = (),
     tools: ArrayLike | None = None,
     stations: ArrayLike | None = None,
+    features: Iterable[Sequence[Any]] = (),
+    tip_diameter: float = 0.0,
     correction: Any = None,
     free: Iterable[str] = FIELDS,
     loss: str = "soft_l1",
@@ -107,15 +109,22 @@ def calibrate(
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between the fixed points of two groups, mm: tuples or the rows of an array.
-        They are stated at 20 degrees C. One that was warmer or colder has two more numbers: its
-        temperature in degrees C, and how much of itself it grows by per K (without: steel,
-        11.5e-6): ``("A", "B", 500.012, 0.005, 25)`` is 29 um longer.
+        They are stated at 20 degrees C; one more number is the temperature in degrees C, a second
+        the expansion per K (without: steel, 11.5e-6): ``("A", "B", 500.012, 0.005, 25)`` is 29 um
+        longer.
     tools : array-like of shape (n_samples,), default=None
         Label of the tool of each sample, where several probes or targets were used in turn: each
         has a probe vector of its own.
     stations : array-like of shape (n_samples,), default=None
         Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
         of its own. For `points` only.
+    features : iterable of (label, kind) or (label, kind, size, standard deviation), default=()
+        Groups that are touches of a "plane" or "sphere", perhaps of known diameter, mm:
+        ``("ball 1", "sphere", 30.0, 0.001)``. `lengths` may join centres and planes, such as those
+        of a gauge block.
+    tip_diameter : float, default=0.0
+        Diameter of the probe's own ball, mm, by which sizes and blocks differ for its centre: on
+        the side that fits best, or as a fifth part, "outside" or "inside", says.
     correction : object, default=None
         Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points. Needed
@@ -144,17 +153,16 @@ def calibrate(
     ------
     ValueError
         If shapes, labels or numbers do not fit together; FindingError, if something has to be put
-        right before, such as labels or lengths that are wrong, and is not accepted.
+        right before and is not accepted.
     TypeError
         If `arm` is not an Arm, or `correction` has no method predict.
 
     Warns
     -----
     FindingWarning
-        Of what is found in the data, such as too few rows for the free parameters, labels that do
-        not fit where the probe was, a known length that disagrees, a set-up that has moved, a
-        correction that does harm, a table that is far off, or a fit that makes no sense; see
-        ``result.findings``, which also notes poses that are too much alike.
+        Of what is found in the data, such as too few rows, labels that do not fit where the probe
+        was, a known length that disagrees, a set-up that has moved, a table that is far off, or
+        poses that are too much alike; see ``result.findings``.
 
     Notes
     -----
@@ -163,6 +171,9 @@ def calibrate(
     found along with the rest, plus the squares of the errors of the known lengths and of the
     departures from the nominal arm over theirs. Robust losses weigh whole points, so that the
     result does not depend on the directions of the axes, and known lengths.
+
+    Touches count by their distance from the plane or sphere, whose unknowns are projected out, too.
+    A stated size counts as a known length.
 
     A single-point test cannot see the common scale of all lengths, but a smaller arm scatters less,
     so that least squares alone would shrink it. The distances are therefore divided by the scale of
@@ -174,8 +185,6 @@ def calibrate(
     offset of 60 mm must not widen what is believed of the links, which carry the scale. With few
     data these prior standard deviations are drawn to 0.4 mm, 0.3 mm and 0.003 rad
     (``benchmarks/bench_lengths.py scale``).
-
-    The parameters of two parallel axes in a row (UR10) depend on each other; the prior chooses.
 
     Examples
     --------
@@ -194,6 +203,7 @@ def calibrate(
     True
     """
     lengths, free = listed("lengths", lengths), listed("free", free)
+    features = listed("features", features)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
         raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     asked = None if correction is None else check_correction(correction, angles, angle_unit)
@@ -201,7 +211,9 @@ def calibrate(
     angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
     if groups is None and points is None:
         groups = find_places(arm, angles)
-    problem = check_problem(angles, groups, points, lengths, tools, stations)
+    problem = check_problem(
+        angles, groups, points, lengths, tools, stations, features, tip_diameter
+    )
     poses, angles, problem = one_row_a_pose(angles, problem)
     for finding in wrong_units(arm, angles, problem):
         finding.report()
@@ -220,7 +232,7 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    of_poses = _result(fit, given, before, groups)
+    of_poses = _result(fit, given, before, groups, features)
     rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
     result = replace(
         of_poses,
@@ -275,9 +287,9 @@ def _settle(fit, correction, asked):
         fit.run()
 
 
-def _result(fit, given, before, groups):
+def _result(fit, given, before, groups, features):
     """Everything that is to be known of a fit that has settled."""
-    problem, index = fit.problem, fit.problem.index
+    problem = fit.problem
     stations = in_brackets(problem.station_labels, problem.n_stations)
     names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
@@ -286,11 +298,14 @@ def _result(fit, given, before, groups):
         values[turn] = Rotation.from_matrix(rotation).as_rotvec()
         bases.append((rotation, values[shift]))
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
-    robust = fit.robust_distances()
+    robust = fit.as_of_three(fit.robust_distances())
     informative = robust[problem.informative]
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
     doubtful = robust > min(limit, doubt_limit(informative, fit.sigma))
+    outliers = [int(i) for i in farthest if robust[i] > limit]
+    if outliers:  # of touches that show one coordinate a shorter distance is as rare
+        limit = min(limit, float(fit.robust_distances()[outliers].min()))
     return CalibrationResult(
         arm=fit.arm(),
         names=tuple(names),
@@ -301,13 +316,15 @@ def _result(fit, given, before, groups):
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(None if index is None else slip_factors(fit.points(), index)),
+        residuals_mm=fit.residuals(fit.first_weights()),
         length_errors_mm=fit.length_errors(),
+        length_sd_mm=fit.sd_of_errors(),
         sigma_mm=float(fit.sigma),
-        outliers=tuple(int(i) for i in farthest if robust[i] > limit),
+        outliers=tuple(outliers),
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0),
         groups=None if groups is None else np.asarray(groups),
+        features=tuple(features),
         arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
         bases=dict(zip(problem.station_labels, bases, strict=False)),
         base_rotation=bases[0][0] if bases else None,

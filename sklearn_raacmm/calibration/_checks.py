@@ -4,11 +4,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.calibration._problem import Problem, rows_of
-from sklearn_raacmm.measurements import UNITS, angle_faults, check_length, find_poses
+from sklearn_raacmm.measurements import (
+    UNITS,
+    angle_faults,
+    check_features,
+    check_length,
+    find_poses,
+    probe_offsets,
+    touch_findings,
+)
 from sklearn_raacmm.utils import Finding, encode_groups, floats
 
 # Spread of measured points over that of the arm's: beyond, one of them is in another unit.
@@ -18,7 +27,9 @@ _LEAST_REACH_MM, _REACH_IN_METRES = 200.0, 10.0
 _IN_MM = "Give millimetres; in a file name the unit in the header, such as {} [m]."
 
 
-def check_problem(angles, groups, points, lengths, tools, stations):
+def check_problem(
+    angles, groups, points, lengths, tools, stations, features: Any = (), tip_diameter=0.0
+):
     """The data of a calibration as a `Problem`."""
     n = len(angles)
     if n == 0:
@@ -34,8 +45,9 @@ def check_problem(angles, groups, points, lengths, tools, stations):
         points = floats("points", points, 3)
         if len(points) != n:
             raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
-        if lengths:
-            raise ValueError("lengths are between groups; measured points have no use for them.")
+        if lengths or features:
+            what = "lengths are between groups" if lengths else "features are groups of touches"
+            raise ValueError(f"{what}; measured points have no use for them.")
         return Problem(None, points, [], **labels)
     if stations is not None:
         raise ValueError(
@@ -45,6 +57,15 @@ def check_problem(angles, groups, points, lengths, tools, stations):
     positions, index = encode_groups(groups, n)
     positions = positions.tolist()
     lengths = [check_length(entry, positions) for entry in lengths]
+    if features:
+        kinds, sizes = check_features(features, positions)
+        for finding in touch_findings(kinds, index, None, positions):
+            finding.report()
+        ends = [[kinds[i][0] for i in entry[:2]] for entry in lengths]
+        labels["offsets"] = [probe_offsets(pair, tip_diameter) for pair in ends]
+        labels["offsets"] += [probe_offsets(["sphere"], tip_diameter, e[4]) for e in sizes]
+        lengths += [entry[:4] for entry in sizes]
+        labels["features"] = kinds
     problem = Problem(index, None, lengths, **labels)
     if problem.n_informative == 0:
         raise ValueError(f"each of the {len(positions)} groups has one point: none can scatter.")

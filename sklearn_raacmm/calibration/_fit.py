@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 from scipy.stats import chi, norm
 
 from sklearn_raacmm.arm import FIELDS, parameter_jacobian
@@ -25,7 +26,14 @@ from sklearn_raacmm.calibration._problem import (
 )
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.inference import evidence_variance
-from sklearn_raacmm.utils import align, centred, group_means, robust_scale
+from sklearn_raacmm.measurements import (
+    known_length,
+    linearised,
+    touch_weights,
+    with_forms,
+    without_unknowns,
+)
+from sklearn_raacmm.utils import align, centred, group_means, robust_scale, slip_factors
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
@@ -77,6 +85,7 @@ class Fit:
         nominal = self.nominal
         self.x = nominal.copy()
         self.converged = False
+        self.sigma = 1.0  # mm, until rows are weighed
         self.evaluated: Any = None
         points, jac = self.points_and_jacobian(self.x)
         places = []  # first guess of every base
@@ -89,7 +98,10 @@ class Fit:
         # first axis, which a single-point test cannot feel, has no say.
         n = arm.n_joints
         of_one = problem.index
-        left = jac - jac.mean(axis=0) if of_one is None else centred(jac, of_one)
+        if problem.features:
+            left = self._touched(points, jac, np.ones(len(points)))[1]
+        else:
+            left = jac - jac.mean(axis=0) if of_one is None else centred(jac, of_one)
         felt = np.sum(left**2, axis=(0, 1))
         length = np.zeros_like(nominal)
         rows = np.r_[:n, 2 * n : 3 * n]
@@ -125,8 +137,18 @@ class Fit:
 
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
+        if self.problem.features:
+            # One touch of another feature bends a sphere, where it hardly moves a mean.
+            self.weights = self.first_weights()
         self.length_weights = self._new_length_weights()
         self._weigh()
+
+    def first_weights(self):
+        """Weights of the rows by what they touched, without slips; None for measured points."""
+        index, points = self.problem.index, self.points()
+        if self.problem.features:
+            return touch_weights(self.problem.features, index, points)
+        return None if index is None else slip_factors(points, index)
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -192,7 +214,11 @@ class Fit:
         jac = jac[: 3 * n].reshape(n, 3, -1)
         finite = np.where(np.isfinite(covariance), covariance, 0.0)
         taken = (jac.reshape(-1, jac.shape[2]) @ finite).reshape(jac.shape) @ jac.swapaxes(1, 2)
-        if self.problem.points is None:
+        if self.problem.features:
+            unknowns, covariance = self._touched(self.points(), jac, self.weights)[4:]
+            unknowns = np.sqrt(self.weights)[:, None, None] * unknowns
+            taken += unknowns @ covariance[self.problem.index] @ unknowns.swapaxes(1, 2)
+        elif self.problem.points is None:
             index = self.problem.index
             own = self.weights / np.bincount(index, self.weights)[index]
             taken += own[:, None, None] * np.eye(3)
@@ -205,14 +231,38 @@ class Fit:
         """Standard deviations of the data, and the weights of the rows."""
         distances = self.robust_distances()
         seen = distances if spread is None else spread * self.sigma / np.sqrt(self.weights)
-        seen = seen[self.problem.informative]
+        shown = np.broadcast_to(self.problem.n_shown, len(seen))
+        seen, shown = seen[self.problem.informative], shown[self.problem.informative]
         if self.loss == "squared":
-            sigma = np.sqrt(np.mean(seen**2) / 3)
+            sigma = np.sqrt(np.mean(seen**2) / shown.mean())
         else:
             # Outliers would shift the median to larger ones of the others.
+            seen = self._of_three(seen, shown)
             sigma = robust_scale(seen[seen <= doubt_limit(seen, 0.0)], 3)
         self.sigma = max(sigma, _MIN_SIGMA_MM)
-        self.weights = WEIGHTS[self.loss](distances / self.sigma)
+        self.weights = WEIGHTS[self.loss](self.as_of_three(distances) / self.sigma)
+
+    @staticmethod
+    def _of_three(distances, shown):
+        """Distances (n,) of rows that show so many coordinates, with the median of three."""
+        if np.all(shown == 3):
+            return distances
+        return distances * np.sqrt(chdtri(3, 0.5) / chdtri(shown, 0.5))
+
+    def as_of_three(self, distances):
+        r"""Distances (n,) as rare among normal errors in space as those of their rows are.
+
+        Of k coordinates chi-squared is about :math:`k (1 - 2/9k + z \sqrt{2/9k})^3`, z normal
+        (Wilson and Hilferty, Proc. National Academy of Sciences 17, 1931).
+        """
+        k, used = self.problem.n_shown, self.problem.informative
+        if np.ndim(k) == 0:
+            return distances
+        sigma = max(robust_scale(self._of_three(distances, k)[used], 3), _MIN_SIGMA_MM)
+        part = 2 / (9 * k)
+        z = (np.cbrt(np.square(distances / sigma) / k) - (1 - part)) / np.sqrt(part)
+        longer = sigma * np.sqrt(3 * (1 - 2 / 27 + z * np.sqrt(2 / 27)) ** 3)
+        return np.where(k < 3, longer, distances)
 
     def _solve(self, mask):
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
@@ -275,26 +325,32 @@ class Fit:
         return points, jac
 
     def data_residuals(self, x, mask) -> Any:
-        """Residuals (n, 3) in mm of the data, their Jacobian, and the two of the fixed points.
+        """Residuals (n, 3) in mm of the data, their Jacobian, and what was touched with its own.
 
-        Derivatives by the turn of a base are those by a small turn after it.
+        Of cones these are the fixed points; of other features, the forms, what the parameters move
+        their unknowns by, and the covariance of these. Derivatives by the turn of a base are those
+        by a small turn after it.
         """
         problem, n = self.problem, len(self.nominal)
         points, jac = self.points_and_jacobian(x)
         jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
-            both = np.concatenate([points[:, :, None], jac], axis=2)
-            means = group_means(both, problem.index, self.weights)
-            centres, centres_jac = means[:, :, 0], means[:, :, 1:]
-            residuals = points - centres[problem.index]
-            jac -= centres_jac[problem.index]
+            if problem.features:
+                residuals, jac, *at, _, covariance = self._touched(points, jac, self.weights)
+                at.append(covariance)
+            else:
+                both = np.concatenate([points[:, :, None], jac], axis=2)
+                means = group_means(both, problem.index, self.weights)
+                at = [means[:, :, 0], means[:, :, 1:]]
+                residuals = points - at[0][problem.index]
+                jac -= at[1][problem.index]
             scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
             if scale > 0:
                 jac /= scale
                 slope = self.scale[mask][by_length] / scale**2
                 jac[:, :, by_length] -= residuals[:, :, None] * slope
                 residuals /= scale
-            return residuals, jac, centres, centres_jac
+            return residuals, jac, at
         place = np.cumsum(mask) - 1  # of each parameter among those that are free
         whole, n_free = np.zeros((len(points), 3, mask.sum())), jac.shape[2]
         residuals = np.empty_like(points)
@@ -307,21 +363,58 @@ class Fit:
             for column, axis in zip(place[columns[:3]], np.eye(3), strict=True):
                 whole[rows, :, column] = np.cross(axis, turned)
             whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
-        return residuals, whole, None, None
+        return residuals, whole, None
+
+    def _touched(self, points, jac, weights):
+        """Touches about their features: residuals (n, 3) and their Jacobian, forms, and moves.
+
+        With the unknowns (n, 3, q) along what the touches show, and their covariance (g, q, q).
+        """
+        features, index = self.problem.features, self.problem.index
+        rows, forms = with_forms(features, index, points, weights)
+        unknowns = rows.directions @ rows.unknowns
+        left, moves, covariance = without_unknowns(rows.directions @ jac, unknowns, index, weights)
+        return rows.residual, left, forms, moves, unknowns, covariance
+
+    def known(self, lengths, at):
+        """Known lengths as they are found: (n,) mm, their slopes (n, p), and sds of their ends.
+
+        `at` is what was touched, of `data_residuals`.
+        """
+        one, other = np.array([entry[:2] for entry in lengths], dtype=int).reshape(-1, 2).T
+        if not self.problem.features:
+            gap = at[0][one] - at[0][other]
+            found = np.maximum(np.linalg.norm(gap, axis=1), 1e-12)
+            slopes = np.einsum("kc,kcp->kp", gap / found[:, None], at[1][one] - at[1][other])
+            # What the table does not explain is much the same in all poses of one position.
+            return found, slopes, np.full(len(found), np.sqrt(2) * self.sigma)
+        forms, moves, covariance = at
+        found, slopes, variance = np.zeros(len(one)), np.zeros((len(one), moves.shape[2])), []
+        for k, (i, j) in enumerate(zip(one, other, strict=True)):
+            found[k], *sides = known_length(forms[i], forms[j])
+            sides = [side[: moves.shape[1]] for side in sides]
+            slopes[k] = sides[0] @ moves[i] + sides[1] @ moves[j]
+            ends = zip((i, j), sides, strict=True)
+            variance.append(sum(side @ covariance[end] @ side for end, side in ends))
+        return found, slopes, self.sigma * np.sqrt(np.array(variance))
 
     def _residuals_and_jacobian(self, x, mask):
         """Weighted residuals of data, known lengths and prior, and their Jacobian."""
-        residuals, jac, centres, centres_jac = self.data_residuals(x, mask)
+        residuals, jac, at = self.data_residuals(x, mask)
         weight = np.sqrt(self.weights)[:, None] / self.sigma
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
-        for (i, j, length, sd), factor in zip(
-            self.problem.lengths, self.length_weights, strict=True
-        ):
-            sd, gap = sd / np.sqrt(factor), centres[i] - centres[j]
-            distance = max(np.linalg.norm(gap), 1e-12)
-            rows.append([(distance - length) / sd])
-            jacs.append((gap @ (centres_jac[i] - centres_jac[j]) / (distance * sd))[None])
+        sds = self.length_sd / np.sqrt(self.length_weights)
+        if self.problem.features and self.problem.lengths:
+            found, slopes, _ = self.known(self.problem.lengths, at)
+            rows.append(self._off(found) / sds)
+            jacs.append(slopes / sds[:, None])
+        elif self.problem.lengths:
+            for (i, j, length, _), sd in zip(self.problem.lengths, sds, strict=True):
+                gap = at[0][i] - at[0][j]
+                distance = max(np.linalg.norm(gap), 1e-12)
+                rows.append([(distance - length) / sd])
+                jacs.append((gap @ (at[1][i] - at[1][j]) / (distance * sd))[None])
         is_free = mask[: len(self.nominal)]
         prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
         departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
@@ -339,6 +432,9 @@ class Fit:
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
         points, problem = self.points(), self.problem
+        if problem.features:
+            weights = np.ones(len(points)) if weights is None else weights
+            return linearised(problem.features, problem.index, points, weights).residual
         if problem.points is None:
             return centred(points, problem.index, weights)
         for s in range(problem.n_stations):
@@ -355,12 +451,27 @@ class Fit:
         return np.linalg.norm(self.residuals(self.weights), axis=1)
 
     def length_errors(self):
-        """Lengths between the centres of groups less the known ones, mm."""
+        """Lengths between the centres of groups less the known ones, and sizes, mm."""
         if not self.problem.lengths:
             return np.empty(0)
+        if self.problem.features:
+            return self._off(self._found()[0])
         centres = self.centres()
         i, j, length, _ = zip(*self.problem.lengths, strict=True)
         return np.linalg.norm(centres[list(i)] - centres[list(j)], axis=1) - length
+
+    def _found(self):
+        """Known lengths and sizes as they are found, their slopes, and the sds of their ends."""
+        none = np.zeros(len(self.x), dtype=bool)
+        return self.known(self.problem.lengths, self.data_residuals(self.x, none)[2])
+
+    def _off(self, found):
+        """Errors (n,) of lengths as found, mm: of the side of the probe's ball that fits best."""
+        errors = []
+        for value, entry, by in zip(found, self.problem.lengths, self.problem.offsets, strict=True):
+            off = value - entry[2] - by
+            errors.append(off[np.argmin(np.abs(off))])
+        return np.array(errors)
 
     def centres(self):
         """The fixed points (n_points, 3) in mm."""
@@ -368,8 +479,19 @@ class Fit:
 
     def _new_length_weights(self):
         # A wrong length (one hole of a plate beside the right one) must not bend the arm.
-        sd = np.array([entry[3] for entry in self.problem.lengths])
-        return WEIGHTS[self.loss](np.abs(self.length_errors()) / sd)
+        self.length_sd = np.array([entry[3] for entry in self.problem.lengths])
+        if self.problem.features and self.problem.lengths:
+            # Of fewer touches, of one coordinate each, sizes are not as sure as they are stated.
+            self.length_sd = np.hypot(self.length_sd, self._found()[2])
+        return WEIGHTS[self.loss](np.abs(self.length_errors()) / self.length_sd)
+
+    def sd_of_errors(self):
+        """Standard deviations of the errors of known lengths, of the two ends as well, mm."""
+        if not self.problem.lengths:
+            return np.empty(0)
+        sd = np.hypot([entry[3] for entry in self.problem.lengths], self._found()[2])
+        # What the table does not explain is much the same in all touches of a feature.
+        return np.hypot(sd, self.sigma) if self.problem.features else sd
 
     def covariance(self, mask):
         """Posterior covariance of the free parameters; infinite where nothing is known.
@@ -379,7 +501,7 @@ class Fit:
         """
         jac = self._residuals_and_jacobian(self.x, mask)[1]
         covariance = inverse_normal(jac)
-        if self.problem.lengths:
+        if self.problem.lengths and not self.problem.features:
             first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
             sd = np.array([entry[3] for entry in self.problem.lengths])
             centres = self.centres()

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -27,14 +26,9 @@ _BEST_MM, _BEST_SHARE = 2e-4, 5e-7
 _TABLE, _CONSTANT_MM = 0.03, 100.0
 
 
-def are_wrong(lengths: Sequence[Sequence[Any]], errors: np.ndarray, sigma: float) -> np.ndarray:
-    """Which known lengths disagree with the rest of the data, (n_lengths,) of bool.
-
-    What calibration leaves is much the same in all poses of a position: an end is no better known
-    than by one of its points.
-    """
-    sd = np.array([float(entry[3]) for entry in lengths])
-    return np.abs(errors) > _LENGTH_OUTLIER * np.hypot(sd, np.sqrt(2) * sigma)
+def are_wrong(errors: np.ndarray, sds: np.ndarray) -> np.ndarray:
+    """Which known lengths disagree with the rest of the data, by their errors and these sds."""
+    return np.abs(errors) > _LENGTH_OUTLIER * sds
 
 
 def wrong_lengths(fit, bare, labels):
@@ -55,8 +49,8 @@ def wrong_lengths(fit, bare, labels):
     scale = np.append(bare.scale, np.zeros(len(mask) - len(bare.scale)))[mask]
     sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
     if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
-        _, _, places, columns = bare.data_residuals(bare.x, mask)
-        causes, off = _causes(lengths, places, columns, covariance, bare, labels)
+        at = bare.data_residuals(bare.x, mask)[2]
+        causes, off = _causes(fit.problem, at, covariance, bare, labels)
     if causes:
         which = "; another known length tells which is right" * (len(causes) > 1)
         size = f"{100 * abs(change):.3g} % {'larger' if change > 0 else 'smaller'}"
@@ -71,7 +65,7 @@ def wrong_lengths(fit, bare, labels):
         yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
         return
     errors, wrong, sds = fit.length_errors(), [], [entry[3] for entry in lengths]
-    for k in np.flatnonzero(are_wrong(lengths, errors, fit.sigma)):
+    for k in np.flatnonzero(are_wrong(errors, fit.sd_of_errors())):
         given, said = lengths[k][2], f"{_ends(lengths[k], labels)} is"
         wrong.append(f"{said} {given + errors[k]:.6g} mm, given as {given:g} +- {sds[k]:g} mm")
     if wrong:
@@ -82,20 +76,20 @@ def wrong_lengths(fit, bare, labels):
         yield Finding("wrong-length", text, size_mm=np.abs(errors).max())
 
 
-def _causes(lengths, places, columns, covariance, bare, labels):
+def _causes(problem, at, covariance, bare, labels):
     """The likeliest causes of such lengths, (code, words) each, and by how much these are off, mm.
 
-    None where that they are right is likelier. `places` (n_points, 3) are the fixed points of the
-    fit without lengths, `columns` their derivatives, and `covariance` is that of its parameters.
+    None where that they are right is likelier. `at` is what was touched, of the fit without
+    lengths, and `covariance` is that of its parameters.
     """
-    one, other = np.array([entry[:2] for entry in lengths]).T
+    lengths = problem.lengths
     given, sd = np.array([entry[2:] for entry in lengths], dtype=float).T
     n, explained = len(given), []
-    gap = places[one] - places[other]
-    found = np.maximum(np.linalg.norm(gap, axis=1), 1e-12)
-    slope = np.einsum("kc,kcp->kp", gap / found[:, None], columns[one] - columns[other])
-    # What the table does not explain is much the same in all poses of one position.
-    covariance = slope @ covariance @ slope.T + 2 * bare.sigma**2 * np.eye(n)
+    found, slope, sd_of_ends = bare.known(lengths, at)
+    # For the centre of the probe, of the sides that fit best.
+    sides = zip(found - given, problem.offsets, strict=True)
+    given = given + [by[np.argmin(np.abs(off - by))] for off, by in sides]
+    covariance = slope @ covariance @ slope.T + np.diag(np.square(sd_of_ends))
     left, every = given - found, np.arange(n)
 
     def log_likelihood(left: Any, widths: Any = sd, more: Any = 0.0, among: Any = every) -> Any:
@@ -109,7 +103,7 @@ def _causes(lengths, places, columns, covariance, bare, labels):
     for k in every:
         value = log_likelihood(left, among=every[every != k])
         said = f"{_ends(lengths[k], labels)} may be {found[k]:.6g} mm, not {given[k]:g}"
-        said += _other_ends(lengths[k], places, labels, covariance[k, k])
+        said += "" if problem.features else _other_ends(lengths[k], at[0], labels, covariance[k, k])
         price = np.log(2 * bare.arm().reach_mm) + np.log(n)
         explained.append((value - price, ("wrong-length", said)))
     of_all = [("all lengths of the table may be wrong", _TABLE * found)]
@@ -137,4 +131,5 @@ def _other_ends(entry, places, labels, variance):
 
 
 def _ends(entry, labels):
-    return f"{labels[entry[0]]} to {labels[entry[1]]}"
+    one, other = (labels[end] for end in entry[:2])
+    return f"{one} to {other}" if one != other else f"the size of {one}"

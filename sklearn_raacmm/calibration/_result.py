@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.measurements import check_features, linearised
 from sklearn_raacmm.utils import Floats, centred, encode_groups, floats, slip_factors
 
 # What the names of parameters that are angles begin with.
@@ -66,8 +67,9 @@ class CalibrationResult:
         fitted, and calibrated. With a correction, of the corrected points.
     residuals_mm : ndarray of shape (n_samples, 3)
         Difference of each point after calibration, in the arm's base frame.
-    length_errors_mm : ndarray of shape (n_lengths,)
-        Distances between the centres of groups less the known lengths.
+    length_errors_mm, length_sd_mm : ndarray of shape (n_lengths,)
+        Distances between the centres of groups less the known lengths, and the standard deviations
+        of these errors. Sizes of features that were stated follow, as they come in `features`.
     sigma_mm : float
         Standard deviation that the fit found of a coordinate.
     outliers : tuple of int
@@ -91,6 +93,8 @@ class CalibrationResult:
         Whether weights and parameters settled.
     findings : tuple of Finding
         What the calibration noticed in the data.
+    features : tuple
+        What was touched, as given.
 
     See Also
     --------
@@ -121,6 +125,7 @@ class CalibrationResult:
     scatter_after_mm: float
     residuals_mm: Floats = field(repr=False)
     length_errors_mm: Floats = field(repr=False)
+    length_sd_mm: Floats = field(repr=False)
     sigma_mm: float
     outliers: tuple[Any, ...]
     outlier_limit_mm: float = field(repr=False)
@@ -132,6 +137,7 @@ class CalibrationResult:
     base_translation: Floats | None = field(repr=False)
     converged: bool
     findings: tuple[Any, ...] = ()
+    features: tuple[Any, ...] = ()
 
     @property
     def typical_scatter_mm(self) -> float:
@@ -189,7 +195,8 @@ class CalibrationResult:
         -------
         ndarray of shape (n_samples, 3)
             What the calibrated arm shows, without any correction, minus the measured point, or
-            minus the mean of its group without slips (see :func:`position_residuals`), mm.
+            minus the mean of its group without slips or the nearest point of its feature (see
+            :func:`position_residuals`), mm.
 
         Raises
         ------
@@ -215,7 +222,11 @@ class CalibrationResult:
         for rows, arm in self._parts("tools", tools, self.arms, self.arm, len(angles)):
             shown[rows] = arm.forward(angles[rows])
         if groups is not None:
-            codes = encode_groups(groups, len(angles))[1]
+            labels, codes = encode_groups(groups, len(angles))
+            named = labels.tolist()
+            kinds = check_features([one for one in self.features if one[0] in named], named)[0]
+            if self.features:
+                return linearised(kinds, codes, shown).residual
             return centred(shown, codes, slip_factors(shown, codes))
         points = floats("points", points, 3)
         if len(points) != len(angles):

@@ -239,7 +239,8 @@ def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE, named=None)
                 model = _conditioned(linear, rest, log_noise, start, True, named)[0]
             correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
     fading = replace(fading, known_mm=float(doubt[used].max()))
-    known = poses.weights, poses.codes, positions, fading.most
+    before = float(fading.found(doubt[used]).mean())
+    known = poses.weights, poses.codes, positions, before
     return judge(poses.residuals, correction, doubt, fading, *known)
 
 
@@ -387,7 +388,7 @@ def transferred_model(models, arm, X, y, groups=None):
     sd = np.array([entry["tau"][name] for name in part]) * size
     known = prior, np.hstack([prior.half, np.diag(sd)]), poses, entry["noise_sd_mm"]
     gain = _log_evidence(*known) - _evidence_of_fit(own, poses)
-    fading = replace(new.fading_, factor=_FADING, most=1.0)
+    fading = replace(new.fading_, factor=_FADING, most=1.0, far=1.0)
     fading, judgement = judged_fading(prior, poses, fading, ended, _LOG_NOISE_OF_MAKE)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:

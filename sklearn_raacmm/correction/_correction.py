@@ -339,7 +339,7 @@ class Correction:
         )  # fmt: skip
         if doubt is not None:
             y, weights = found.residuals(angles, points, positions), found.sample_weight
-            of_poses = weights, codes, places, model.fading_.most
+            of_poses = weights, codes, places, float(model.fading_.found(doubt).mean())
             model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
         turns = np.char.startswith(found.names, "base_r")
         open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)

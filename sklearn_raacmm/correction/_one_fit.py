@@ -132,7 +132,7 @@ class Data:
         one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
         seen.joined = [*one_place, *self.joined]
         if self.lengths and self.points is None:
-            wrong = are_wrong(self.lengths, calibration.length_errors_mm, calibration.sigma_mm)
+            wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
         return seen
 

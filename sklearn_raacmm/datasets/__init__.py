@@ -10,6 +10,7 @@ arm would have is at the top level of each data set; what only a simulation know
 
 from sklearn_raacmm.datasets._acceptance import make_acceptance
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
+from sklearn_raacmm.datasets._features import make_features
 from sklearn_raacmm.datasets._fetchers import fetch_panda_ball_socket, fetch_ur10_tracker
 from sklearn_raacmm.datasets._generators import make_gauge, make_single_point
 from sklearn_raacmm.datasets._simulation import SimulatedArm
@@ -20,6 +21,7 @@ __all__ = [
     "fetch_panda_ball_socket",
     "fetch_ur10_tracker",
     "make_acceptance",
+    "make_features",
     "make_gauge",
     "make_single_point",
 ]

@@ -133,7 +133,7 @@ def make_single_point(
         given = (bars + _LENGTH_SD_MM * rng.normal(size=len(bars))).tolist()
         first = range(n_positions, n_positions + len(ends), 2)
         known = [(i, i + 1, size, _LENGTH_SD_MM) for i, size in zip(first, given, strict=True)]
-    data: Any = _measure(machine, positions, poses, rng)
+    data: Any = measure(machine, positions, poses, rng)
     data.update(lengths=known)
     return data
 
@@ -189,7 +189,7 @@ def make_gauge(
     machine, rng = machine_and_stream(machine, random_state, stream=2)
     lengths = np.repeat(_check_lengths(lengths, machine), n_placements)
     ends, poses = draw_gauges(machine, lengths, n_poses, rng)
-    data = _measure(machine, ends, poses, rng)
+    data = measure(machine, ends, poses, rng)
     data.update(pairs=np.arange(2 * len(lengths)).reshape(-1, 2), lengths=lengths)
     return data
 
@@ -234,8 +234,11 @@ def take_readings(
     return machine.read(machine.solve(poses, true_points, **state), rng), groups, true_points
 
 
-def _measure(machine, cones, poses, rng):
-    """What the user of an arm has after a test, and what only the simulation knows."""
+def measure(machine, cones, poses, rng, groups=None, features=()):
+    """What the user of an arm has after a test, and what only the simulation knows.
+
+    Of touches of features each row has a place of its own, and `groups` (n_rows,) name the feature.
+    """
     n_rows, errors = sum(map(len, poses)), machine.errors
     # Three time constants of an arm that has been switched on.
     warm = (1 - np.exp(-np.linspace(0, 3, n_rows))) / (1 - np.exp(-3))
@@ -250,12 +253,13 @@ def _measure(machine, cones, poses, rng):
     directions = directions_of(np.vstack(poses))
     if errors.payload_n:
         payload = rng.uniform(0, errors.payload_n, n_rows)
-    angles, groups, true_points = take_readings(machine, cones, poses, rng, warming, slips, payload)
+    angles, own, true_points = take_readings(machine, cones, poses, rng, warming, slips, payload)
+    groups = own if groups is None else groups
     arm = calibrated_arm(machine)
     points = arm.forward(angles)
     return Bunch(
         data=angles,
-        target=position_residuals(points, groups),
+        target=position_residuals(points, groups, features=features),
         groups=groups,
         points=points,
         arm=arm,

@@ -112,4 +112,5 @@ def moved_fading(fading, old, new):
     """
     levers = [np.hypot(arm.a[-1], arm.d[-1]) + np.linalg.norm(arm.probe) for arm in (old, new)]
     ratio = max(float(levers[1] / levers[0]), 1.0) if levers[0] > 0 else 1.0
-    return replace(fading, size_mm=ratio * fading.size_mm, known_mm=ratio * fading.known_mm)
+    lengths = {name: ratio * getattr(fading, name) for name in ("size_mm", "known_mm", "near_mm")}
+    return replace(fading, **lengths)

@@ -11,13 +11,12 @@ from functools import partial
 
 import numpy as np
 
-from sklearn_raacmm.export._program import NEAR
+from sklearn_raacmm.network import KERNELS, NEAR
 from sklearn_raacmm.utils import LARGEST
 
 # Beyond this exp(-x) is 0, and 0 times what overflows would be NaN: the smallest normal number is
 # exp(-708.4) in double precision.
 _MOST = {"double": 708.0, "float": 87.0}
-_ROOTS = {"gaussian": 1, "matern12": 1, "matern32": 3, "matern52": 5}
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
 _VECTOR = 8
@@ -258,12 +257,16 @@ class _Writer:
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", centers, note)
-        numbers = {"most": _MOST[self.real], "root": np.sqrt(_ROOTS[kernel]), "near": NEAR}
+        times, smooth, square = KERNELS[kernel]
+        kind = ("smooth" if smooth else "rough") if times else "gaussian"
+        numbers = {"most": _MOST[self.real], "root": np.sqrt(times), "near": NEAR}
         numbers = {name: self.tables.literal(value) for name, value in numbers.items()}
+        more = f" + {self.tables.literal(square / times)} * r * r" if square else ""
+        body = self.tables.c(kind, v=v, polynomial=f"1 + r{more}", **numbers)
         self.declare(number, fill=" = {0}")
         self.fill(
             "radial", v=v, x=x, d=d, k=k, shift=shift, width=width, center=center, kernel=kernel,
-            body=self.tables.c(kernel, v=v, **numbers),
+            body=body,
         )  # fmt: skip
 
     def _variances(self, number, op):

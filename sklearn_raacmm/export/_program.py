@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.network import KERNELS, NEAR
 from sklearn_raacmm.utils import LARGEST
 
 
@@ -218,16 +219,6 @@ def _waves(angles, joint, order):
     return both[:, place.ravel() + len(of) * (order < 0)]
 
 
-# Squared distance up to which rows are the same, as `network` has it for the kernel that shows it.
-NEAR = 1e-12
-_RADIAL = {
-    "gaussian": lambda s: np.exp(-0.5 * s),
-    "matern32": lambda s: (1.0 + np.sqrt(3.0 * s)) * np.exp(-np.sqrt(3.0 * s)),
-    "matern52": lambda s: (1.0 + np.sqrt(5.0 * s) + 5 / 3 * s) * np.exp(-np.sqrt(5.0 * s)),
-    "matern12": lambda s: np.exp(-np.sqrt(np.where(s >= NEAR, s, 0.0))),
-}
-
-
 def _radial(x, kernel, centers, shift, inverse_width):
     """Radial functions of the distances from centres, in units of widths.
 
@@ -237,7 +228,13 @@ def _radial(x, kernel, centers, shift, inverse_width):
     # |z|^2 + |c|^2 - 2 z.c, as predict has it.
     s = z @ (-2.0 * centers.T) + np.square(centers).sum(axis=1)
     s = np.maximum(s + (z * z).sum(axis=1, keepdims=True), 0.0)
-    return _RADIAL[kernel](s)
+    times, smooth, square = KERNELS[kernel]
+    if not times:
+        return np.exp(-0.5 * s)
+    if not smooth:
+        return np.exp(-np.sqrt(times * np.where(s >= NEAR, s, 0.0)))
+    r = np.sqrt(times * s)
+    return (1.0 + r + square * s if square else 1.0 + r) * np.exp(-r)
 
 
 def _variances(vectors, sizes, vector, root, less=0):

@@ -107,13 +107,10 @@ $body
 }
 //// gaussian
     $v[c] = exp$f(-0.5$f * $v[c]);
-//// matern32
+//// smooth
     const $real d = $root * sqrt$f($v[c]), r = d > $most ? $most : d;
-    $v[c] = (1 + r) * exp$f(-r);
-//// matern52
-    const $real d = $root * sqrt$f($v[c]), r = d > $most ? $most : d;
-    $v[c] = (1 + r + r * r / 3) * exp$f(-r);
-//// matern12
+    $v[c] = ($polynomial) * exp$f(-r);
+//// rough
     const $real r = $v[c] > $near ? sqrt$f($v[c]) : 0;
     $v[c] = exp$f(-(r > $most ? $most : r));
 //// variances

@@ -14,6 +14,20 @@ from sklearn_raacmm.measurements._explanations import (
     medians_of,
     of_own_points,
 )
+from sklearn_raacmm.measurements._features import (
+    KINDS,
+    Form,
+    Linearised,
+    check_features,
+    known_length,
+    linearise,
+    linearised,
+    probe_offsets,
+    touch_findings,
+    touch_weights,
+    with_forms,
+    without_unknowns,
+)
 from sklearn_raacmm.measurements._lengths import check_length
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
@@ -28,12 +42,16 @@ from sklearn_raacmm.measurements._targets import base_motions, check_targets
 __all__ = [
     "EQUAL",
     "FAR",
+    "KINDS",
     "LEAST_ROWS",
     "PRICE",
     "UNITS",
+    "Form",
+    "Linearised",
     "angle_faults",
     "base_motions",
     "best_split",
+    "check_features",
     "check_length",
     "check_targets",
     "directions_of",
@@ -41,10 +59,18 @@ __all__ = [
     "explanations",
     "find_dwells",
     "find_poses",
+    "known_length",
     "likeliest",
+    "linearise",
+    "linearised",
     "medians_of",
     "moved_positions",
     "of_own_points",
     "order_explained_by",
+    "probe_offsets",
+    "touch_findings",
+    "touch_weights",
+    "with_forms",
     "within_turn",
+    "without_unknowns",
 ]

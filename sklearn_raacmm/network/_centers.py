@@ -62,74 +62,38 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, sca
     Outputs count in their own units, or, if `scaled`, in units of their spread. Where all rows may
     become centres (`or_all`) None is returned if a moderate number is too small.
     """
-    alpha, asked = structure.alpha, int(n_centers) if isinstance(n_centers, Integral) else 0
+    asked = int(n_centers) if isinstance(n_centers, Integral) else 0
     if asked > len(rows):
         warn_user(
             f"n_centers={asked}, but there are only {len(rows)} distinct candidate rows: all of "
             "them are taken."
         )
-    limit = MODERATE if or_all else max_centers or MAX_CENTERS
-    most, of = min(asked or limit, len(rows)), problem.varying
+    most, of = asked or (MODERATE if or_all else max_centers or MAX_CENTERS), problem.varying
+    most = min(most, len(rows))
     if not len(of):
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:most], "n_centers") if asked else (rows[:0], "criterion")
-    if asked:
-        least = LEAST_RANK if len(rows) == problem.n_rows else LEAST_RANK_OF_SAMPLE
-        rank = max(least, int(RANK_PER_GIVEN * asked))
-    else:
-        rank = LEAST_RANK if or_all else max(MAX_RANK, int(RANK_PER_CENTER * most))
     # Outputs that share centres see the candidates alike: as the one that needs most of them.
-    ridge = float(alpha[of].min())
+    ridge, rank = (
+        float(structure.alpha[of].min()),
+        _largest_rank(problem, rows, asked, most, or_all),
+    )
     coordinates, target, resolution, degrees, unseen = candidates_of(
         problem, rows, structure, ridge, rank, asked or None
     )
-    explained, total = np.square(target).sum(axis=0), float(problem.n_total)
-    # The trace of the error reduction.
-    units, goal = np.square(problem.spread[of].max() / problem.spread[of]), np.zeros(len(of))
-    units = np.ones(len(of)) if scaled else units
-    if n_centers == "auto":
-        # Centres are enough as soon as what further ones could still gain, summed over all samples,
-        # is below `TOLERANCE` times the noise variance times the effective number of parameters of
-        # the network that has all candidates: leaving them out then costs about this share of the
-        # error of the noise. Many of them have to be worth a share of the noise itself.
-        units = np.maximum(total - explained, 1e-14 * total) / total
-        if degrees > NO_FUNCTION:
-            goal = explained - TOLERANCE * degrees * units
-    moderate = np.minimum(goal, explained - WORTH * total * units)
-
-    def enough(k, summed):
-        if n_centers == "auto":
-            return np.all(summed >= (moderate if k >= MODERATE else goal))
-        return not asked and np.sum((total - summed) / units) <= n_centers * np.sum(total / units)
-
+    units, goal, enough = _criterion(problem, target, n_centers, degrees, scaled)
     order, reduction, why = forward_selection(
         coordinates, target, resolution, most, units=units, enough=enough
     )
-    if or_all and why == "n_select":
-        return None, ""
-    summed = np.sum(reduction, axis=0)
-    missed = np.max((goal - summed)[goal > 0] / goal[goal > 0], initial=0.0)
-    if why == "n_select" and max_centers is None and missed > 0:
-        warn_user(
-            f"The number of centres is the default limit of {len(order)}; {100 * missed:.2g} % of "
-            "what they could explain is not reached. Give a larger max_centers, or set it to this "
-            "number if the network is good enough.",
-            ConvergenceWarning,
-        )
+    if why == "n_select":
+        if or_all:
+            return None, ""
+        if max_centers is None:
+            _warn_of_limit(goal, reduction)
     if unseen > UNSEEN and not or_all:
-        more = (
-            f"A larger max_centers raises their number, to {RANK_PER_CENTER:g} times as many."
-            if not asked
-            else "They are not those of exact orthogonal least squares."
-        )
-        warn_user(
-            f"The widths are narrow for so many rows: {100 * unseen:.2g} % of the prior variance "
-            f"at the candidates lies outside the {coordinates.shape[1]} dimensions from which "
-            f"centres are chosen. {more}",
-            ConvergenceWarning,
-        )
+        _warn_of_narrow(unseen, coordinates.shape[1], asked)
     free = problem.n_rows - problem.n_tail
-    if alpha.min() == 0 and len(order) > free:
+    if structure.alpha.min() == 0 and len(order) > free:
         return rows[order[:free]], "dependent"
     reasons = {
         "n_select": "n_centers" if asked else "max_centers",
@@ -137,6 +101,62 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, sca
         "dependent": "rank" if unseen > 0 else "dependent",
     }
     return rows[order], reasons[why]
+
+
+def _largest_rank(problem, rows, asked, most, or_all):
+    """Rank at which the candidates' factor is cut."""
+    if asked:
+        least = LEAST_RANK if len(rows) == problem.n_rows else LEAST_RANK_OF_SAMPLE
+        return max(least, int(RANK_PER_GIVEN * asked))
+    return LEAST_RANK if or_all else max(MAX_RANK, int(RANK_PER_CENTER * most))
+
+
+def _criterion(problem, target, n_centers, degrees, scaled):
+    """What divides the gains of outputs, what these are to reach, and whether it is enough."""
+    spread, total = problem.spread[problem.varying], float(problem.n_total)
+    if n_centers != "auto":
+        # The trace of the error reduction, of which a part may be left.
+        units = np.ones(len(spread)) if scaled else np.square(spread.max() / spread)
+
+        def is_left(_, summed):
+            return np.sum((total - summed) / units) <= n_centers * np.sum(total / units)
+
+        enough = None if isinstance(n_centers, Integral) else is_left
+        return units, np.zeros(len(spread)), enough
+    # Centres are enough as soon as what further ones could still gain, summed over all samples, is
+    # below `TOLERANCE` times the noise variance times the effective number of parameters of the
+    # network that has all candidates: leaving them out then costs about this share of the error of
+    # the noise. Many of them have to be worth a share of the noise itself.
+    explained = np.square(target).sum(axis=0)
+    units = np.maximum(total - explained, 1e-14 * total) / total
+    goal = np.zeros(len(spread))
+    if degrees > NO_FUNCTION:
+        goal = explained - TOLERANCE * degrees * units
+    moderate = np.minimum(goal, explained - WORTH * total * units)
+    return units, goal, lambda k, summed: np.all(summed >= (moderate if k >= MODERATE else goal))
+
+
+def _warn_of_limit(goal, reduction):
+    summed = np.sum(reduction, axis=0)
+    missed = np.max((goal - summed)[goal > 0] / goal[goal > 0], initial=0.0)
+    if missed > 0:
+        warn_user(
+            f"The number of centres is the default limit of {len(reduction)}; {100 * missed:.2g} % "
+            "of what they could explain is not reached. Give a larger max_centers, or set it to "
+            "this number if the network is good enough.",
+            ConvergenceWarning,
+        )
+
+
+def _warn_of_narrow(unseen, rank, asked):
+    more = "They are not those of exact orthogonal least squares."
+    if not asked:
+        more = f"A larger max_centers raises their number, to {RANK_PER_CENTER:g} times as many."
+    warn_user(
+        f"The widths are narrow for so many rows: {100 * unseen:.2g} % of the prior variance at "
+        f"the candidates lies outside the {rank} dimensions from which centres are chosen. {more}",
+        ConvergenceWarning,
+    )
 
 
 def features_at(problem, Z, structure, root=None, known=None):
@@ -150,13 +170,13 @@ def features_at(problem, Z, structure, root=None, known=None):
     def columns(block):
         if known is not None and block.part is not None:
             rows = known[block.part]
-            plain = block.rows.codes is None and np.all(block.root == 1)
-            return rows if plain else block.weigh(rows.copy(order="K"))
-        X = (structure.seen(block.rows.X) - shift) / structure.length_scale
+            plain = block.codes is None and np.all(block.root == 1)
+            return rows if plain else problem.weigh(rows.copy(order="K"), block)
+        X = (structure.seen(block.X) - shift) / structure.length_scale
         K = kernel_matrix(Z, X, structure.kernel).T
         if root is not None and len(K):
             K = blas.dtrsm(1.0, root, K, side=1, lower=1, trans_a=1, overwrite_b=1)
-        return block.weigh(K)
+        return problem.weigh(K, block)
 
     return columns
 
@@ -192,7 +212,7 @@ def _columns(problem, features):
     """The candidates' own columns as coordinates, where all rows of a problem are candidates."""
     n = problem.n_rows
     columns, basis, target = problem.reduce(
-        lambda block: (features(block), block.basis, block.about_tail),
+        lambda block: (features(block), block.basis, problem.about_tail(block)),
         lambda one, other: tuple(map(np.vstack, zip(one, other, strict=True))),
         n,
     )
@@ -206,7 +226,7 @@ def _whiten(problem, rows, features, alpha, residual, resolution):
 
     def products(block):
         F = features(block)
-        return F.T @ F, F.T @ block.about_tail, block.basis.T @ F
+        return F.T @ F, F.T @ problem.about_tail(block), block.basis.T @ F
 
     gram, cross, along = problem.reduce(
         products, lambda one, other: [a + b for a, b in zip(one, other, strict=True)], rank
@@ -227,9 +247,11 @@ def _whiten(problem, rows, features, alpha, residual, resolution):
     else:
         # Of the features with the tail projected out, and the targets in Q's coordinates.
         p, q = problem.n_tail, cross.shape[1]
-        R = problem.triangle(
-            lambda block: np.hstack([block.basis, features(block), block.about_tail]), p + rank + q
-        )
+
+        def columns(block):
+            return np.hstack([block.basis, features(block), problem.about_tail(block)])
+
+        R = problem.triangle(columns, p + rank + q)
         R = np.pad(R, ((0, p + rank + q - len(R)), (0, 0)))[p : p + rank, p:]
         Q, triangle = penalise(R[:, :rank], 0, np.eye(rank), alpha)
         root, target = triangle.T, Q[:rank].T @ R[:, rank:]

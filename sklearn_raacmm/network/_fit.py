@@ -71,8 +71,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
     else:
-        of, spread = sample.varying, sample.spread[sample.varying]
-        weights, Y = np.square(sample.root[:, 0]), sample.about_tail / sample.root
+        of, spread, held = sample.varying, sample.spread[sample.varying], sample.held
+        weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
         within = sample.rows.within[:, of] / (sample.unit * spread**2)
         found = search(
             sample.rows._replace(Y=Y, weights=weights, within=within),
@@ -144,7 +144,7 @@ def takes_all_rows(problem, structure):
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
-    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * np.square(problem.root).max():
+    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * np.square(problem.held.root).max():
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))
@@ -157,7 +157,7 @@ def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     It falls with every row that comes in: a sample's share that is not above `enough` is returned.
     Of more than 2000 rows the last doubling is continued as a power of the number.
     """
-    Z, weights = problem.scaled(structure), np.square(problem.root[:, 0])
+    Z, weights = problem.scaled(structure), np.square(problem.held.root[:, 0])
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
     order = np.random.RandomState(0).permutation(len(Z))
     size, last = min(n, FIRST_SAMPLE), None
@@ -234,13 +234,14 @@ def network_of(problem, outputs, order, structure, n_centers, stop, scaled=False
 def process_of(problem, outputs, structure):
     """The network with a centre at every row: the process itself."""
     rows, alpha = problem.rows, structure.alpha
-    Z, weights = problem.scaled(structure), np.square(problem.root[:, 0])
-    (n, p), q = problem.tail.shape, problem.targets.shape[1]
+    Z, weights = problem.scaled(structure), np.square(problem.held.root[:, 0])
+    held = problem.held
+    (n, p), q = held.tail.shape, held.targets.shape[1]
     solution, objective = np.empty((p + n, q)), np.empty(q)
     for one in np.unique(alpha):
         of = np.flatnonzero(alpha == one)
         factor = covariance_factor(Z, structure.kernel, weights, one, rows.codes, problem.ratio)
-        both = np.hstack([problem.tail, problem.targets[:, of]])
+        both = np.hstack([held.tail, held.targets[:, of]])
         both = solve_triangular(factor, both, lower=True, check_finite=False)
         # In units of the noise, the ridge of the polynomial as further rows.
         stacked = np.zeros((n + len(problem.tail_rows), p + len(of)))
@@ -252,7 +253,7 @@ def process_of(problem, outputs, structure):
         solved = solve_triangular(factor, left, lower=True, trans="T", check_finite=False)
         # The matrix that whitens rows times their root is symmetric.
         solution[p:, of] = weights[:, None] * without_constants(
-            solved / problem.root, rows.codes, weights, problem.ratio
+            solved / held.root, rows.codes, weights, problem.ratio
         )
         del factor  # two would not fit
     objective += problem.within

@@ -3,8 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -15,77 +14,72 @@ _SOUND_PIVOT = 1e-6
 _RESERVED = 2**25
 # Squared distance from which a gaussian is nothing.
 _FARTHEST = 1414.0
-# Squared distance up to which rows are the same to `_matern12`.
+# Squared distance up to which rows are the same to a function that is not smooth there.
 NEAR = 1e-12
-_SQRT3, _SQRT5 = np.sqrt(3.0), np.sqrt(5.0)
 
 
-def _gaussian(s, slope=False):
-    # Below 1e-307 an exponential takes a hundred times as long.
-    np.minimum(s, _FARTHEST, out=s)
-    s *= -0.5
-    K = np.exp(s, out=s)
-    return (K, -0.5 * K) if slope else K
+class Kernel(NamedTuple):
+    """A function of the scaled squared distance s, 1 at s = 0, from which all others follow.
+
+    With r the root of ``times s`` it is ``(1 + r + square s) exp(-r)``, or, where it is not
+    `smooth`, ``exp(-r)``; without `times` it is the gaussian, ``exp(-s / 2)``.
+    """
+
+    times: int = 0
+    smooth: bool = True
+    square: float = 0.0
 
 
-def _distance(s, factor):
-    # Rounding may make the squared distance of near rows negative. In place, as far as possible: to
-    # fetch memory for a new matrix takes longer than to fill it.
-    d = np.sqrt(np.maximum(s, 0.0, out=s))
-    d *= factor
-    return d
+# From smooth to rough: `kernel="auto"` tries them in this order.
+KERNELS = {
+    "gaussian": Kernel(),
+    "matern52": Kernel(5, square=5 / 3),
+    "matern32": Kernel(3),
+    "matern12": Kernel(1, smooth=False),
+}
 
 
-def _matern32(s, slope=False):
-    d = _distance(s, _SQRT3)
-    decay = np.exp(np.negative(d, out=s), out=s)
-    d += 1
-    d *= decay
-    if not slope:
-        return d
-    decay *= -1.5
-    return d, decay
+def radial(kernel: str, s: np.ndarray, slope: bool = False) -> Any:
+    """Values at squared distances, which they may overwrite; with the derivative by these.
 
-
-def _matern52(s, slope=False):
-    d = _distance(s, _SQRT5)
-    decay, once = np.negative(d), d
+    To fetch memory for a new matrix takes longer than to fill it: all is done in place, as far as
+    possible.
+    """
+    times, smooth, square = KERNELS[kernel]
+    if not times:
+        # Below 1e-307 an exponential takes a hundred times as long.
+        np.minimum(s, _FARTHEST, out=s)
+        s *= -0.5
+        K = np.exp(s, out=s)
+        return (K, -0.5 * K) if slope else K
+    if smooth:
+        np.maximum(s, 0.0, out=s)  # rounding may make that of near rows negative
+    else:
+        s *= s >= NEAR  # the distance of a row from itself is rounding, and its root would be seen
+    r = np.sqrt(s)
+    r *= np.sqrt(times)
+    decay = np.negative(r)
     np.exp(decay, out=decay)
-    once += 1
-    s *= 5 / 3
-    s += once
+    if not smooth:
+        if not slope:
+            return decay
+        # The slope has no limit at distance 0; where it is used, times a difference of rows, it
+        # has: of opposite directions opposite ones, of which 0 is the mean.
+        r[r == 0] = np.inf
+        return decay, np.divide(-0.5 * decay, r, out=r)
+    r += 1
+    if not square:
+        r *= decay
+        decay *= -times / 2
+        return (r, decay) if slope else r
+    s *= square
+    s += r
     s *= decay
     if not slope:
         return s
-    once *= decay
-    once *= -5 / 6
-    return s, once
-
-
-def _matern12(s, slope=False):
-    # The distance of a row from itself is rounding, and its root would be seen.
-    s *= s >= NEAR
-    d = np.sqrt(s, out=s)
-    decay = np.exp(-d)
-    if not slope:
-        return decay
-    # The slope has no limit at distance 0; where it is used, times a difference of rows, it has:
-    # of opposite directions opposite ones, of which 0 is the mean.
-    same = d == 0
-    d[same] = np.inf
-    np.divide(-0.5 * decay, d, out=d)
-    return decay, d
-
-
-# Functions of the scaled squared distances, 1 at distance 0, which they may overwrite; if asked
-# for, with the derivative by the squared distance. From smooth to rough: `kernel="auto"` tries them
-# in this order.
-KERNELS: dict[str, Callable[..., Any]] = {
-    "gaussian": _gaussian,
-    "matern52": _matern52,
-    "matern32": _matern32,
-    "matern12": _matern12,
-}
+    r *= decay
+    r *= -square / 2
+    return s, r
 
 
 def squared_distances(A, B):
@@ -103,7 +97,7 @@ def squared_distances(A, B):
 
 def kernel_matrix(A: np.ndarray, B: np.ndarray, kernel: str) -> np.ndarray:
     """Kernel values (n, m) between scaled rows A (n, d) and B (m, d)."""
-    return KERNELS[kernel](squared_distances(A, B))
+    return radial(kernel, squared_distances(A, B))
 
 
 def rounding(Z):

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, lapack
 from scipy.optimize import minimize
 
-from sklearn_raacmm.network._kernels import KERNELS, squared_distances
+from sklearn_raacmm.network._kernels import radial, squared_distances
 from sklearn_raacmm.network._linear import DOUBT, SILENT
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
@@ -66,7 +66,7 @@ def of_noise(data):
 def covariance(data, kernel, log_width):
     """Kernel matrix and its derivative by squared distances, times root weights; scaled rows."""
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
-    K, slope = KERNELS[kernel](squared_distances(Xs, Xs), slope=True)
+    K, slope = radial(kernel, squared_distances(Xs, Xs), slope=True)
     for matrix in (K, slope) if np.any(root != 1.0) else ():
         matrix *= root[:, None]
         matrix *= root

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.linalg import cholesky, lapack
 
 from sklearn_raacmm.network._kernels import (
-    KERNELS,
     kernel_matrix,
     psd_inverse_root,
     psd_root,
+    radial,
     squared_distances,
 )
 from sklearn_raacmm.network._linear import (
@@ -257,7 +257,7 @@ class Network:
         for part in chunks(n, _CHUNK // max(k, 1)):
             Z = self.scaled(X[part])
             s = squared_distances(Z, self._scaled_centers[1])
-            slope = KERNELS[self.kernel](s, slope=True)[1]
+            slope = radial(self.kernel, s, slope=True)[1]
             for i in range(q):
                 G = slope * self.coef[:, i]
                 # The sum over centres j of G_ij d s_ij / d x_i, s the squared distance.
@@ -322,7 +322,7 @@ def predict_mean(packed, X):
         np.square(columns[d:-1], out=columns[:d])
         s = np.matmul(by_row, columns, out=buffer)
         for kernel, own in kernels:
-            values = KERNELS[kernel](s[own])
+            values = radial(kernel, s[own])
             if values.base is not buffer:
                 s[own] = values
         mean[part] += (coef @ s).T

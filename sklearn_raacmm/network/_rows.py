@@ -11,7 +11,7 @@ have independent noise of unit variance: that is done to all columns and targets
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial, reduce
 from itertools import chain, pairwise
 from typing import Any, NamedTuple, Self
@@ -110,37 +110,49 @@ class Rows(NamedTuple):
         return [slice(*pair) for pair in pairwise(ends)]
 
 
+class Block(NamedTuple):
+    """Some rows of a problem: columns less groups' constants, times the root of the weights."""
+
+    X: np.ndarray  # (n, d)
+    root: np.ndarray  # (n, 1) root of the weights, in units of an observation's
+    tail: np.ndarray  # (n, p) polynomial
+    basis: np.ndarray  # (n, p) orthonormal basis of it on all rows
+    targets: np.ndarray  # (n, q)
+    codes: np.ndarray | None = None  # (n,) groups, where these have constants
+    part: slice | None = None  # which of the rows that are held these are
+
+
+class Elsewhere(NamedTuple):
+    """Where not all rows are held: all of them, read block by block."""
+
+    chunks: Any
+    outputs: np.ndarray  # which of their targets are the problem's
+    tail_root: np.ndarray | None = None  # triangular factor of the polynomial on them
+
+
 class Problem(NamedTuple):
-    """A polynomial and targets at distinct rows, all times the root of the rows' weights."""
+    """A polynomial and targets at distinct rows, or at more rows, of which these are a sample."""
 
     rows: Rows
-    root: np.ndarray  # (n, 1) root of the weights, in units of `unit`
+    held: Block  # the same, as sums over rows take them
     unit: float  # mean weight of an observation
     n_total: float  # number of observations, the sum of the weights in these units
     within: np.ndarray  # (q,) sum of squares lost by taking means
     ratio: float  # variance of groups' constants over that of an observation's noise
     polynomial: Polynomial
-    targets: np.ndarray  # (n, q) targets times root
-    tail: np.ndarray  # (n, p) polynomial times root
-    basis: np.ndarray  # (n, p) orthonormal basis of it, together with `basis_rows`
-    projection: np.ndarray  # (p, q) targets along the basis
+    projection: np.ndarray  # (p, q) targets along the polynomial's basis
     spread: np.ndarray  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis, if any
-    # Where not all rows are held, of which those above are a sample: all of them, which of their
-    # targets these are, and the triangular factor of the polynomial on them.
-    chunks: Any = None
-    outputs: np.ndarray | None = None
-    tail_root: np.ndarray | None = None
-    part: slice | None = None  # which of a larger problem's rows these are
+    elsewhere: Elsewhere | None = None
 
     @property
     def n_rows(self) -> int:
-        return len(self.root) if self.chunks is None else int(self.n_total)
+        return len(self.rows.X) if self.elsewhere is None else int(self.n_total)
 
     @property
     def n_tail(self) -> int:
-        return self.tail.shape[1]
+        return self.held.tail.shape[1]
 
     @property
     def tail_rows(self) -> np.ndarray:
@@ -152,68 +164,58 @@ class Problem(NamedTuple):
         """The targets' columns that are no constants."""
         return np.flatnonzero(self.spread > 0)
 
-    @property
-    def about_tail(self) -> np.ndarray:
+    def about_tail(self, block: Block) -> np.ndarray:
         """Targets that vary, about the polynomial and in units of their spread."""
         of = self.varying
-        return (self.targets[:, of] - self.basis @ self.projection[:, of]) / self.spread[of]
+        return (block.targets[:, of] - block.basis @ self.projection[:, of]) / self.spread[of]
 
     def scaled(self, structure: Any) -> np.ndarray:
         """Rows as radial functions see them, about their middle in units of the widths."""
         X = structure.seen(self.rows.X)
         return (X - X.mean(axis=0)) / structure.length_scale
 
-    def weigh(self, columns: np.ndarray) -> np.ndarray:
-        """Columns at these rows, less groups' constants, times root; may overwrite them."""
-        weights = np.square(self.root[:, 0])
-        columns = without_constants(columns, self.rows.codes, weights, self.ratio)
-        columns *= self.root
+    def weigh(self, columns: np.ndarray, block: Block) -> np.ndarray:
+        """Columns at a block's rows, less groups' constants, times root; may overwrite them."""
+        weights = np.square(block.root[:, 0])
+        columns = without_constants(columns, block.codes, weights, self.ratio)
+        columns *= block.root
         return columns
-
-    def parts(self, width: int) -> Iterator[Self]:
-        """Rows that are held as problems of their own, `width` numbers a row; whole groups."""
-        parts = chunks(len(self.root), block_rows(width))
-        if self.rows.codes is not None:
-            parts = _whole_groups(parts, self.rows.codes)
-        for part in parts:
-            arrays = self.root[part], self.tail[part], self.basis[part], self.targets[part]
-            yield self._of(self.rows.some(part), *arrays, part)
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.chunks is None:
-            found: Any = map(function, self.parts(width))
+        if self.elsewhere is None:
+            found: Any = map(function, self._of_held(width))
         else:
-            found = [self.chunks.reduce(partial(self._on_block, function), combine, width)]
-        return reduce(combine, chain(found, map(function, self._ridge())))
+            read = partial(self._on_read, function)
+            found = [self.elsewhere.chunks.reduce(read, combine, width)]
+        return reduce(combine, chain(found, map(function, self._of_ridge())))
 
     def triangle(self, columns: Callable, width: int) -> np.ndarray:
         """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
         return self.reduce(lambda block: triangular_factor(columns(block)), stack_triangles, width)
 
-    def _of(self, rows, root, tail, basis, targets, part=None):
-        return self._replace(
-            rows=rows, root=root, tail=tail, basis=basis, targets=targets, part=part
-        )
+    def _of_held(self, width):
+        """Blocks of the rows that are held; whole groups."""
+        parts, codes = chunks(self.n_rows, block_rows(width)), self.held.codes
+        for part in parts if codes is None else _whole_groups(parts, codes):
+            own = None if codes is None else codes[part] - codes[part.start]
+            yield Block(*(array[part] for array in self.held[:5]), own, part)
 
-    def _ridge(self):
+    def _of_ridge(self):
         """The ridge of the polynomial as rows without weight, if it has one."""
         m = len(self.basis_rows)
         if m:
-            rows = self.rows._replace(X=np.zeros((m, self.rows.X.shape[1])), codes=None)
-            targets = np.zeros((m, len(self.spread)))
-            yield self._of(rows, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
+            X, targets = (np.zeros((m, a.shape[1])) for a in (self.rows.X, self.held.targets))
+            yield Block(X, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
 
-    def _on_block(self, function, X, Y, weights, start):
+    def _on_read(self, function, X, Y, weights, start):
         """The function of rows that are not held."""
-        kept = weights > 0
+        kept, (_, outputs, tail_root) = weights > 0, self.elsewhere
         X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
-        tail = root * self.polynomial.columns(X)
-        basis = tail
-        if tail.size and self.tail_root is not None:
-            basis = solve_triangular(self.tail_root, tail.T, trans="T", check_finite=False).T
-        rows = self.rows._replace(X=X, codes=None)
-        return function(self._of(rows, root, tail, basis, root * Y[kept][:, self.outputs]))
+        basis = tail = root * self.polynomial.columns(X)
+        if tail.size and tail_root is not None:
+            basis = solve_triangular(tail_root, tail.T, trans="T", check_finite=False).T
+        return function(Block(X, root, tail, basis, root * Y[kept][:, outputs]))
 
 
 def _whole_groups(parts, codes):
@@ -289,19 +291,7 @@ def prepare(rows: Rows, degree: int, ridged: bool = False, ratio: float = 0.0) -
     spread = np.sqrt(left / n_total)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * np.abs(rows.Y).max(axis=0)] = 0.0
+    held = Block(rows.X, root, tail, basis, targets, rows.codes)
     return Problem(
-        rows,
-        root,
-        unit,
-        n_total,
-        within,
-        ratio,
-        polynomial,
-        targets,
-        tail,
-        basis,
-        projection,
-        spread,
-        ridge,
-        basis_rows,
+        rows, held, unit, n_total, within, ratio, polynomial, projection, spread, ridge, basis_rows
     )

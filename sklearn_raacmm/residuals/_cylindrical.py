@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 from sklearn.utils import _safe_indexing, check_array
 
+from sklearn_raacmm.measurements import check_features, linearised, touch_weights
 from sklearn_raacmm.utils import Floats, centred, check_weights, encode_groups, floats, slip_factors
 
 # A cosine and a sine kept in float32 miss norm 1 by 1e-7; no scaler comes this near by chance.
@@ -18,9 +20,13 @@ NORM_TOLERANCE = 1e-5
 
 
 def position_residuals(
-    points: ArrayLike, groups: ArrayLike, sample_weight: ArrayLike | None = None
+    points: ArrayLike,
+    groups: ArrayLike,
+    sample_weight: ArrayLike | None = None,
+    *,
+    features: Iterable[Sequence[Any]] = (),
 ) -> Floats:
-    """Residual of each probe point from the mean point of its position.
+    """Residual of each probe point from the mean point of its position, or from its feature.
 
     Parameters
     ----------
@@ -30,18 +36,22 @@ def position_residuals(
         Label of the position each point belongs to: numbers or text.
     sample_weight : array-like of shape (n_points,), default=None
         Weight of each point in the mean of its position; equal if None.
+    features : iterable of (label, kind), default=()
+        What was touched under the labels that are no cones: kind "plane" or "sphere", as
+        :func:`calibrate` takes them. Sizes have no part in it.
 
     Returns
     -------
     residuals : ndarray of shape (n_points, 3)
         Point minus mean of its position, in mm, Cartesian: the `y` that
-        :class:`CylindricalResidualTarget` is fitted on.
+        :class:`CylindricalResidualTarget` is fitted on. Of a plane or a sphere, point minus the
+        nearest point of the form that fits its touches best.
 
     Raises
     ------
     ValueError
         If points, groups or weights differ in length, hold NaN, infinity or missing labels, or if
-        a position has fewer than two points of non-zero weight.
+        a position has fewer than two points of non-zero weight; if a feature is unknown.
 
     Notes
     -----
@@ -68,7 +78,11 @@ def position_residuals(
             f"weight: {shown}. The residual of a lone point from its own mean is zero whatever "
             "the arm does; leave these positions out."
         )
-    return centred(points, codes, weight * slip_factors(points, codes, weight))
+    kinds = check_features(features, labels.tolist())[0]
+    if all(kind == "cone" for kind, _ in kinds):
+        return centred(points, codes, weight * slip_factors(points, codes, weight))
+    counted = touch_weights(kinds, codes, points)
+    return linearised(kinds, codes, points, weight * counted).residual
 
 
 def cartesian_to_cylindrical(vectors: ArrayLike, azimuth: ArrayLike) -> np.ndarray:

@@ -145,7 +145,7 @@ def test_share_of_parameters_is_the_trace_of_the_smoother(monkeypatch):
     share = _fit.share_of_parameters(problem, 0.1, functions, 600)
     Z = problem.rows.X / functions.length_scale
     d = np.sqrt(3) * np.linalg.norm(Z[:, None] - Z, axis=2)
-    values = np.linalg.eigvalsh(problem.root * (1 + d) * np.exp(-d) * problem.root.T)
+    values = np.linalg.eigvalsh(problem.held.root * (1 + d) * np.exp(-d) * problem.held.root.T)
     assert share == pytest.approx(np.mean(values / (values + 0.1)), rel=1e-9)
     # From samples of 100 and 200 rows: a little too large, and an upper bound once it is small.
     monkeypatch.setattr(_fit, "FIRST_SAMPLE", 100)
