@@ -164,7 +164,7 @@ def widened(linear):
     return replace(
         linear,
         half=wider * linear.half,
-        gauge_free_half=wider * linear.gauge_free_half,
+        seen=wider * linear.seen,
         noise_variance=np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance,
     )
 
