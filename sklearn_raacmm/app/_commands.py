@@ -144,7 +144,7 @@ def _say_which_axis(arm, layout):
     where = {"points": table.points, "angle_unit": table.angle_unit, "others": table.others}
     change = search_table(arm, table.angles, table.positions, **where)
     if change:
-        raise TableError(f"an external axis moves the base. {change}")
+        raise TableError(f"the points are not those of the arm alone. {change}")
 
 
 def export(options):

@@ -21,11 +21,11 @@ from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._one_fit import given_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
 from sklearn_raacmm.error_model import shoulder as _shoulder
+from sklearn_raacmm.measurements import Measurements, given_causes, taken_apart
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, Floats, align, check_option, encode_groups
 
@@ -316,7 +316,7 @@ class Correction:
 
     def check(
         self,
-        angles: ArrayLike,
+        angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
@@ -351,7 +351,10 @@ class Correction:
         TypeError, ValueError
             As :func:`check_correction`.
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles, positions, points, lengths, extra, unit = taken_apart(
+            angles, positions, points, lengths, extra
+        )
+        angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         new_base = points is not None and (new_base or self.base is None)
         known: Any = self
         if new_base:
@@ -370,7 +373,7 @@ class Correction:
 
     def register(
         self,
-        angles: ArrayLike,
+        angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
@@ -385,8 +388,8 @@ class Correction:
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles of today's poses.
+        angles : array-like of shape (n_samples, n_joints) or Measurements
+            Joint angles of today's poses, or all that was measured.
         positions : array-like of shape (n_samples,), default=None
             Label of the position of each.
         points : array-like of shape (n_samples, 3), default=None
@@ -410,7 +413,10 @@ class Correction:
         ValueError
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles, positions, points, lengths, _, unit = taken_apart(
+            angles, positions, points, lengths
+        )
+        angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         model: Any = copy(self.model)
         linear = getattr(model, "linear_model_", None)
         codes = None if positions is None else encode_groups(positions, len(angles))[1]
@@ -446,7 +452,7 @@ class Correction:
 
     def update(
         self,
-        angles: ArrayLike,
+        angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
@@ -480,7 +486,10 @@ class Correction:
         TypeError, ValueError
             As :meth:`register` and :func:`update_correction`.
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles, positions, points, lengths, extra, unit = taken_apart(
+            angles, positions, points, lengths, extra
+        )
+        angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         given: Any = (angles, positions, points, lengths)
         model, X = copy(self.model), self.inputs(angles, extra)
         y, seen = self.arm.forward(angles), None if points is None else np.asarray(points)

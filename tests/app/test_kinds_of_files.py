@@ -532,7 +532,7 @@ def test_the_axis_that_moves_the_base_is_found(tmp_path, capsys):
     words = ["--arm", "irb120", "--points", "X,Y,Z", "--out", str(tmp_path / "out")]
     assert main(["learn", str(tmp_path / "log.csv"), *words]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert re.search(r"E1 times \(0\.(6|59999)\d*, 0\.(8|79999)\d*, \S+\) mm taken off", said)
+    assert re.search(r"base by \(0\.(6|59999)\d*, 0\.(8|79999)\d*, \S+\) mm a unit", said)
     assert not (tmp_path / "out").exists()
 
 
