@@ -491,7 +491,8 @@ class Correction:
         )
         angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         given: Any = (angles, positions, points, lengths)
-        model, X = copy(self.model), self.inputs(angles, extra)
+        model: Any = copy(self.model)
+        X = self.inputs(angles, extra)
         y, seen = self.arm.forward(angles), None if points is None else np.asarray(points)
         if seen is None:
             labels: Any = positions

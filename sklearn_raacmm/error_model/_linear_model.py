@@ -49,7 +49,8 @@ _BASE = 0.3
 # roots that is rounding, and of what columns show together.
 _NOTHING, _NEVER = 1e-6, 1e-9
 
-# Roots of a file that was written when `seen` was not in it, and their shapes.
+# Shapes of what a file holds. Roots of one that was written when `seen` was not in it.
+_SHAPES = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
 _BEFORE = {
     "half": ("columns", "rank"),
     "gauge_free_half": ("columns", "rank"),
@@ -153,15 +154,11 @@ class LinearModel:
                 f"{arm.n_joints}."
             )
         layout = columns_of(arm, terms)
-        shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
-        if before:
-            shapes |= _BEFORE
-        else:
-            if len(values["seen"]):
-                shapes["seen"] = ("fields", "rank")
-            shapes["ranges"] = (2, "inputs")
-            if values["informed_half"] is not None:
-                shapes["informed_half"] = ("columns", "informed")
+        shapes: dict[str, Any] = _SHAPES | (_BEFORE if before else {"ranges": (2, "inputs")})
+        if not before and len(values["seen"]):
+            shapes["seen"] = ("fields", "rank")
+        if values.get("informed_half") is not None:
+            shapes["informed_half"] = ("columns", "informed")
         sizes = {"columns": 2 * len(pairs) + len(layout.others), "pairs": len(pairs)}
         check_shapes("LinearModel", values, shapes, sizes)
         if before:
@@ -231,7 +228,7 @@ class LinearModel:
         """Root of the covariance by which corrections fade, (n_columns, q)."""
         return self.gauge_free_half if self.informed_half is None else self.informed_half
 
-    @property
+    @cached_property
     def scale_sd(self) -> float:
         """Standard deviation of the common scale of all distances, as a share of them."""
         return float(np.linalg.norm(self._scale_of(*self._in_ranges()) @ self.half))
@@ -440,6 +437,7 @@ def _as_now(values, layout):
     It does not say in which ranges the model was learnt: all turns count.
     """
     half, shown, fading = (values.pop(name) for name in _BEFORE)
+    values.pop("scale_sd", None)  # that of `half`
     arm, extra = layout.arm, layout.terms.extra
     of_place, seen = place_fields(layout), NOTHING_SEEN
     if not np.array_equal(half, shown):
