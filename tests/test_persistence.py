@@ -138,7 +138,10 @@ def test_an_earlier_folder_is_read(skops):
     np.testing.assert_allclose(mean, WAS_PREDICTED, rtol=1e-4)
     np.testing.assert_allclose(std, WAS_STD, rtol=1e-5)
     np.testing.assert_allclose(model.fading(angles), WAS_SHARE, rtol=1e-5)
-    assert model.linear_model_.noise_of_angles == pytest.approx(0.083056252)
+    linear = model.linear_model_
+    assert linear.noise_of_rows == pytest.approx((1 - 0.083056252) * linear.noise_variance)
+    share = np.square(linear.lever_mm) @ linear.noise_of_joints / linear.noise_variance
+    assert share == pytest.approx(0.083056252)
 
 
 def interpreters():

@@ -175,10 +175,9 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
     noise_scale, std_scale = scales
     model = replace(
-        model,
+        model.with_noise(after.noise_sd**2),
         half=half,
         seen=NOTHING_SEEN,
-        noise_variance=after.noise_sd**2,
         noise_scale=noise_scale,
         std_scale=std_scale,
         n_positions=float(len(np.unique(poses.positions))),
@@ -296,7 +295,7 @@ def as_prior(linear):
     What changes need not be an order that the old data needed: a knocked encoder is eccentric. More
     free orders cost more than they find (``benchmarks/bench_after_the_lab.py months``).
     """
-    linear = replace(linear, noise_variance=max(linear.noise_variance, LEAST_NOISE_MM**2))
+    linear = linear.with_noise(max(linear.noise_variance, LEAST_NOISE_MM**2))
     if "harmonics" not in linear.prior_sd:
         return linear
     wanted = {(j, k) for j in range(linear.arm.n_joints) for k in range(1, _NEW_ORDERS + 1)}
@@ -493,8 +492,9 @@ def _pooled(linears, layout):
     kept = np.where(of_table, 0.0, 1 / np.sqrt(n))[:, None]
     half = np.hstack([*(kept * one.half for one in aligned), own])
     low, high = zip(*(one.ranges for one in linears), strict=True)
+    noise = float(np.median([one.noise_variance for one in linears]))
     prior = replace(
-        aligned[0],
+        aligned[0].with_noise(noise),
         layout=layout.with_harmonics(np.array(pairs, dtype=int)),
         coef=trust * mean,
         half=np.asarray(np.linalg.qr(half.T, mode="r")).T,
@@ -502,7 +502,6 @@ def _pooled(linears, layout):
         informed_half=None,
         log_bayes_factor=np.zeros(len(pairs)),
         prior_sd=prior_sd,
-        noise_variance=float(np.median([one.noise_variance for one in linears])),
         noise_scale=1.0,
         std_scale=1.0,
     )

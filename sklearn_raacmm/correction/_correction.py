@@ -23,8 +23,7 @@ from sklearn_raacmm.correction._files import dump_model, load_model, read_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
-from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
-from sklearn_raacmm.error_model import shoulder as _shoulder
+from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
 from sklearn_raacmm.measurements import Measurements, given_causes, taken_apart
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, Floats, align, check_option, encode_groups
@@ -491,8 +490,8 @@ class Correction:
         )
         angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         given: Any = (angles, positions, points, lengths)
-        model: Any = copy(self.model)
         X = self.inputs(angles, extra)
+        model: Any = copy(self.model)
         y, seen = self.arm.forward(angles), None if points is None else np.asarray(points)
         if seen is None:
             labels: Any = positions

@@ -48,9 +48,17 @@ _BASE = 0.3
 # Size of a column, relative to the largest, that moves nothing. Part of the difference of two
 # roots that is rounding, and of what columns show together.
 _NOTHING, _NEVER = 1e-6, 1e-9
+# Divides the roots of a noise of 0, mm.
+_NO_NOISE = 1e-150
 
 # Shapes of what a file holds. Roots of one that was written when `seen` was not in it.
-_SHAPES = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
+_SHAPES = {
+    "coef": ("columns",),
+    "half": ("columns", "rank"),
+    "log_bayes_factor": ("pairs",),
+    "noise_of_joints": ("joints",),
+    "lever_mm": ("joints",),
+}
 _BEFORE = {
     "half": ("columns", "rank"),
     "gauge_free_half": ("columns", "rank"),
@@ -80,8 +88,13 @@ class LinearModel:
         Posterior mean of the coefficients.
     half : ndarray of shape (n_columns, r)
         Root of their covariance, which is ``half @ half.T``.
-    noise_variance : float
-        Variance of a coordinate about the model, mm^2, the mean over the poses of the fit.
+    noise_of_joints : ndarray of shape (n_joints,)
+        Variance of the noise of each joint's angle, rad^2: it reaches the probe by its lever.
+    noise_of_rows : float
+        Variance of the noise that each coordinate has beside that, mm^2.
+    lever_mm : ndarray of shape (n_joints,)
+        Root mean square over the poses of the fit of what one radian of a joint moves a coordinate
+        by.
     prior_sd : dict
         Standard deviation before any data of the coefficients of each family.
     offsets : bool
@@ -102,12 +115,6 @@ class LinearModel:
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out; 1 where that is not known.
-    noise_of_angles : float
-        Share of `noise_variance` that comes through the joints' angles, and so grows with the
-        square of the distance from the joints to the probe.
-    lever_mm : float
-        Root mean square over the poses of the fit of what one radian of every joint, together as
-        independent errors, moves a coordinate by.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
     """
@@ -115,7 +122,9 @@ class LinearModel:
     layout: Columns
     coef: np.ndarray
     half: np.ndarray
-    noise_variance: float
+    noise_of_joints: np.ndarray
+    noise_of_rows: float
+    lever_mm: np.ndarray
     prior_sd: dict[str, Any]
     offsets: bool
     n_determined: float
@@ -126,8 +135,6 @@ class LinearModel:
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
-    noise_of_angles: float = 0.0
-    lever_mm: float = 1.0
 
     def __getstate__(self) -> dict[str, Any]:
         of_layout = {"arm": self.arm, "terms": self.terms}
@@ -136,6 +143,12 @@ class LinearModel:
     def __setstate__(self, state: dict[str, Any]) -> None:
         values = dict(state)
         before = _BEFORE.keys() <= values.keys() and "seen" not in values
+        if "noise_of_angles" in values and "noise_variance" in values:  # until 0.1.0.dev0
+            share, variance = values.pop("noise_of_angles"), values.pop("noise_variance")
+            n, lever = values["arm"].n_joints, values["lever_mm"]
+            values["noise_of_joints"] = np.full(n, share * variance / lever**2)
+            values["noise_of_rows"] = (1 - share) * variance
+            values["lever_mm"] = np.full(n, lever / np.sqrt(n))
         wanted = {"arm", "terms", *(f.name for f in fields(self)[1:])}
         if before:
             wanted ^= {"seen", "ranges", "informed_half", *_BEFORE}
@@ -159,7 +172,8 @@ class LinearModel:
             shapes["seen"] = ("fields", "rank")
         if values.get("informed_half") is not None:
             shapes["informed_half"] = ("columns", "informed")
-        sizes = {"columns": 2 * len(pairs) + len(layout.others), "pairs": len(pairs)}
+        n = 2 * len(pairs) + len(layout.others)
+        sizes = {"columns": n, "pairs": len(pairs), "joints": arm.n_joints}
         check_shapes("LinearModel", values, shapes, sizes)
         if before:
             values = _as_now(values, layout)
@@ -179,6 +193,19 @@ class LinearModel:
     def coef_sd(self) -> np.ndarray:
         """Standard deviations of the coefficients, (n_columns,)."""
         return np.sqrt(np.square(self.half).sum(axis=1))
+
+    @property
+    def noise_variance(self) -> float:
+        """Variance of a coordinate about the model, mm^2, the mean over the poses of the fit."""
+        return float(self.noise_of_rows + np.square(self.lever_mm) @ self.noise_of_joints)
+
+    def with_noise(self, variance: float) -> Self:
+        """The same model with another `noise_variance`, in the same proportions."""
+        if not self.noise_variance > 0:
+            return replace(self, noise_of_rows=variance)
+        ratio = variance / self.noise_variance
+        of_joints, of_rows = ratio * self.noise_of_joints, ratio * self.noise_of_rows
+        return replace(self, noise_of_joints=of_joints, noise_of_rows=of_rows)
 
     @property
     def noise_sd(self) -> float:
@@ -245,16 +272,17 @@ class LinearModel:
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
-        n, share = self.arm.n_joints, self.noise_of_angles
-        root = np.zeros((len(angles), 3, 3 + n))
-        root[:, range(3), range(3)] = np.sqrt(1 - share)
-        root[:, :, 3:] = np.sqrt(share) / self.lever_mm * self.layout.levers(angles)
+        root = np.zeros((len(angles), 3, 3 + self.arm.n_joints))
+        size = max(self.noise_sd, _NO_NOISE)
+        root[:, range(3), range(3)] = np.sqrt(self.noise_of_rows) / size
+        if self.noise_of_joints.any():
+            root[:, :, 3:] = np.sqrt(self.noise_of_joints) / size * self.layout.levers(angles)
         return root
 
     def noise_ratio(self, angles: np.ndarray) -> np.ndarray:
         """Standard deviation of each coordinate's noise at poses over `noise_sd`, (n, 3)."""
         ratio = np.ones((len(angles), 3))
-        if self.noise_of_angles:
+        if self.noise_of_joints.any():
             for rows in chunks(len(angles), _CHUNK // 32):
                 ratio[rows] = np.linalg.norm(self.noise_root(angles[rows]), axis=2)
         return ratio

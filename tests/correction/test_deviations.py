@@ -78,8 +78,8 @@ def test_three_deviations_have_three_names(learned):
     # Of both ends the noise along the line, by the Jacobian.
     linear, along = correction.model.linear_model_, line / lengths[:, None]
     J = np.stack([correction.arm.jacobian(part) for part in (angles[:10], angles[10:])])
-    share, size = linear.noise_of_angles, correction.facts["std_factor"] * correction.noise
-    by_axis = 1 - share + share / linear.lever_mm**2 * np.square(J).sum(axis=3)
+    size = correction.facts["std_factor"] * correction.noise / linear.noise_sd
+    by_axis = linear.noise_of_rows + np.square(J) @ linear.noise_of_joints
     noise = size**2 * np.einsum("enc,nc->n", by_axis, np.square(along))
     expected = np.sqrt(draws**2 + noise + (correction.scale_sd * lengths) ** 2)
     np.testing.assert_allclose(std, expected, rtol=0.05)

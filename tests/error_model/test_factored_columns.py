@@ -26,9 +26,10 @@ def some_model(n_orders, rng, triangle=True, extra=()):
         half = half @ np.linalg.qr(rng.normal(size=(n, n)))[0]
     coef = rng.normal(size=n)
     gains = np.zeros(len(pairs))
+    none, layout = np.zeros(ARM.n_joints), columns_of(ARM, terms)
     # Positions without offsets hide nothing.
     seen, ranges = np.zeros((0, n)), np.array([[-3.0] * 6, [3.0] * 6])
-    return LinearModel(columns_of(ARM, terms), coef, half, 1.0, {}, False, 0.0, gains, seen, ranges)
+    return LinearModel(layout, coef, half, none, 1.0, none, {}, False, 0.0, gains, seen, ranges)
 
 
 @pytest.mark.parametrize("n_orders", [0, 3, 30])  # few and many: two ways of computing

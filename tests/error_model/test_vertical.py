@@ -11,7 +11,7 @@ from sklearn.base import clone
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, plan_poses, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
-from sklearn_raacmm.error_model import _vertical
+from sklearn_raacmm.error_model import _fit
 from sklearn_raacmm.error_model._columns import LOAD, Terms, columns_of
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.error_model._vertical import _VARIANCES, _evidence_and_coef, _left_of_gravity
@@ -89,7 +89,7 @@ def test_a_vertical_that_is_known_is_not_sought(on_a_wall, monkeypatch):
     stood._vertical = found.linear_model_.terms.up
     upright = ArmResidualRegressor(test.arm, orders=4)
     sought = clone(upright).fit(test.data, test.target, groups=test.groups)
-    monkeypatch.setattr(_vertical, "_better_vertical", None)
+    monkeypatch.setattr(_fit, "better_vertical", None)
     stood.fit(test.data, test.target, groups=test.groups)
     assert "vertical" not in [finding.code for finding in stood.findings_]
     assert_allclose(stood.predict(test.data), found.predict(test.data), atol=1e-6)
