@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import MIXES, rms, run_part
+from _arm_folds import MIXES, MOVED, rms, run_part
 from scipy.stats import chi2
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
@@ -185,7 +185,7 @@ def learnt(kind, mix, seed):
     if kind == "tracker":
         noise = np.random.default_rng([seed, 7]).normal(0, TRACKER_MM, (len(angles), 3))
         given = {"points": test.simulation.true_points + noise, "points_sd": TRACKER_MM}
-    learned = learn_correction(test.nominal_arm, angles, labels, cv=3, **given)
+    learned = learn_correction(test.nominal_arm, angles, labels, cv=3, **MOVED, **given)
     return learned, test.simulation.machine
 
 

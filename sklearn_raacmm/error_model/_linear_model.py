@@ -51,7 +51,14 @@ _NOTHING, _NEVER = 1e-6, 1e-9
 # Divides the roots of a noise of 0, mm.
 _NO_NOISE = 1e-150
 
-# Roots of a file that was written when `seen` was not in it, and their shapes.
+# Shapes of what a file holds. Roots of one that was written when `seen` was not in it.
+_SHAPES = {
+    "coef": ("columns",),
+    "half": ("columns", "rank"),
+    "log_bayes_factor": ("pairs",),
+    "noise_of_joints": ("joints",),
+    "lever_mm": ("joints",),
+}
 _BEFORE = {
     "half": ("columns", "rank"),
     "gauge_free_half": ("columns", "rank"),
@@ -160,17 +167,11 @@ class LinearModel:
                 f"{arm.n_joints}."
             )
         layout = columns_of(arm, terms)
-        shapes: dict[str, Any] = {"coef": ("columns",), "half": ("columns", "rank")}
-        shapes |= {"log_bayes_factor": ("pairs",)}
-        shapes |= {"noise_of_joints": ("joints",), "lever_mm": ("joints",)}
-        if before:
-            shapes |= _BEFORE
-        else:
-            if len(values["seen"]):
-                shapes["seen"] = ("fields", "rank")
-            shapes["ranges"] = (2, "inputs")
-            if values["informed_half"] is not None:
-                shapes["informed_half"] = ("columns", "informed")
+        shapes: dict[str, Any] = _SHAPES | (_BEFORE if before else {"ranges": (2, "inputs")})
+        if not before and len(values["seen"]):
+            shapes["seen"] = ("fields", "rank")
+        if values.get("informed_half") is not None:
+            shapes["informed_half"] = ("columns", "informed")
         n = 2 * len(pairs) + len(layout.others)
         sizes = {"columns": n, "pairs": len(pairs), "joints": arm.n_joints}
         check_shapes("LinearModel", values, shapes, sizes)
@@ -254,7 +255,7 @@ class LinearModel:
         """Root of the covariance by which corrections fade, (n_columns, q)."""
         return self.gauge_free_half if self.informed_half is None else self.informed_half
 
-    @property
+    @cached_property
     def scale_sd(self) -> float:
         """Standard deviation of the common scale of all distances, as a share of them."""
         return float(np.linalg.norm(self._scale_of(*self._in_ranges()) @ self.half))
@@ -464,6 +465,7 @@ def _as_now(values, layout):
     It does not say in which ranges the model was learnt: all turns count.
     """
     half, shown, fading = (values.pop(name) for name in _BEFORE)
+    values.pop("scale_sd", None)  # that of `half`
     arm, extra = layout.arm, layout.terms.extra
     of_place, seen = place_fields(layout), NOTHING_SEEN
     if not np.array_equal(half, shown):

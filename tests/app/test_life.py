@@ -121,9 +121,8 @@ def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, t
         np.linalg.norm(points - np.repeat(points.reshape(4, 10, 3).mean(axis=1), 10, axis=0))
         for points in (saved.arm.forward(more.data), saved.correct(more.data)[0])
     )
-    # Of a probe that is 150 mm longer 128 rows of eight cones leave two thirds: 0.67 is the mean of
-    # six such arms, 0.76 without a prior of the table.
-    assert corrected < (0.7 if learnt == "cones" else 0.6) * bare
+    # Of a probe that is 150 mm longer 128 rows of eight cones leave 0.55 on this arm.
+    assert corrected < 0.6 * bare
 
 
 def test_a_base_that_has_moved_is_named_and_registered(folder, tmp_path, capsys):
