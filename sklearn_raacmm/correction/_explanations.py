@@ -80,6 +80,9 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
             return
     doubt = max(linear.std_scale, 1.0) * doubt
     used = np.flatnonzero(replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE)
+    if poses.codes is not None:  # a pose alone at its position shows nothing
+        of_used = poses.codes[used]
+        used = used[np.bincount(of_used)[of_used] > 1]
     if len(used) < _LEAST_ROWS:
         return
     poses = poses.at(used)

@@ -66,6 +66,14 @@ def test_fewer_poses_than_freedoms_change_nothing(model):
     assert few is not model
 
 
+def test_poses_alone_at_their_positions_are_not_of_another_unit(model):
+    """Of 60 poses 6 share a position: the others are no distance from its middle, in any unit."""
+    angles, y = rows(60, 1)
+    updated = update_correction(model, angles, y, groups=np.arange(60) % 57)
+    # The tool, three numbers, is found anew from nine of 0.01 mm each.
+    assert left(updated, 0) < 0.02
+
+
 def test_new_poses_that_show_nothing_new_change_next_to_nothing(model):
     angles, y = rows(60, 1)
     updated = update_correction(model, angles, y, date="2026-01-01")
