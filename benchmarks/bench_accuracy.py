@@ -277,10 +277,11 @@ def held_out_error(model, X, y):
 
 def tables(args):
     errors, seconds = [], []
-    print("table, rows, features:", ", ".join(TABLE_MODELS))
+    peers = {name: model for name, model in TABLE_MODELS.items() if name not in args.without}
+    print("table, rows, features:", ", ".join(peers))
     draws = (drawn_tables(args.tables, 150, SKIPPED, draw) for draw in range(args.draws))
     for name, X, y in chain(*draws):
-        found = [held_out_error(model, X, y) for model in TABLE_MODELS.values()]
+        found = [held_out_error(model, X, y) for model in peers.values()]
         errors.append([error for error, _ in found])
         seconds.append([taken for _, taken in found])
         cells = ", ".join(f"{error:.3f}" for error in errors[-1])
@@ -288,7 +289,7 @@ def tables(args):
     errors = np.maximum(errors, 1e-3)
     ratios = errors / errors[:, :1]
     print("\ngeometric mean; 10 %, median, 90 %; CPU seconds of all")
-    for model, found, taken in zip(TABLE_MODELS, ratios.T, np.sum(seconds, axis=0), strict=True):
+    for model, found, taken in zip(peers, ratios.T, np.sum(seconds, axis=0), strict=True):
         spread = ", ".join(f"{value:.3f}" for value in np.quantile(found, [0.1, 0.5, 0.9]))
         print(f"{model}: {np.exp(np.log(found).mean()):.3f}; {spread}; {taken:.0f}")
     lead = ratios[:, 1:].min(axis=1)
@@ -400,6 +401,7 @@ def main():
     parser.add_argument("--peers", nargs="+", default=list(MODELS), choices=list(MODELS))
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--tables", type=int, nargs="?", const=25, help="so many of R's packages")
+    parser.add_argument("--without", nargs="+", default=[], help="peers to leave out of --tables")
     parser.add_argument("--draws", type=int, default=2, help="of the rows of each table")
     parser.add_argument("--noise", action="store_true", help="where little is to be known")
     parser.add_argument("--margins", action="store_true", help="leads that choices need")
