@@ -325,7 +325,8 @@ def _simpler(task, end, data, silent, may_be_linear):
     d, q = data.X.shape[1], task.n_outputs
     own, value, (noise, density_of_noise) = end.value, end.score, of_noise(data)
     # Neighbours within a group deviate alike by what no feature shows, too, and count as if they
-    # did not: 10 % more error at other positions of an arm was followed by a lead of 7 nats.
+    # did not: a function that led by 7 nats made an arm 10 % worse at other positions
+    # (``benchmarks/bench_chain.py --few``).
     lead = 0.0 if data.codes is None else margin(data)
     # Leave-one-out predictions are fooled where the kernel links a few pairs of rows only.
     is_noise = noise + density_of_noise < value or noise < own + lead
