@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sklearn_raacmm.calibration import calibrate, lengths_of_places
     from sklearn_raacmm.correction import (
         Correction,
+        arm_from_data,
         check_correction,
         learn_correction,
         plan_poses,
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import directions_of
+    from sklearn_raacmm.measurements import Measurements, directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -40,9 +41,11 @@ __all__ = [
     "CylindricalResidualTarget",
     "FindingError",
     "FindingWarning",
+    "Measurements",
     "PoseFeatures",
     "RBFNetRegressor",
     "__version__",
+    "arm_from_data",
     "calibrate",
     "cartesian_to_cylindrical",
     "check_correction",

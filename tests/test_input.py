@@ -33,6 +33,7 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
     app,
+    arm_from_data,
     calibrate,
     cartesian_to_cylindrical,
     check_correction,
@@ -228,6 +229,7 @@ REFUSING = [
         "angles residuals groups",
     ),
     ("search_table", lambda q, g: search_table(ARM, q, g) is None, "angles groups"),
+    ("from_data", partial(arm_from_data, "2-2-2", lengths=[(0, 1, 500, 0.01)]), "angles groups"),
     ("search_table, points", lambda p: search_table(ARM, ANGLES, points=p), "points"),
     ("learn", partial(learn_correction, ARM), "angles groups points"),
     (

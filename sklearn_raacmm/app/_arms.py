@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import load_arm, parse_numbers, print_notes
+from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
+from sklearn_raacmm.correction import arm_from_data
 from sklearn_raacmm.utils import check_places, write_whole
 
 # Names that drawings and papers give the columns; the first three are needed.
@@ -56,8 +57,13 @@ where the origin is. Calibration finds all others, offsets too, to hundredths of
 def arm(options):
     """Show an arm, and write its file."""
     given = [options.source, options.dh, options.lengths_222, options.lengths_223]
-    if sum(one is not None for one in given) > 1 + bool(_deltas(options.dh)):
-        raise TableError("give one arm: a file or name, --dh, --lengths-222 or --lengths-223.")
+    named = sum(one is not None for one in (*given, options.from_data))
+    if named > 1 + bool(_deltas(options.dh)):
+        raise TableError(
+            "give one arm: a file or name, --dh, --lengths-222, --lengths-223 or --from-data."
+        )
+    if bool(options.layout) != bool(options.from_data):
+        raise TableError("--from-data and --layout belong together.")
     if (options.elbow_offset or options.wrist_offset) and not any(given[2:]):
         raise TableError("--elbow-offset and --wrist-offset belong to --lengths-222 or -223.")
     if (options.modified or options.probe) and not options.dh:
@@ -66,7 +72,8 @@ def arm(options):
         raise TableError("--into needs --out, the file to write; it may be the same file.")
     to_file = options.out not in (None, "-")
     if to_file:
-        check_places([options.out], filter(None, [options.source, options.dh]))
+        read = [options.source, options.dh, options.from_data]
+        check_places([options.out], filter(None, read))
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
@@ -103,6 +110,8 @@ def _meant_arm(options):
     for layout, lengths in (("2-2-2", options.lengths_222), ("2-2-3", options.lengths_223)):
         if lengths:
             return Arm.from_lengths(layout, *lengths, **offsets)
+    if options.from_data:
+        return _arm_of_layout(options)
     if deltas := _deltas(options.dh):
         return _calibrated_ur(load_arm(options.source or ""), deltas)
     if options.dh:
@@ -140,6 +149,25 @@ def _calibrated_ur(nominal, deltas):
     table = np.add([nominal.a, nominal.alpha, nominal.d, nominal.theta_offset], added).T
     names = {"name": nominal.name, "names": nominal.names, "limits": nominal.limits}
     return read_far_axes(Arm, table, nominal.probe, **names)
+
+
+def _arm_of_layout(options):
+    """The arm of a layout that a single-point test shows; what no data show is asked."""
+    options.table, options.points = options.from_data, None
+    table = find_rows(options, Arm.from_lengths(options.layout, *[1.0] * 4)).read()
+    print_notes(table.notes)
+    unit, lengths = table.angle_unit, known_lengths(options)
+    given = options.layout, table.angles, table.positions, lengths
+    found = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
+    height = found.forward(table.angles, angle_unit=unit)[:, 2]
+    high, low = table.rows[[np.argmax(height), np.argmin(height)]]
+    print(
+        "No data show what two questions decide. Turn joint 1 counter-clockwise, seen from above: "
+        f"does its angle grow? Was the probe higher in row {high} than in row {low}? One yes and "
+        "one no: it is the mirror image, take the other one of --mirrored and without it. If the "
+        "angle falls, add --up 0,0,-1."
+    )
+    return found.replace(name=Path(options.table).stem)
 
 
 def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):

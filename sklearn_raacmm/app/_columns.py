@@ -443,11 +443,13 @@ class Columns:
 
     def external_axes(self, used):
         """A note on each column of an external axis that moves and is not used."""
+        self.external: dict[str, int] = {}
         for i in (i for i, name in enumerate(self.names) if i not in used):
             if not _EXTERNAL.fullmatch(self.names[i]):
                 continue
             values = self.source.numbers(self._cells(i))
             if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):
+                self.external[self.header[i]] = i
                 yield (
                     f"Column {self.header[i]} varies by {np.ptp(values):.4g}: an external axis "
                     "moves the base, and the model of the arm has none. Measure with this axis at "

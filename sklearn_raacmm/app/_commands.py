@@ -41,10 +41,11 @@ from sklearn_raacmm.app._terminal import (
     print_verdict,
     say,
 )
-from sklearn_raacmm.correction import learn_correction, plan_poses
+from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import (
+    FindingError,
     FindingWarning,
     check_places,
     ignored_findings,
@@ -75,6 +76,9 @@ def learn(options):
     layout = find_rows(options, arm, needed=False)
     table = layout.read()
     print_notes(table.notes)
+    if layout.source.what.startswith("Fanuc") and not arm.couplings:
+        arm = arm.replace(couplings=[(3, 2, 1)])
+        print_notes(["A Fanuc shows joint 3 from the horizontal: its own angle is J3 + J2."])
     if options.dry_run:
         return OK, describe_plan(table, layout, arm, options)
     measured = table.angles, table.positions, table.points, known_lengths(options)
@@ -84,22 +88,27 @@ def learn(options):
     show = nullcontext() if options.quiet else Progress(seconds)
     with numbered_rows(table.rows), warnings.catch_warnings(), show as progress:
         warnings.simplefilter("ignore", FindingWarning)
-        result: Any = learn_correction(
-            arm,
-            *measured,
-            angle_unit=table.angle_unit,
-            cv=options.folds,
-            n_jobs=options.jobs,
-            progress=progress,
-            extra=read_causes(table, find_cause_columns(options)),
-            like=like,
-            tools=read_labels(table, options, "tool"),
-            points_sd=options.points_sd,
-            blocks=read_labels(table, options, "block"),
-            stations=read_labels(table, options, "station"),
-            accept=options.accept or (),
-            take=options.take or (),
-        )
+        try:
+            result: Any = learn_correction(
+                arm,
+                *measured,
+                angle_unit=table.angle_unit,
+                cv=options.folds,
+                n_jobs=options.jobs,
+                progress=progress,
+                extra=read_causes(table, find_cause_columns(options)),
+                like=like,
+                tools=read_labels(table, options, "tool"),
+                points_sd=options.points_sd,
+                blocks=read_labels(table, options, "block"),
+                stations=read_labels(table, options, "station"),
+                accept=options.accept or (),
+                take=options.take or (),
+            )
+        except FindingError as error:
+            if error.finding.code == "another-table" and table.points is not None:
+                _say_which_axis(arm, layout)
+            raise
     if table.positions is None:  # the places that were found and accepted, if no tracker's points
         table = replace(table, positions=result.calibration.groups)
     named = ("serial number", options.serial), ("operator", options.operator)
@@ -124,6 +133,18 @@ def learn(options):
         webbrowser.open((out / "report.html").resolve().as_uri())
     useful = result.helps or result.scores.calibration_helps
     return OK if useful else NO_HELP, result.facts
+
+
+def _say_which_axis(arm, layout):
+    """Refuse points whose base an external axis moves, if that explains them."""
+    layout.others = layout.external
+    table = layout.read()
+    if not table.others:
+        return
+    where = {"points": table.points, "angle_unit": table.angle_unit, "others": table.others}
+    change = search_table(arm, table.angles, table.positions, **where)
+    if change:
+        raise TableError(f"the points are not those of the arm alone. {change}")
 
 
 def export(options):

@@ -69,7 +69,8 @@ WORDS = {
         "_arms", "show an arm and write its file; without an arm it asks",
         "raacmm arm --lengths-222 375 750 500 100 --out my_arm.json",
         "source --base --tip --lengths-222 --lengths-223 --elbow-offset --wrist-offset --dh "
-        "--modified --probe --up --sign --zero --into --out",
+        f"--modified --probe --from-data --layout --mirrored --length --lengths "
+        f"--length-sd {_COLUMNS} --up --sign --zero --into --out",
     ),
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
@@ -194,6 +195,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--dh": _value("TABLE", "table of a, alpha, d and theta offset"),
     "--modified": _flag("the table of --dh is in the modified convention"),
     "arm --probe": _value("X,Y,Z", "probe centre in the last frame, mm, for --dh"),
+    "--from-data": _value("TABLE", "a test in ten cones, of an arm of which --layout is known"),
+    "--layout": _choice(("2-2-2", "2-2-3"), "joints at shoulder, elbow and wrist, for --from-data"),
+    "--mirrored": _flag("take the mirror image of the arm that --from-data finds"),
     "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
     "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
     "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),

@@ -10,6 +10,7 @@ from sklearn_raacmm.correction._pose_plan import PosePlan, plan_poses
 from sklearn_raacmm.correction._scores import CorrectionScores
 from sklearn_raacmm.correction._table_search import TableChange, search_table
 from sklearn_raacmm.correction._update import update_correction
+from sklearn_raacmm.correction._zeros import arm_from_data
 
 __all__ = [
     "Correction",
@@ -17,6 +18,7 @@ __all__ = [
     "CorrectionScores",
     "PosePlan",
     "TableChange",
+    "arm_from_data",
     "check_correction",
     "learn_correction",
     "plan_poses",

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi
 
+from sklearn_raacmm.arm import own_angles
 from sklearn_raacmm.correction._change import as_prior, changes_of, place_columns
 from sklearn_raacmm.measurements import medians_of
 from sklearn_raacmm.utils import centred, group_means
@@ -127,8 +128,10 @@ def causes_of(arm: Any, angles: np.ndarray, codes: np.ndarray | None) -> dict[st
     """What each cause would do to the probe at some poses: columns (n, 3, k) by name.
 
     `angles` (n, n_joints) are in rad; `codes` (n,) are the positions of a single-point test, or
-    None.
+    None. Zeros and waves are those of the joints themselves, as the model has them, where what the
+    encoders give is coupled.
     """
+    arm, angles = arm.replace(couplings=()), own_angles(arm, angles)
     jacobian, place = arm.jacobian(angles), place_columns(arm, angles, with_base=True)
     causes = {"probe": place[:, :, :3]}
     # Of a single-point test the base shows nothing, and within a position time is the order of
@@ -161,7 +164,7 @@ def widened(linear):
     return replace(
         linear,
         half=wider * linear.half,
-        gauge_free_half=wider * linear.gauge_free_half,
+        seen=wider * linear.seen,
         noise_variance=np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance,
     )
 

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm, check_angles, check_arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._zeros import with_found_zeros
+from sklearn_raacmm.measurements import LEAST_ROWS
 from sklearn_raacmm.utils import (
     Finding,
     align,
@@ -32,6 +34,8 @@ _LOOKED_AT, _CALIBRATED = 60, 3
 # several that leave about the same, up to this factor, that of the lowest price.
 _WORTH_SAYING, _COINCIDE = 0.2, 0.01
 _ABOUT_THE_SAME = 1.5
+# Rows that a move of the base is first looked for at, of all: for speed.
+_SPLITS = 25
 # Price of another zero, beside 1 of any other change: makers count joints from upright or from
 # horizontal more often than backwards.
 _ZERO = 0.9
@@ -115,13 +119,15 @@ def search_table(
     points: ArrayLike | None = None,
     *,
     angle_unit: str = "rad",
+    others: Mapping[str, ArrayLike] | None = None,
 ) -> TableChange | None:
     """Search for what is wrong with an arm whose points scatter much after calibration.
 
     Tried are all senses of the joints, quarter and half turns of their zeros, joints whose angle is
     the sum or the difference of two, two joints exchanged and all in reverse order, the other
     convention of the table, the other unit of the angles, and a tracker's points that are mirrored.
-    Where none of these helps, the zeros of all joints are looked for from random starts.
+    Where none of these helps, a base that moved between two rows, an external axis that moves it,
+    and zeros of all joints, from random starts, are looked for.
 
     Parameters
     ----------
@@ -135,6 +141,9 @@ def search_table(
         Positions measured by a tracker, mm.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit that `angles` are taken to be in.
+    others : dict of str to array-like of shape (n_samples,), default=None
+        Further columns by name, of which one may be a linear axis that moves the base, as E1 of a
+        robot does. Needs `points`.
 
     Returns
     -------
@@ -173,9 +182,11 @@ def search_table(
         near = [one for left, one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
         tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
 
-    def calibrated(one, options):
-        mended = None if points is None else points[:, one.axes]
-        scatter = _scatter(one.arm, raw[:, one.columns], positions, mended, one.angle_unit)
+    def calibrated(one, options, **measured):
+        measured = {"positions": positions, "points": points} | measured
+        if points is not None:
+            measured["points"] = measured["points"][:, one.axes]
+        scatter = _scatter(one.arm, raw[:, one.columns], unit=one.angle_unit, **measured)
         parts = one.arm, tuple(one.columns), one.angle_unit, options
         where = tuple(_places(one, raw[:1])[0].tolist())
         return TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
@@ -184,21 +195,68 @@ def search_table(
     found = [calibrated(one, _options(arm, one, angle_unit)) for one in tried]
     least, limit = min(one.scatter_mm for one in found), _COINCIDE * arm.reach_mm
     limit = min(_WORTH_SAYING * given, limit)
-    if least > limit:  # no simple change: zeros may be anywhere
-        other = taken(arm, "zeros", (raw, positions, points, angle_unit))
-        turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
-        shown = [f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5)]
-        words = f"the zeros turned, {', '.join(shown)} degrees"
-        straight = [*range(arm.n_joints)]
-        one = _Candidate(arm.n_joints, words, other, straight, _AXES, angle_unit)
-        found = [calibrated(one, "--take zeros")]
-        if (least := found[0].scatter_mm) > limit:
+    rarer = _rarer_changes(arm, (raw, positions, points, angle_unit), others or {})
+    while least > limit:  # no simple change
+        if (one := next(rarer, None)) is None:
             return None
+        change, options, other, measured = one
+        whole = _Candidate(0, change, other, [*range(arm.n_joints)], _AXES, angle_unit)
+        found = [calibrated(whole, options, **measured)]
+        least = found[0].scatter_mm
     first, *equals = (one for one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
     place = _places(first, raw)
     equals = [replace(one, is_mirror=_are_mirrored(place, _places(one, raw))) for one in equals]
     first, *equals = _with_questions([first, *equals], raw)
     return replace(first, equals=tuple(equals))
+
+
+def _rarer_changes(arm, measured, others):
+    """Yield what may be wrong beside a table, then zeros: words, options, arm, what differs.
+
+    `measured` are angles, positions, points and the unit of the angles, `others` further columns
+    by name; what differs is what `_scatter` takes instead.
+    """
+    angles, positions, points, unit = measured
+    n, as_given = len(angles), _Candidate(0, "", arm, [*range(arm.n_joints)], _AXES, unit)
+    codes = None if positions is None else encode_groups(positions, n)[1]
+
+    def left(row):  # where from this row on the base, or all cones, are elsewhere
+        late = np.arange(n) >= row
+        if points is None:
+            return _quick_scatter(as_given, angles, 2 * codes + late, None)
+        parts = [_quick_scatter(as_given, angles[m], None, points[m]) for m in (~late, late)]
+        return float(np.average(parts, weights=[row, n - row]))
+
+    if n >= 2 * LEAST_ROWS:
+        rows = np.unique(np.linspace(LEAST_ROWS, n - LEAST_ROWS, _SPLITS).astype(int)).tolist()
+        k = rows.index(min(rows, key=left))
+        row = min(range(rows[max(k - 1, 0)], rows[min(k + 1, len(rows) - 1)] + 1), key=left)
+        late, (before, behind) = np.arange(n) >= row, row_numbers([row - 1, row])
+        what, word, labels = "tracker", "--station", {"stations": late}
+        if points is None:
+            what, word, labels = "cones", "--position", {"positions": 2 * codes + late}
+        option = f"{word} with other labels from row {behind} on"
+        yield (
+            f"the base or the {what} moved between rows {before} and {behind}",
+            option,
+            arm,
+            labels,
+        )
+    for name, column in others.items() if points is not None else ():
+        x = np.asarray(column, dtype=float) - np.mean(column)
+        if x @ x > 0:
+            # What goes with it is taken out of both, then what the axis does is left.
+            both = [part - part.mean(axis=0) for part in (_places(as_given, angles), points)]
+            turn, _ = align(*(part - np.outer(x, x @ part) / (x @ x) for part in both))
+            way = x @ (both[1] - both[0] @ turn.T) / (x @ x)
+            by = ", ".join(f"{mm:.6g}" for mm in way)
+            change = f"{name} as an axis that moves the base by ({by}) mm a unit"
+            option = "--points without that movement"
+            yield change, option, arm, {"points": points - np.outer(x, way)}
+    other = taken(arm, "zeros", measured)
+    turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
+    shown = [f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5)]
+    yield f"the zeros turned, {', '.join(shown)} degrees", "--take zeros", other, {}
 
 
 def _few_rows(n, positions, points):
@@ -329,9 +387,9 @@ def _options(arm, one, unit):
     return " ".join(word for word in words if word)
 
 
-def _scatter(arm, angles, positions, points, unit):
+def _scatter(arm, angles, positions, points, unit, stations=None):
     """Mean scatter after calibration, mm."""
-    where = {"groups": positions} if points is None else {"points": points}
+    where = {"groups": positions} if points is None else {"points": points, "stations": stations}
     return calibrate(arm, angles, angle_unit=unit, **where).typical_scatter_mm
 
 

@@ -24,6 +24,7 @@ from sklearn_raacmm.error_model._left_out import (
     find_fading,
     judge,
     leave_out,
+    near_and_far,
     warn_where_unknown,
     with_honest_intervals,
 )
@@ -284,9 +285,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
         if given is not None and left_out is not None:
             judged = *left_out[:2], fading, robust, rows.codes, positions
             fading, self.judgement_ = judge(rows.y, *judged)
-            if 0 < fading.most < 1:
-                of_share = left_out, with_constants, positions, fading.most
-                model = with_honest_intervals(model, *of_share)
+            fading = near_and_far(fading, fitted, left_out, positions)
+            shares = fading.found(left_out[1])
+            if fading.most > 0 and shares.min() < 1:
+                of_shares = left_out, with_constants, positions, shares[:, None]
+                model = with_honest_intervals(model, *of_shares)
         self.fading_ = fading
         self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))

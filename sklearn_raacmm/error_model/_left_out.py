@@ -21,8 +21,8 @@ from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, mod
 from sklearn_raacmm.inference import Problem, combined, search_at
 from sklearn_raacmm.utils import Finding, centred, group_means, stage
 
-# Blocks left out in turn.
-N_BLOCKS = 10
+# Blocks left out in turn; and parts of all positions, each between others, in their order along x.
+N_BLOCKS, N_PARTS = 10, 5
 # Mean of the prior of log b (see `interval_scales`) in a single-point test; with a tracker 0.
 # Deviations from the means of positions show little of b: with this prior 94 % of all true errors
 # are inside, with 0 it is 92 % (``benchmarks/bench_beyond_the_paper.py intervals``, 128 tests).
@@ -58,8 +58,10 @@ _POLISH = {"xatol": 1e-8, "fatol": 1e-12, "maxiter": 500}
 class Fading:
     """Share of a correction that is used, by how little is known: of any model of residuals.
 
-    With s the doubt at a pose, mm, it is ``most size^2 / (size^2 + factor^2 max(0, s^2 -
-    known^2))``: Wiener's factor for errors of the size of the residuals, known to this uncertainty.
+    With s the doubt at a pose, mm, it is ``m size^2 / (size^2 + factor^2 max(0, s^2 - known^2))``:
+    Wiener's factor for errors of the size of the residuals, known to this uncertainty. What
+    positions left out say beside that is ``m = most (near^4 + far s^4) / (near^4 + s^4)``: one
+    share near the data, another far away.
 
     Attributes
     ----------
@@ -70,13 +72,19 @@ class Fading:
     known_mm : float
         Doubt up to which nothing fades: the largest at poses that have shown so.
     most : float
-        Share where nothing fades: found at positions left out, 0 where the correction did not help.
+        Share near the data: found at positions left out, 0 where the correction did not help.
+    far : float
+        Part of `most` that is left far from the data, where blocks of positions were left out.
+    near_mm : float
+        Doubt where the share is in the middle between both; 0: it is ``most far`` everywhere.
     """
 
     size_mm: float
     factor: float
     known_mm: float = 0.0
     most: float = 1.0
+    far: float = 1.0
+    near_mm: float = 0.0
 
     def share(self, doubt: np.ndarray) -> np.ndarray:
         """Share from 0 to 1 of each correction, (n,), by its doubt (n,) in mm."""
@@ -84,7 +92,13 @@ class Fading:
             return np.full(len(doubt), self.most)
         size = self.size_mm**2
         beyond = np.maximum(np.square(doubt) - self.known_mm**2, 0.0)
-        return self.most * size / np.maximum(size + self.factor**2 * beyond, 1e-300)
+        return self.found(doubt) * size / np.maximum(size + self.factor**2 * beyond, 1e-300)
+
+    def found(self, doubt: np.ndarray) -> np.ndarray:
+        """What positions left out have said of it, (n,): Wiener's factor is not in it."""
+        near = self.near_mm**4
+        nearness = near / np.maximum(near + doubt**4, 1e-300)
+        return self.most * (self.far + (1 - self.far) * nearness)
 
 
 class Judgement(NamedTuple):
@@ -129,10 +143,10 @@ def judge(
     With fewer than four `positions` it is 1 or 0, by whether the mean deviation falls at each. A
     share that was known `before` moves as far as it is more than a standard error away.
 
-    Returns the fading with this share, and how well it did.
+    Returns the fading with this share at every doubt, and how well it did.
     """
     kept = weights > 0
-    fading = replace(fading, most=1.0)
+    fading = replace(fading, most=1.0, far=1.0, near_mm=0.0)
     used = centred(fading.share(doubt)[:, None] * correction, codes, weights)
     y = centred(y, codes, weights)
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
@@ -162,6 +176,27 @@ def judge(
     return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
 
 
+def near_and_far(fading, fitted, left_out, positions):
+    """Fading whose share far from the data is that of blocks left out, near them of positions.
+
+    The share of `fading` is that of the blocks. In the middle between both are doubts between those
+    at positions left out singly and those at blocks.
+    """
+    rows, weights = fitted.rows, fitted.rows.weights * fitted.pose_weight
+    if not (fading.most < 1 and fading.factor > 0 and positions.max() >= N_BLOCKS):
+        return fading  # of few positions the blocks are the positions
+    near = leave_out(fitted, positions, between=True)
+    if near is None:
+        return fading
+    judged = rows.y, *near[:2], fading, weights, rows.codes, positions
+    most = judge(*judged)[0].most
+    if not most > fading.most:
+        return fading
+    squares = (np.average(np.square(doubt), weights=weights) for doubt in (near[1], left_out[1]))
+    near_mm = float(np.prod([*squares]) ** 0.25)
+    return replace(fading, most=most, far=fading.most / most, near_mm=near_mm)
+
+
 def warn_where_unknown(share, most):
     """Warn where nothing, or next to nothing, is left of most corrections."""
     if most == 0:
@@ -180,10 +215,11 @@ def warn_where_unknown(share, most):
 
 
 @stage("models without one block each")
-def leave_out(fitted, positions):
+def leave_out(fitted, positions, between=False):
     """Errors at the rows of each block of neighbouring positions by a model of the others.
 
-    `positions` (n,) count from 0. Outliers keep their weights in the means of their positions.
+    `positions` (n,) count from 0. `between`: of every fifth position instead, whose neighbours are
+    known. Outliers keep their weights in the means of their positions.
 
     Returns what models without the block of a row say of it: the correction (n, 3); the doubt (n,)
     that it fades by; its standard deviations (n, 3), where positions have offsets those of its
@@ -191,7 +227,7 @@ def leave_out(fitted, positions):
     all weight is in one block.
     """
     model, state, rows, offered = fitted.model, fitted.state, fitted.rows, fitted.columns
-    blocks = _blocks(offered.points(rows.X), positions, rows.weights)
+    blocks = _blocks(offered.points(rows.X), positions, rows.weights, between)
     kept = fitted.pose_weight > 0
     if blocks is None or not model.noise_variance > 0 or len(np.unique(blocks[kept])) < 2:
         return None
@@ -232,8 +268,11 @@ def _at_rows(model, rows):
     return mean, doubt, np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
 
 
-def _blocks(points, positions, weights):
-    """Blocks of neighbouring positions, by k-means among their mean points; None for one place."""
+def _blocks(points, positions, weights, between=False):
+    """Blocks of neighbouring positions, by k-means among their mean points; None for one place.
+
+    `between`: every fifth of the positions, in the order of their x.
+    """
     means, place = np.unique(
         group_means(points, positions, weights), axis=0, return_inverse=True
     )  # repeated rows, each a position of its own, are no more places than one
@@ -241,7 +280,9 @@ def _blocks(points, positions, weights):
     if n_blocks < 2:
         return None
     blocks = np.arange(len(means))
-    if n_blocks < len(means):
+    if between:
+        blocks %= N_PARTS
+    elif n_blocks < len(means):
         from sklearn.cluster import KMeans  # here: predicting spares the time of importing it
 
         blocks = KMeans(n_blocks, n_init=4, random_state=0).fit_predict(means)
@@ -280,14 +321,15 @@ def interval_scales(
     weights: np.ndarray,
     worth: float = 1.0,
     usual_log_b: float = 0.0,
+    usual_log_a: float = 0.0,
 ) -> tuple[float, float]:
     """Factors of noise and standard deviation at which intervals of 95 % hold.
 
     Errors (n, q) in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its
     degrees of freedom have the highest posterior. Both deviations (n, q) are then multiplied so
     that 1.96 of them hold 95 %. `worth` are independent errors per coordinate: those of one
-    position resemble each other. `usual_log_b` is the mean of the prior of log b; that of log a is
-    0.
+    position resemble each other. `usual_log_b` and `usual_log_a` are the means of the priors of
+    log b and log a.
     """
     # Rows of no deviation at all, of positions of one pose, say nothing.
     used = np.square(noise) + np.square(std) > 0
@@ -295,7 +337,7 @@ def interval_scales(
     e2, n2, s2 = (np.square(values[used]) for values in (errors, noise, std))
     if not len(e2):
         return 1.0, 1.0
-    usual = np.array([0.0, usual_log_b])
+    usual = np.array([usual_log_a, usual_log_b])
 
     def loss(logs):
         a, b, freedom = np.exp(logs)

@@ -244,9 +244,15 @@ def arm_model(chain, step):
         share = p.constant(1.0)
         if fading.size_mm > 0:
             size = fading.size_mm**2
+            beyond = doubt
             if fading.known_mm > 0:
-                doubt = p("max", p("sub", doubt, fading.known_mm**2), 0.0)
-            share = p("div", size, p("add", p("mul", doubt, fading.factor**2), size))
+                beyond = p("max", p("sub", doubt, fading.known_mm**2), 0.0)
+            share = p("div", size, p("add", p("mul", beyond, fading.factor**2), size))
+            if fading.far < 1:
+                near = fading.near_mm**4
+                nearness = p("div", near, p("add", p("mul", doubt, doubt), near))
+                found = p("add", p("mul", nearness, 1 - fading.far), fading.far)
+                share = p("mul", share, found)
         chain.trust, y = share, p("mul", y, share)
     v = p("mul", v, linear.std_scale**2) if chain.std else None
     return y, v if step.helps_ or v is None else p("max", v, fading.size_mm**2 / 3)

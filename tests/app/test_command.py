@@ -472,6 +472,24 @@ def test_units_of_a_table_of_an_arm(text, a_mm, alpha_deg, tmp_path, capsys):
     assert ("in rad" in said) == ("0.0892" in text and "[mm]" not in text)
 
 
+def test_an_arm_from_its_data(tmp_path, capsys, refused):
+    """Of a simulated test in six cones and a bar, with nothing but the layout."""
+    test = make_single_point(6, 10, bars=[500], random_state=0)
+    (a, b, length, _) = test.lengths[0]
+    rows = np.column_stack([test.groups, np.rad2deg(test.data).round(6)]).tolist()
+    lines = [f"K{int(row[0])},{','.join(map(str, row[1:]))}" for row in rows]
+    names = ",".join(f"q{i} [deg]" for i in range(1, 7))
+    table, out = tmp_path / "log.csv", tmp_path / "arm.json"
+    table.write_text("\n".join([f"cone,{names}", *lines]) + "\n")
+    words = ["arm", "--from-data", str(table), "--layout", "2-2-2"]
+    assert main([*words, "--length", f"K{a}:K{b}:{length}:0.01", "--out", str(out)]) == 0
+    found, said = Arm.from_json(out), " ".join(capsys.readouterr().out.split())
+    assert np.sort(np.abs(found.d))[-2:] == pytest.approx([500, 750], abs=2)
+    assert "seen from above: does its angle grow? Was the probe higher in row" in said
+    refused("--from-data and --layout belong together", *words[:3])
+    refused("without a known distance", *words)
+
+
 @pytest.mark.parametrize(
     ("root", "sentence"),
     [("mujoco", "MuJoCo's MJCF: take the URDF"), ("sdf", "Gazebo's SDF: take the URDF")],

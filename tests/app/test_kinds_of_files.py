@@ -15,7 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from sklearn_raacmm import Arm
-from sklearn_raacmm.app import TableError, read_table
+from sklearn_raacmm.app import TableError, _commands, main, read_table
 
 RAD = np.array([
     [0.10, -1.20, 1.30, -0.40, 0.50, 0.60], [0.20, -1.10, 1.20, -0.30, 0.40, 0.50],
@@ -490,6 +490,50 @@ def test_points_whose_columns_nothing_names_are_asked_for(tmp_path):
     (tmp_path / "points.csv").write_text("id,u,v\n1,2,3\n")
     with pytest.raises(TableError, match=r"Say it with --points points\.csv:X,Y,Z"):
         read_table(tmp_path / "joints.csv", 6, points=tmp_path / "points.csv")
+
+
+def test_joint_3_of_a_fanuc_is_shown_from_the_horizontal(tmp_path, monkeypatch, capsys):
+    """Its own angle is J3 + J2, unless the arm's file says so already."""
+    lines = [
+        f"P[{i}]{{\n   GP1:\n\tUF : 0, UT : 1,\n\t"
+        + ",\t".join(f"J{j}= {value:.3f} deg" for j, value in enumerate(row, 1))
+        + "\n}};"
+        for i, row in enumerate(np.vstack([DEG, DEG + 3]), 1)
+    ]
+    (tmp_path / "cal.ls").write_text("/PROG  CAL\n/POS\n" + "\n".join(lines) + "\n/END\n")
+    points = "\n".join(f"{x},{y},{z}" for x, y, z in np.vstack([POINTS, POINTS + 9]).tolist())
+    (tmp_path / "points.csv").write_text(f"x,y,z\n{points}\n")
+    given = []
+
+    def learn(arm, *rest, **more):
+        given.append(arm)
+        raise ValueError("nothing is learnt")
+
+    monkeypatch.setattr(_commands, "learn_correction", learn)
+    arm = Arm.from_name("irb120")
+    for one in (arm, arm.replace(couplings=[(3, 2, 1)])):
+        one.to_json(tmp_path / "arm.json")
+        paths = {"--arm": "arm.json", "--points": "points.csv", "--out": "out"}
+        words = [word for name, path in paths.items() for word in (name, str(tmp_path / path))]
+        assert main(["learn", str(tmp_path / "cal.ls"), *words]) == 2
+    said = capsys.readouterr().err
+    assert [one.couplings for one in given] == [((3, 2, 1),)] * 2
+    assert said.count("its own angle is J3 + J2") == 1
+
+
+def test_the_axis_that_moves_the_base_is_found(tmp_path, capsys):
+    """A robot on a track: by how much and where to E1 moves it, in the tracker's frame."""
+    arm, rng = Arm.from_name("irb120"), np.random.default_rng(0)
+    angles, axis = rng.uniform(-1.2, 1.2, (40, 6)), rng.uniform(0, 2000, 40)
+    points = arm.forward(angles) + np.outer(axis, [0.6, 0.8, 0]) + rng.normal(0, 0.02, (40, 3))
+    rows = np.column_stack([np.rad2deg(angles), axis, points]).round(4).tolist()
+    header = [*Q, "E1", "X", "Y", "Z"]
+    (tmp_path / "log.csv").write_text(joined([header, *rows]))
+    words = ["--arm", "irb120", "--points", "X,Y,Z", "--out", str(tmp_path / "out")]
+    assert main(["learn", str(tmp_path / "log.csv"), *words]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert re.search(r"base by \(0\.(6|59999)\d*, 0\.(8|79999)\d*, \S+\) mm a unit", said)
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_external_axis_that_moves_is_named(tmp_path):

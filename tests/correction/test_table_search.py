@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction, search_table
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    arm_from_data,
+    calibrate,
+    learn_correction,
+    search_table,
+)
 from sklearn_raacmm.correction._table_search import taken
 from sklearn_raacmm.datasets import make_single_point
 
@@ -53,9 +60,17 @@ def test_what_was_done_is_named(data, signs, columns, factor, change):
     )
 
 
+def centred(points):
+    return points - points.mean(axis=0)
+
+
 def hand(arm, other, angles):
     """Whether the points of two arms are the same ones turned (1), or mirrored (-1): best fits."""
-    first, second = (one - one.mean(axis=0) for one in (arm.forward(angles), other.forward(angles)))
+    return hand_of(arm.forward(angles), other.forward(angles))
+
+
+def hand_of(points, others):
+    first, second = centred(points), centred(others)
     left = [Rotation.align_vectors(first, sign * second)[1] for sign in (1, -1)]
     return 1 if left[0] < left[1] else -1
 
@@ -220,6 +235,81 @@ def test_zeros_anywhere(data, kind):
     assert taken(data.nominal_arm, "zeros", measured) == found.arm
     with pytest.raises(ValueError, match="zeros are found from labels of positions, or from"):
         take(data.nominal_arm, "zeros")
+
+
+def tracked(n=80):
+    """A robot on a tracker, no two of whose joints count alike, and where its rows are."""
+    rng = np.random.default_rng(5)
+    arm = Arm.from_name("irb120", probe=(10, 20, 100))
+    angles = rng.uniform(-1.2, 1.2, (n, 6))
+    return arm, angles, arm.forward(angles) + rng.normal(scale=0.03, size=(n, 3)) + [700, 0, 0]
+
+
+def test_a_tracker_that_was_set_up_again():
+    arm, angles, points = tracked()
+    turn, shift = Rotation.from_rotvec([0, 0.1, 0.5]), np.array([400, -300, 50])
+    points[31:] = turn.apply(points[31:]) + shift
+    found = search_table(arm, angles, points=points)
+    assert found.change == "the base or the tracker moved between rows 30 and 31"
+    assert found.options == "--station with other labels from row 31 on"
+    assert found.arm == arm
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+
+
+def test_cones_that_were_set_up_again(data):
+    """Two rounds through the same cones, and the plate was turned between them."""
+    order = np.r_[np.arange(0, 120, 2), np.arange(1, 120, 2)]
+    angles, labels = data.data[order], data.groups[order]
+    # Another cone's poses are those of the same cone elsewhere.
+    labels[60:] = (labels[60:] + 3) % 8
+    found = search_table(data.nominal_arm, angles, labels)
+    assert found.change == "the base or the cones moved between rows 59 and 60"
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+
+
+def test_an_external_axis_that_moves_the_base():
+    """By (0, 0.6, 0.8) mm a unit in the tracker's frame; what does not move is of no use."""
+    arm, angles, points = tracked()
+    axis, way = np.random.default_rng(6).uniform(0, 2000, len(angles)), np.array([0, 0.6, 0.8])
+    others = {"E2": np.full(len(angles), 5.0), "E1": axis}
+    found = search_table(arm, angles, points=points + np.outer(axis, way), others=others)
+    assert found.change.startswith("E1 as an axis that moves the base by (")
+    assert found.scatter_mm < 0.1 < 20 < found.scatter_given_mm
+    numbers = found.change.split("(")[1].split(")")[0].split(",")
+    np.testing.assert_allclose([float(value) for value in numbers], way, atol=1e-4)
+    assert search_table(arm, angles, points=points + np.outer(axis, way)) is None
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_arm_of_which_only_the_layout_is_known(seed):
+    """Ten cones and one bar show lengths, zeros and probe; senses are drawn, too."""
+    test, rng = (
+        make_single_point(10, 12, bars=[500], random_state=seed),
+        np.random.default_rng(seed),
+    )
+    angles = rng.choice([-1, 1], 6) * test.data + rng.uniform(-np.pi, np.pi, 6)
+    signs = []
+    for mirrored in (False, True):
+        found = arm_from_data("2-2-2", angles, test.groups, test.lengths, mirrored=mirrored)
+        points, truth = found.forward(angles), test.arm.forward(test.data)
+        sign = hand_of(points, truth)
+        turn, _ = Rotation.align_vectors(centred(sign * points), centred(truth))
+        off = centred(sign * points) - turn.apply(centred(truth))
+        assert np.sqrt(np.square(off).sum(axis=1).mean()) < 0.2
+        signs.append(sign)
+    assert sorted(signs) == [-1, 1]
+    scatter = calibrate(found, angles, test.groups, lengths=test.lengths).typical_scatter_mm
+    right = calibrate(test.nominal_arm, test.data, test.groups, lengths=test.lengths)
+    assert scatter < 1.02 * right.typical_scatter_mm
+
+
+def test_a_layout_that_points_contradict(data):
+    rows = np.random.default_rng(1).permutation(len(data.data))
+    bar = [(0, 1, 500, 0.01)]
+    with pytest.raises(ValueError, match="points of no 2-2-2 arm coincide: within a position they"):
+        arm_from_data("2-2-2", data.data[rows], data.groups, bar)
+    with pytest.raises(ValueError, match="without a known distance nothing shows the scale"):
+        arm_from_data("2-2-2", data.data, data.groups, [])
 
 
 def test_what_leaves_centimetres_is_no_proposal():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm import ArmResidualRegressor, calibrate, position_residuals
+from sklearn_raacmm import ArmResidualRegressor, calibrate, check_correction, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import run
@@ -42,6 +42,20 @@ def test_calibration_and_model_are_the_same(fitted):
         assert_allclose(one, other, rtol=1e-5, atol=1e-6)
     # How much of a correction is used is found at folds, by numbers that round otherwise.
     assert_allclose(models[1].predict(shown), models[0].predict(own), rtol=1e-3, atol=1e-6)
+
+
+def test_a_check_names_the_same_change(fitted):
+    """The encoder of the joint that is coupled has become eccentric."""
+    _, models, own, shown = fitted
+    wave = np.deg2rad(60 / 3600) * np.cos(own[:40, 2])
+    y = models[0].predict(own[:40]) + models[0].arm_.jacobian(own[:40])[:, :, 2] * wave[:, None]
+    y += np.random.default_rng(0).normal(0, 0.005, y.shape)
+    first, second = (
+        check_correction(model, X[:40], y, groups=np.arange(40) // 20)
+        for model, X in zip(models, (own, shown), strict=True)
+    )
+    assert (first.suspect, second.suspect) == ("harmonics of joint 3",) * 2
+    assert_allclose(second.tests["statistic"], first.tests["statistic"], rtol=1e-3)
 
 
 def test_the_program_has_the_sums(fitted):

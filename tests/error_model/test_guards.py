@@ -97,6 +97,36 @@ def test_what_does_harm_elsewhere_is_refused():
         assert np.linalg.norm(model.predict(theta)) < 0.5 * np.linalg.norm(fitted)
 
 
+def test_the_share_is_of_the_doubt():
+    """Three paths whose errors no column describes: between known positions all of it is right.
+
+    Blocks of neighbouring positions left out are not as well known as a position between others.
+    """
+    rng = np.random.default_rng(0)
+    starts, position = rng.uniform(-1.5, 1.5, (3, 6)), np.repeat(np.arange(36), 8)
+    way = np.linspace(0, 1, 96)[:, None] * rng.uniform(-0.6, 0.6, (3, 1, 6))
+    theta = (starts[:, None] + way).reshape(-1, 6) + rng.uniform(-0.05, 0.05, (288, 6))
+    turns = 20 * ARCSEC * np.cos(theta) * np.sin(4 * np.roll(theta, 1, axis=1))
+    y = np.einsum("nij,nj->ni", ARM.jacobian(theta), turns) + rng.normal(
+        0, 0.002, theta[:, :3].shape
+    )
+    known = position % 3 != 1
+    model = small().fit(theta[known], y[known], groups=position[known])
+    whole, _, doubt = model.linear_model_.predict_with_doubt(theta[~known])
+    fading = model.fading_
+    alone, used = (
+        np.linalg.norm(y[~known] - one)
+        for one in (fading.most * fading.far * whole, model.predict(theta[~known]))
+    )
+    left = np.linalg.norm(y[~known] - whole)
+    assert fading.far < 1
+    assert used < 1.02 * left < 0.9 * alone < 0.2 * np.linalg.norm(y[~known])
+    assert_allclose(
+        model.fading(theta[~known]), fading.found(doubt), rtol=0.01
+    )  # Wiener's is almost 1
+    assert fading.found(np.array([0.0]))[0] == pytest.approx(fading.most)
+
+
 def test_intervals_of_few_positions_with_offsets():
     """Three cones: as wide as their number asks for, or where nothing helps as the residuals."""
     test = make_single_point(12, 20, random_state=1)

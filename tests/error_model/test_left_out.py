@@ -127,6 +127,9 @@ def test_fading_is_wieners_factor():
     shares = [0.8, 0.8, 0.8 / (1 + 4 * (1.5**2 - 0.5**2))]
     assert_allclose(fading.share(np.array([0.0, 0.5, 1.5])), shares)
     assert fading.share(np.array([1e6]))[0] < 1e-9
+    # Near the data it is another share than far away, and between them at the doubt that is named.
+    fading = Fading(size_mm=1e9, factor=1.0, most=0.8, far=0.5, near_mm=0.1)
+    assert_allclose(fading.share(np.array([0.0, 0.1, 10.0])), [0.8, 0.6, 0.4], rtol=1e-7)
     y, weights = np.full((3, 3), 0.1), np.ones(3)
     assert find_fading(y, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0)
     few = np.ones((9, 3)), np.ones(9), np.arange(9) // 3

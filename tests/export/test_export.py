@@ -394,6 +394,9 @@ def test_fading(data, fade):
     assert np.isnan([found["y"], found["point"]]).all()
     model.fading_ = replace(model.fading_, most=0.5, known_mm=model.fading_.size_mm)
     agree(model, X)
+    near_mm = np.median(model.linear_model_.predict_with_doubt(X)[2])
+    model.fading_ = replace(model.fading_, far=0.3, near_mm=near_mm)
+    agree(model, X)
     model.fading_ = replace(model.fading_, most=0.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -272,6 +272,15 @@ def straight(mm=0.2):
     return base(arm=ARM, angles=angles, points=ARM.forward(angles) + [900, 0, 0] + noise)
 
 
+def way(mm=5.0):
+    """300 poses so far apart, the joints in proportion: lengths off by 0.3 mm would not be seen."""
+    step = np.array([0.2, -0.5, 0.3, 0.4, -0.2, 0.1])
+    step *= mm / np.linalg.norm(ARM.jacobian(TEST.data[:1])[0] @ step)
+    angles = TEST.data[0] + (np.arange(300) - 150)[:, None] * step
+    noise = np.random.default_rng(4).normal(0, 0.005, (300, 3))
+    return base(arm=ARM, angles=angles, points=ARM.forward(angles) + [900, 0, 0] + noise)
+
+
 def stated_too_well():
     """Two bars, of one of which the standard deviation is 100 times too small."""
     first, second = known((0, 1), (2, 3)).lengths
@@ -292,6 +301,7 @@ def own_file_of_another_arm(kind):
 
 WORSE = [
     ("calibrate_tracker", "poses on a line of 60 mm", straight, "poses-alike"),
+    ("calibrate_tracker", "poses on a path of 1.5 m", way, "poses-alike"),
     ("calibrate_tracker", "an upper arm of three times its length", lambda: base(arm=mistyped(3, 1 / 3)), "table-off|no-such-arm"),
     ("calibrate_tracker", "606 for 500", lambda: base(arm=mistyped(3, 0.82)), "table-off"),
     ("update_cones", "another arm's own file", lambda: own_file_of_another_arm("cones"), "another-arm|other-table"),
@@ -312,6 +322,25 @@ def test_what_makes_things_worse_hands_nothing_over(name, make, expected):
     with pytest.raises(FindingError) as caught:
         FUNCTIONS[name](data)
     assert caught.value.finding.code in expected.split("|")
+
+
+@pytest.mark.parametrize("name", ["calibrate_cones", "calibrate_tracker"])
+@pytest.mark.parametrize("factor", [0.89, 1.12])
+@pytest.mark.filterwarnings("ignore")
+def test_no_length_is_handed_over_that_is_a_tenth_off_its_drawing(name, factor):
+    """One length after another, of the links and of the offsets, is drawn wrongly."""
+    for field in ("a", "d"):
+        for joint in np.flatnonzero(np.abs(getattr(TEST.nominal_arm, field)) > 20):
+            values = getattr(TEST.nominal_arm, field).copy()
+            values[joint] *= factor
+            drawn = TEST.nominal_arm.replace(**{field: values})
+            with_scale = {"lengths": known((0, 1), arm=drawn).lengths} if "cones" in name else {}
+            try:
+                FUNCTIONS[name](base(arm=drawn, **with_scale))
+            except FindingError:
+                continue
+            # The height of the base shows nothing, and stays as it was drawn.
+            assert (field, joint) == ("d", 0)
 
 
 def update_mistakes(kind):
