@@ -71,7 +71,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
     else:
-        of, spread, held = sample.varying, sample.spread[sample.varying], sample.held
+        held, of = sample.held, sample.varying
+        varying, spread = of, sample.spread[of]
         weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
         within = sample.rows.within[:, of] / (sample.unit * spread**2)
         found = search(
@@ -96,7 +97,12 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
         if found.linear or found.ratio:
             sample, problem = set_up(1 if found.linear else degree, found.ratio)
     limits, scaled = (estimator.n_centers, estimator.max_centers), estimator.shared == "scaled"
-    return fit_network(problem, outputs, found, *limits, rng, scaled), value
+    fit = fit_network(problem, outputs, found, *limits, rng, scaled)
+    if found.used is not None:
+        share, left = np.ones(len(outputs)), np.zeros(len(outputs))
+        share[varying], left[varying] = found.used[0], found.used[1] * spread**2
+        fit = fit[0].with_share(share, left), *fit[1:]
+    return fit, value
 
 
 def _as_start(network, varying):

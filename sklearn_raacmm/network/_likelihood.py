@@ -29,6 +29,7 @@ from scipy.optimize import minimize
 
 from sklearn_raacmm.network._kernels import radial, squared_distances
 from sklearn_raacmm.network._linear import DOUBT, SILENT
+from sklearn_raacmm.utils import centred
 
 # Least ridge for which a Cholesky factor of all rows is taken. Below, the rounding of a kernel
 # matrix of 1000 rows (1e-13 of an eigenvalue of up to 1000) is no longer small beside the ridge.
@@ -147,6 +148,32 @@ def likelihoods(data, K, alphas, ratio=0.0):
 def left_out(data, K, alphas, ratio=0.0):
     """Negative log density of what is left out, see `likelihoods`."""
     return likelihoods(data, K, alphas, ratio)[1]
+
+
+def used_share(data, K, alphas, ratio=0.0):
+    """Share (q,) of a function that is used, by the deviations from the means of groups left out.
+
+    With y these deviations and f those predicted it is ``sum y.f / sum f.f`` less its standard
+    error over groups, from 0 to 1. Returns with it the mean square (q,) of what it leaves.
+    """
+    found, weights = np.empty_like(data.Y), data.weights[:, None]
+    for i, (y, alpha) in enumerate(zip(data.targets.T, alphas, strict=True)):
+        solved, _, half = solve_and_invert(K + alpha * data.noise(ratio), y)
+        for rows in data.groups:
+            inverse = half[rows, rows] + half[rows, rows].T
+            found[rows, i] = y[rows] - np.linalg.solve(inverse, solved[rows])
+    found /= np.sqrt(weights)
+    y, f = (centred(a, data.codes, data.weights) for a in (data.Y, found))
+    products, squares = (
+        np.array([a[g].sum(axis=0) for g in data.groups])
+        for a in (weights * y * f, weights * f * f)
+    )
+    size = np.maximum(squares.sum(axis=0), TINY)
+    share = products.sum(axis=0) / size
+    error = np.linalg.norm(products - share * squares, axis=0) / size
+    share = np.clip(share - error, 0.0, 1.0)
+    free = max(data.n_total - len(products), 1)
+    return share, (weights * np.square(y - share * f)).sum(axis=0) / free
 
 
 def width_gradient(G, A):

@@ -112,7 +112,14 @@ class Network:
         shift = centers.mean(axis=0) if len(centers) else 0.0
         return shift, (centers - shift) / self.length_scale
 
-    def with_noise(self, factor: float) -> Self:
+    def with_share(self, share: np.ndarray, left: np.ndarray) -> Self:
+        """The same with a share (q,) of its function, where it leaves a mean square (q,)."""
+        polynomial = np.vstack([self.polynomial[:1], share * self.polynomial[1:]])
+        noise = np.maximum(left / self.noise_variance, 1.0)
+        less = replace(self, coef=share * self.coef, polynomial=polynomial)
+        return less.with_noise(np.where(share < 1, noise, 1.0))
+
+    def with_noise(self, factor: Any) -> Self:
         """The same with a larger variance of the noise, for one that was estimated too small."""
         signal = self.signal_variance * (factor if self.all_rows else 1.0)
         return replace(self, noise_variance=factor * self.noise_variance, signal_variance=signal)

@@ -256,8 +256,10 @@ class RBFNetRegressor(VersionedRegressor):
         groups : array-like of shape (n_samples,), default=None
             Label of each row's group, for targets known up to one constant a group, such as
             residuals from the mean point of a position. The variance of these constants is found
-            with the widths. Where groups' mean targets are not small beside the scatter within,
-            they are a part of the function, and labels change nothing.
+            with the widths. Of four groups and more the function is used as far as it shows when
+            each of them is left out, and not at all where noise alone is as probable. Where groups'
+            mean targets are not small beside the scatter within, they are a part of the function,
+            and labels change nothing.
 
         Returns
         -------

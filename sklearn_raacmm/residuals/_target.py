@@ -91,9 +91,10 @@ class CylindricalResidualTarget(PointCorrectionMixin):
 
     A single-point test shows the residuals of a position up to one constant, and `groups` says
     which rows are of one position. A regressor whose `fit` takes groups is handed them, with
-    metadata routing off or on, if there are more positions than features. Others are fitted as
-    without labels. Residuals whose means at the positions are not small are known in full, as those
-    against a tracker, and have no constants.
+    metadata routing off or on, if there are more positions than features:
+    :class:`~sklearn_raacmm.RBFNetRegressor` then predicts no more than shows at positions left out.
+    Others are fitted as without labels. Residuals whose means at the positions are not small are
+    known in full, as those against a tracker, and have no constants.
 
     A target of one dimension or one column has no direction and passes through unrotated; so
     does one of more than three columns if no azimuth is known.
@@ -180,9 +181,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         groups = fit_params.pop("regressor__groups", groups)
         unasked = groups is None
         self._rotates = target.ndim == 2 and target.shape[1] == 3 and self.azimuth is not None
-        if groups is None and self._rotates and (arm := self._arm()) is not None:
-            groups = found_positions(arm.forward(X), target)
-        groups = None if groups is False else groups
+        groups = self._positions(X, target, groups)
         codes = None if groups is None else encode_groups(groups, len(target))[1]
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
@@ -200,14 +199,9 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             X, target, groups, codes, fit_params = _poses(X, target, groups, codes, fit_params)
         features, direction = self._split(X)
         if self._rotates:
-            weights, arm = np.ones(len(target)), self._arm()
-            angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
-            offsets = codes is not None and are_deviations(target, codes, weights)
-            for finding in check_targets(target, weights, arm, angles, codes, offsets):
+            for finding in self._findings(X, target, codes, direction, unasked):
                 finding.report()
             target = to_cylindrical(target, direction)
-            for finding in shown_positions(direction, target[:, 1]) if unasked and not arm else ():
-                finding.report()
         if get_config()["enable_metadata_routing"]:
             fit_params = dict(process_routing(self, "fit", **fit_params).regressor.fit)
         self.regressor_: Any = clone(self._get_regressor())
@@ -225,6 +219,21 @@ class CylindricalResidualTarget(PointCorrectionMixin):
                 f"sklearn.multioutput.MultiOutputRegressor. ({error})"
             ) from error
         return self
+
+    def _positions(self, X, y, groups):
+        """Labels of the rows' positions: those given, those that the arm's points show, or None."""
+        if groups is None and self._rotates and (arm := self._arm()) is not None:
+            return found_positions(arm.forward(X), y)
+        return None if groups is False else groups
+
+    def _findings(self, X, y, codes, direction, unasked):
+        """What residuals (n, 3) show of themselves, and of positions that nobody named."""
+        weights, arm = np.ones(len(y)), self._arm()
+        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+        offsets = codes is not None and are_deviations(y, codes, weights)
+        yield from check_targets(y, weights, arm, angles, codes, offsets)
+        if unasked and arm is None:
+            yield from shown_positions(direction, to_cylindrical(y, direction)[:, 1])
 
     def _by_position(self, features, y, groups, codes, fit_params):
         """The regressor's parameters in `fit`, with groups where it takes them."""
