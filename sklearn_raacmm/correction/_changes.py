@@ -162,10 +162,9 @@ def widened(linear):
     """
     wider = max(linear.std_scale, 1.0)
     return replace(
-        linear,
+        linear.with_noise(np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance),
         half=wider * linear.half,
-        gauge_free_half=wider * linear.gauge_free_half,
-        noise_variance=np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance,
+        seen=wider * linear.seen,
     )
 
 

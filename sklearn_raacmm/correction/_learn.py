@@ -242,6 +242,8 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept)
+    if (linear := getattr(fitted, "linear_model_", None)) is not None:
+        fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
     base = (
         None if data.points is None else (calibration.base_rotation, calibration.base_translation)

@@ -18,7 +18,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import Arm, angles_for, check_arm, own_angles
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
-from sklearn_raacmm.error_model._fit import offered_harmonics
+from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
     Judgement,
     find_fading,
@@ -30,7 +30,6 @@ from sklearn_raacmm.error_model._left_out import (
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
-from sklearn_raacmm.error_model._vertical import fit_with_vertical
 from sklearn_raacmm.residuals import PointCorrectionMixin
 from sklearn_raacmm.utils import (
     Floats,
@@ -273,9 +272,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions
         columns = columns_of(arm, terms)
-        fitted = fit_with_vertical(rows, of_constants, columns, with_field, self._vertical)
+        fitted = fit_rows(rows, of_constants, columns, with_field, self._vertical)
         # Constants may be errors of the arm that no cause explains: intervals are as wide as these.
-        with_constants = rows if fitted.rows.codes is None else fitted.rows
+        with_constants = fitted.rows
+        if fitted.rows.codes is None:
+            with_constants = with_constants._replace(y=rows.y)
         rows = fitted.rows
         left_out = leave_out(fitted, positions) if self._judged else None
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)

@@ -7,7 +7,6 @@ function of every joint's angle, all low orders together, is the field.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from dataclasses import replace
 from numbers import Integral
 from typing import Any, NamedTuple
 
@@ -21,8 +20,10 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
-from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
+from sklearn_raacmm.error_model._noise import even_noise, joint_noise
 from sklearn_raacmm.error_model._sums import Rows, explicit_gram, less_constants, without_motions
+from sklearn_raacmm.error_model._vertical import better_vertical
 from sklearn_raacmm.inference import (
     Problem,
     State,
@@ -39,8 +40,6 @@ from sklearn_raacmm.utils import (
     Finding,
     centred,
     chunks,
-    group_means,
-    group_sums,
     slip_factors,
     stage,
     tukey_weights,
@@ -83,10 +82,13 @@ _REFIT_STEPS = 5
 _MANY_CHANGED = 0.5
 # Poses whose columns are made at a time, and most poses of which all are held: some 50 MB.
 _POSES, _HELD_POSES = 256, 5000
-# Shares of the noise that may come through the angles: not all, for J J' has rank 2 at some poses.
-_SHARES = np.arange(0.0, 0.99, 0.02)
-# Rows of which that is compared at a time: 5 MB for an array of all shares.
-_ROWS_OF_NOISE = 4096
+# Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those
+# by which the share of it is found that coefficients follow.
+_ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
+# Change of the noise's shares from which on rows are whitened anew. After so many choices the
+# choice then stays, where the weights have settled.
+_SETTLED_NOISE, _WITH_NEW_NOISE = 0.1, 2
+_TINY = 1e-300
 
 # What the weights leave of the noise variance, of normal errors in three coordinates: E[w d^2] /
 # (3 E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution, whose moments are 1,
@@ -101,6 +103,9 @@ _SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**
 # of a variance has as a rule: where it has fallen by so many nats, larger constants are not tried.
 _KNOWN, _CONSTANT_STEPS, _CONSTANT_ROUNDS = 10.0 ** np.arange(0.0, -4.5, -0.5), 3, 2
 _FAR_BELOW = 20.0
+# Fits along another vertical at most: of a direction that is far off a fit has taken poses for
+# outliers.
+_TURNS = 4
 # Variance of means that are 0 but for rounding, in parts of that of the residuals. What it costs,
 # in nats, that means say nothing of the arm: of four to seven positions that a calibration has
 # drawn together it came to 18, of twelve and deviations from a median to 55 (same script).
@@ -198,36 +203,54 @@ class Fitted(NamedTuple):
     structures: Structures
 
 
-def fit_with_constants(rows, positions, columns, with_field):
-    """Fit the model, and constants of the positions of the variance that the evidence asks for.
+def fit_rows(rows, positions, columns, with_field, up=None):
+    """Fit the model, constants of the positions and, where the data show it, another vertical.
 
     A reference may be off by a constant in each position. The arm's own differences between
     positions are told from these, for they are the same function of the angles everywhere. With the
     variance v of the constants and s of the noise a constant is drawn to 0 as by rows of the weight
     s / v.
 
-    `positions` (n,) count from 0; None: there are no constants. Returns a `Fitted`, whose rows are
-    those given less their constants, or with positions of which nothing is known.
+    `positions` (n,) count from 0; None: there are no constants. Where more data have shown the
+    vertical, it is `up` of their `Terms`. Returns a `Fitted`, whose rows are those given less their
+    constants, or with positions of which nothing is known.
     """
-    fitted = fit_linear_model(rows, columns, with_field)
-    if positions is None or rows.codes is not None:
-        return fitted
-    n_positions = int(positions.max()) + 1
-    if n_positions < LEAST_POSITIONS or len(positions) < 2 * n_positions:
-        return fitted
-    known: Any = np.inf
-    for _ in range(_CONSTANT_ROUNDS):
-        last, known = known, _known_of_constants(rows, positions, fitted)
-        if known == last:
-            break
+    terms, known, looked, turned = columns.terms, np.inf, 0, 0
+    columns = columns if up is None else columns_of(rows.arm, terms._replace(up=up))
+    # A force that is always there is not told from gravity in its direction.
+    forced = any(name.startswith("force") for name, _ in terms.extra)
+    may_turn = up is None and terms.gravity and not forced
+    n_positions = 0 if positions is None or rows.codes is not None else int(positions.max()) + 1
+    may_differ = LEAST_POSITIONS <= n_positions <= len(rows.y) / 2
+    while True:
         given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
         fitted = fit_linear_model(given, columns, with_field)
-    if np.isinf(known):
-        return fitted
-    weights = rows.weights * fitted.pose_weight
-    total = np.bincount(positions, weights)
+        rows = rows._replace(noise=fitted.rows.noise, root=fitted.rows.root)
+        if may_differ and looked < _CONSTANT_ROUNDS:
+            last, known, looked = known, _known_of_constants(rows, positions, fitted), looked + 1
+            if known != last:
+                continue
+        if not (may_turn and turned < _TURNS and (found := better_vertical(fitted))):
+            break
+        columns, turned = columns_of(rows.arm, terms._replace(up=found)), turned + 1
+        # Along the other vertical gravity was noise, and perhaps constants.
+        rows, known, looked = rows._replace(noise=None, root=None), np.inf, 0
+    if turned:
+        shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
+        said = (
+            f"Gravity seems to pull against {shown[0]} of the base frame, not against up = "
+            f"{shown[1]}: its columns follow the data."
+        )
+        advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
+        Finding("vertical", said, advice).report()
+    return fitted if np.isinf(known) else _less_constants(rows, positions, fitted, known)
+
+
+def _less_constants(rows, positions, fitted, known):
+    """A fit whose rows are those given less the constants of their positions, which are named."""
+    whitened = rows._replace(codes=positions, known=known).whitening(fitted.pose_weight)
     left = rows.y - fitted.model.predict(rows.X)[0]
-    constants = group_sums(left, positions, weights) / np.maximum(total + known, 1e-9)[:, None]
+    constants = whitened.unknowns(left[:, :, None])[:, :, 0]
     size = float(np.sqrt(np.square(constants).sum(axis=1).mean()))
     # Deviations from a row of the position are as large as its rows scatter, at most.
     within = centred(rows.y, positions, rows.weights)
@@ -263,12 +286,13 @@ def _known_of_constants(rows, positions, fitted):
     state = fitted.state._replace(noise_variance=fitted.state.noise_variance / weight)
     few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
 
-    total = np.bincount(positions, rows.weights)
-    n, n_observations = 3 * len(total), 3.0 * rows.weights.sum()
-    gram, of_positions = explicit_gram(rows, few.at, positions)
+    whole = explicit_gram(rows._replace(codes=positions), few.at)
+    gram, of_positions, precision = whole
+    n, n_observations = precision.size, 3.0 * rows.weights.sum()
 
     def evidence(known):
-        left = less_constants(gram, of_positions, total, known)
+        share = precision / np.maximum(precision + known, _TINY)
+        left = less_constants(gram, of_positions, share)
         n_left = n_observations if known else n_observations - n
         sums = sums_of_gram(left, len(state.pairs), n_left)
         sums = sums if known else without_motions(sums, few)
@@ -276,12 +300,12 @@ def _known_of_constants(rows, positions, fitted):
 
     found = {np.inf: evidence(np.inf)}
     for known in _KNOWN.tolist():
-        taken = 1.5 * np.log1p(total / known).sum() + 0.5 * np.log(n)
+        taken = 0.5 * np.log1p(precision / known).sum() + 0.5 * np.log(n)
         found[known] = evidence(known) - taken
         if found[known] < max(found.values()) - _FAR_BELOW:
             break
-    squares = np.square(group_means(rows.y, positions, rows.weights)) * total[:, None]
-    least = _LEAST_MEANS * np.average(np.square(rows.y).mean(axis=1), weights=rows.weights)
+    squares = np.square(of_positions[:, :, -1])
+    least = _LEAST_MEANS * gram[-1, -1] / n_observations
     variance = max(squares.mean(), least)
     taken = 0.5 * n * (np.log(variance) + squares.mean() / variance) + 0.5 * np.log(n)
     found[0.0] = evidence(0.0) - taken - _PRICE_OF_DEVIATIONS
@@ -301,7 +325,7 @@ def fit_linear_model(rows, columns, with_field) -> Any:
     unused: list[Any] = []
     while True:
         structures = structures_of(columns, with_field, unused)
-        state, factor = _fit(rows, columns, structures)
+        state, factor, rows = _fit(rows, columns, structures)
         of_family = {f: np.flatnonzero(columns.family == f) for f in extra.difference(unused)}
         gains = [(state.gain_of(of), f) for f, of in of_family.items()]
         gain, least = min(gains, default=(np.inf, None))
@@ -311,58 +335,70 @@ def fit_linear_model(rows, columns, with_field) -> Any:
     used = rows.weighted(factor)
     model = model_of(used, columns, state)
     if np.any(factor < 1):
-        model = replace(model, noise_variance=model.noise_variance / _SHARE_OF_NOISE)
-    model = _with_noise_of_angles(model, used)
+        model = model.with_noise(model.noise_variance / _SHARE_OF_NOISE)
     return Fitted(model, state, factor, rows, columns, structures)
 
 
-def _with_noise_of_angles(model, rows):
-    """Model with the share of the noise that comes through the joints' angles.
+def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
+    """Choose structures, weights and noise by turns.
 
-    With J what the angles do to the probe, the noise of a pose is ``(1 - q) I + q J J' / l^2`` of
-    the usual, with l^2 the mean square of J. Its likelihood over a grid of shares q, the size of
-    the noise being the likeliest for each, gives the mean of q: there is nothing to decide.
+    Returns the state, the factors of the weights, and the rows, whitened.
     """
-    squares = np.empty((len(rows.X), 3, 3))
-    for part in chunks(len(rows.X), _ROWS_OF_NOISE):
-        J = model.layout.levers(rows.X[part])
-        squares[part] = J @ J.swapaxes(1, 2)
-    lever = np.average(np.einsum("nii->n", squares), weights=rows.weights) / 3
-    if not lever > 0:
-        return model
-    size, axes = np.linalg.eigh(squares / lever)
-    left = centred(rows.y - model.predict(rows.X)[0], rows.codes, rows.weights)
-    left = np.square(np.einsum("nca,nc->na", axes, left))
-    total, fit, volume = 3 * rows.weights.sum(), np.zeros(len(_SHARES)), np.zeros(len(_SHARES))
-    for part in chunks(len(rows.X), _ROWS_OF_NOISE):
-        variance = 1 - _SHARES[:, None, None] * (1 - size[part])
-        fit += np.einsum("n,qna->q", rows.weights[part], left[part] / variance) / total
-        volume += np.einsum("n,qna->q", rows.weights[part], np.log(variance))
-    if not fit.all():  # no noise
-        return model
-    logs = -0.5 * (total * np.log(fit) + volume)
-    odds = np.exp(logs - logs.max())
-    share = float(odds @ _SHARES / odds.sum())
-    return replace(model, noise_of_angles=share, lever_mm=float(np.sqrt(lever)))
-
-
-def _fit(rows, columns, structures) -> tuple[Any, Any]:
-    """Choose structures and weights by turns: the state, and the factors of the weights."""
     factor = np.ones(len(rows.weights))
     if rows.codes is not None:  # one slip of metres would shift all others of its position
         factor = slip_factors(rows.y, rows.codes, rows.weights)
-    sums, state = rows.weighted(factor).sums(columns), None
-    for _ in range(_MAX_CHOICES):
+    sums = rows.weighted(factor).sums(columns)
+    state: Any = None
+    levers = columns.levers(rows.X)
+    if rows.noise is None:
+        rows = rows._replace(noise=even_noise(levers, rows.weights))
+    weighed = True
+    for choice in range(_MAX_CHOICES):
         start = factor
-        state = search(Problem(sums, structures), state)
+        if choice < _WITH_NEW_NOISE or weighed:
+            state = search(Problem(sums, structures), state)
+        else:
+            state = refit(sums, structures, state, state.lines, _REFIT_STEPS)
         state, factor, sums = _settled(rows, columns, structures, sums, state, factor)
         if structures.share is not None and not state.with_field:
             beside = _beside_field(rows, columns, structures, sums, state, factor)
             if beside is not None:
                 state, factor, sums = _settled(rows, columns, structures, sums, beside, factor)
-        if np.abs(factor - start).mean() < _SETTLED_CHOICE:
+        if choice + 1 == _MAX_CHOICES:
             break
-    return state, factor
+        noise = _noise_of(rows.weighted(factor), columns, state)
+        weighed = bool(np.abs(factor - start).mean() >= _SETTLED_CHOICE)
+        if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
+            rows = rows._replace(noise=noise, root=noise.roots(levers))
+            sums = rows.weighted(factor).sums(columns)
+        elif not weighed:
+            break
+    return state, factor, rows
+
+
+def _noise_of(rows, columns, state):
+    """`Noise` about the choice of a state, without what coefficients and unknowns follow of it."""
+    few, rows = columns.with_harmonics(columns.terms.harmonics[state.pairs]), _some(rows, _ENOUGH)
+    left = rows.whitening().centred(rows.y - _expected(rows, few)(state))
+    some = _some(rows, _ENOUGH_FOLLOWED)
+    whitened, J = some.whitening(), columns.levers(some.X)
+    shapes = whitened.root @ np.concatenate([J, np.broadcast_to(np.eye(3), (len(J), 3, 3))], axis=2)
+    half = np.roll(state.half, few.n_waves, axis=0) / np.sqrt(state.noise_variance)
+    flat = whitened.deviations(few.at(some.X)).reshape(-1, len(half)) @ half
+    followed = [flat.reshape(len(J), 3, -1).swapaxes(1, 2) @ shapes]
+    if whitened.basis is not None:
+        followed.append(whitened.basis.swapaxes(1, 2) @ shapes)
+    taken = sum(np.square(part).sum(axis=(0, 1)) for part in followed)
+    parts = np.r_[: J.shape[2] + 1]  # the last three are the noise of the rows
+    taken, whole = (np.add.reduceat(v, parts) for v in (taken, np.square(shapes).sum(axis=(0, 1))))
+    taken /= np.maximum(whole, _TINY)
+    return joint_noise(left, columns.levers(rows.X), rows.weights, taken)
+
+
+def _some(rows, n):
+    """About n of the rows, of whole positions where these have offsets."""
+    codes = np.arange(len(rows.y)) if rows.codes is None else rows.codes
+    return rows.at(codes % max(len(codes) // n, 1) == 0)
 
 
 def _beside_field(rows, columns, structures, sums, state, factor):
@@ -380,8 +416,7 @@ def _beside_field(rows, columns, structures, sums, state, factor):
         def waves_at(X):
             return waves.at(np.delete(X, of_extra, axis=1))
 
-        total = np.bincount(rows.codes, rows.weights)
-        gram = less_constants(*explicit_gram(rows, waves_at, rows.codes), total, rows.known)
+        gram = less_constants(*explicit_gram(rows, waves_at)[:2])
         some = some._replace(rows=sums_of_gram(gram, len(pairs), sums.n_observations).rows)
     alone = state._replace(lines=lines, pairs=lines)
     return beside_field(problem, state, Problem(some, of_field), alone)
@@ -401,7 +436,8 @@ def _settled(rows, columns, structures, sums, state, factor):
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
     some, expected = sums_of_pairs(sums, pairs), _expected(rows, few)
     for _ in range(_ROUNDS):
-        left = centred(rows.y - expected(state), rows.codes, rows.weights * factor)
+        left = rows.whitening(factor).centred(rows.y - expected(state))
+        left = left if rows.root is None else np.einsum("nij,nj->ni", rows.root, left)
         old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
@@ -425,9 +461,8 @@ def _reweighted(rows, columns, sums, old, new):
     if rows.lengths or changed.mean() > _MANY_CHANGED:
         return rows.weighted(new).sums(columns)
     part, old, new = rows.at(changed), old[changed], new[changed]
-    if rows.codes is None:
-        more = part._replace(weights=part.weights * (new - old)).sums(columns)
-        return combined((sums, more), (1, 1))
+    if rows.codes is None:  # the difference is enough
+        old, new = np.maximum(old - new, 0.0), np.maximum(new - old, 0.0)
     parts = [(sums, 1)]
     for factor, sign in ((old, -1), (new, 1)):
         if factor.any():
@@ -464,17 +499,20 @@ def model_of(rows, columns, state):
     offered, half, line = columns.terms.harmonics, state.half[order], len(FAMILIES) - 2
     families = np.unique(columns.family).tolist()
     families += [line] * bool(len(offered)) + [line + 1] * state.with_field
+    noise = rows.noise.scaled(state.noise_variance)
     model = LinearModel(
         layout=columns.with_harmonics(offered[state.pairs]),
         coef=state.coef[order],
         half=half,
-        noise_variance=state.noise_variance,
+        noise_of_joints=noise.of_joints,
+        noise_of_rows=noise.of_rows,
+        lever_mm=noise.lever_mm,
         prior_sd={FAMILIES[f]: float(np.sqrt(state.variance[f])) for f in families},
         offsets=rows.codes is not None and not rows.known,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
-        gauge_free_half=half,
-        fading_half=half,
+        seen=NOTHING_SEEN,
+        ranges=ranges_of(columns.arm, rows.X[rows.weights > 0]),
     )
     if rows.codes is None:
         return model

@@ -264,7 +264,7 @@ def _at_rows(model, rows):
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     if rows.codes is None:
         return mean, doubt, std
-    dots = centred(model.columns(rows.X), rows.codes, rows.weights) @ model.half
+    dots = rows.whitening().centred(model.columns(rows.X)) @ model.half
     return mean, doubt, np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
 
 
@@ -301,11 +301,13 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
         wider = 1.0 if codes is None else 1 + _PER_FEW_POSITIONS / n_positions
         return replace(model, noise_scale=wider, std_scale=wider, n_positions=float(n_positions))
     correction, _, spread = left_out
-    errors = centred(rows.y - share * correction, codes, weights)
-    noise = model.noise_sd * model.noise_ratio(rows.X)
-    if codes is not None:  # the position's own mean has taken its share of the noise
-        taken = 1 / np.maximum(np.bincount(codes, weights)[codes], 1.0)
-        noise *= np.sqrt(1 - taken)[:, None]
+    whitened = rows.whitening()
+    errors = whitened.centred(rows.y - share * correction)
+    variance = np.square(model.noise_ratio(rows.X))
+    if codes is not None:  # the position's own constant has taken its share of the noise
+        taken = np.square(whitened.moves).sum(axis=2)
+        variance = np.maximum(variance - np.minimum(taken, variance), 0.0)
+    noise = model.noise_sd * np.sqrt(variance)
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())
     usual = 0.0 if codes is None else _USUAL_LOG_B
     noise_scale, std_scale = interval_scales(errors, noise, spread, weights, worth, usual)
@@ -321,14 +323,15 @@ def interval_scales(
     weights: np.ndarray,
     worth: float = 1.0,
     usual_log_b: float = 0.0,
+    usual_log_a: float = 0.0,
 ) -> tuple[float, float]:
     """Factors of noise and standard deviation at which intervals of 95 % hold.
 
     Errors (n, q) in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its
     degrees of freedom have the highest posterior. Both deviations (n, q) are then multiplied so
     that 1.96 of them hold 95 %. `worth` are independent errors per coordinate: those of one
-    position resemble each other. `usual_log_b` is the mean of the prior of log b; that of log a is
-    0.
+    position resemble each other. `usual_log_b` and `usual_log_a` are the means of the priors of
+    log b and log a.
     """
     # Rows of no deviation at all, of positions of one pose, say nothing.
     used = np.square(noise) + np.square(std) > 0
@@ -336,7 +339,7 @@ def interval_scales(
     e2, n2, s2 = (np.square(values[used]) for values in (errors, noise, std))
     if not len(e2):
         return 1.0, 1.0
-    usual = np.array([0.0, usual_log_b])
+    usual = np.array([usual_log_a, usual_log_b])
 
     def loss(logs):
         a, b, freedom = np.exp(logs)

@@ -34,13 +34,11 @@ from scipy.sparse import csr_array
 
 from sklearn_raacmm.arm import Arm, own_angles
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
-from sklearn_raacmm.inference import Extra, GramRows, Sums
-from sklearn_raacmm.utils import chunks, group_means, group_sums
+from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
+from sklearn_raacmm.utils import chunks, group_sums
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
-# Divides the sums of positions without weight.
-_TINY = 1e-300
 # Orders and poses from which on the grid is faster: without it the fit of 3000 poses of the UR10
 # that ``benchmarks/golden.py`` times takes 1.3 times as long.
 _MANY_ORDERS, _MANY_POSES = 128, 256
@@ -61,6 +59,8 @@ class Rows(NamedTuple):
     codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
     lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
     known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
+    noise: Any = None  # `Noise` of variance 1; None: all rows have the same
+    root: np.ndarray | None = None  # (n, 3, 3) that whitens a row of this noise; None: I
 
     def at(self, which):
         """Some of the rows, with positions counted from 0 and the lengths that are left."""
@@ -73,13 +73,20 @@ class Rows(NamedTuple):
                 (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
             ]
         X, y, weights = self.X[which], self.y[which], self.weights[which]
-        return self._replace(X=X, y=y, weights=weights, codes=codes, lengths=tuple(lengths))
+        root = None if self.root is None else self.root[which]
+        return self._replace(
+            X=X, y=y, weights=weights, codes=codes, lengths=tuple(lengths), root=root
+        )
 
     def weighted(self, factor):
         """The rows with their weights times a factor, without those of no weight."""
         rows = self._replace(weights=self.weights * factor)
         kept = rows.weights > 0
         return rows if kept.all() else rows.at(kept)
+
+    def whitening(self, factor: Any = 1.0):
+        """`Whitening` of the rows, their weights times a factor."""
+        return whitening(self.weights * factor, self.root, self.codes, known=self.known)
 
     def sums(self, columns):
         """`Sums` over the rows, the harmonics of the columns being the candidates."""
@@ -94,16 +101,14 @@ def candidate_sums(rows, columns):
     """Sum up what the choice of harmonics needs, as `Sums`.
 
     The harmonics of the columns, sorted by joint, are the candidates; the others are always in.
-    Offsets of positions are taken out exactly, by deviations from weighted means (Frisch-Waugh
-    theorem); what is `known` of them draws them to 0 as rows of this weight would.
+    Rows are whitened, and offsets of positions are taken out of them: see `Whitening`.
     """
-    angles, y, weights, codes, known = rows.X, rows.y, rows.weights, rows.codes, rows.known
-    if codes is None:
-        parts: Any = [(part, None) for part in chunks(len(angles), _CHUNK)]
+    if rows.codes is None:
+        parts = chunks(len(rows.X), _CHUNK)
     else:
-        order = np.argsort(codes, kind="stable")
-        parts = _parts_of_positions(codes[order])
-        angles, y, weights = angles[order], y[order], weights[order]
+        rows = rows.at(np.argsort(rows.codes, kind="stable"))
+        parts = _parts_of_positions(rows.codes)
+    whitened, angles = rows.whitening(), rows.X
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
     own_of_joints = own_angles(rows.arm, angles)
     spans = []  # joint, orders, and which of those offered they are
@@ -112,26 +117,32 @@ def candidate_sums(rows, columns):
         spans.append((joint, offered[pairs, 1], pairs))
     every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
     with_turns = columns.with_harmonics(every_turn)
-    turns = np.empty((*y.shape, n_joints))
+    turns = np.empty((*rows.y.shape, n_joints))
     m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
     gram, cross = np.zeros((m, m)), np.zeros((m, len(offered)), complex)
-    for part, starts in parts:
-        always = with_turns.at(angles[part])
+    for part in parts:
+        always = np.concatenate([with_turns.at(angles[part]), rows.y[part, :, None]], axis=2)
+        always = whitened.root[part] @ always
         turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
-        always = np.concatenate([always[:, :, 2 * n_joints :], y[part, :, None]], axis=2)
-        weighted = _weighted_deviations(always, weights[part], starts, known)
-        gram += always.reshape(-1, m).T @ weighted.reshape(-1, m)
+        always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
+        left = whitened.left(always, part)  # one side of a product is enough
+        gram += always.reshape(-1, m).T @ left.reshape(-1, m)
         for joint, orders, pairs in spans:
             turn, wave = turns[part, :, joint], waves(own_of_joints[part, joint], orders)
-            share = np.einsum("ncm,nc->nm", weighted, turn)
+            share = np.einsum("ncm,nc->nm", left, turn)
             cross[:, pairs] += _products(share, wave)
-            own[:, pairs] += _own_blocks(turn, wave, weights[part], starts, known)
+            own[:, pairs] += _own_blocks(turn, wave)
+            if whitened.basis is not None:
+                for component in np.einsum("ncq,nc->qn", whitened.basis[part], turn):
+                    moved = (component[:, None] * wave).view(float)
+                    sums = group_sums(moved, rows.codes[part] - rows.codes[part][0]).view(complex)
+                    taken = sums.real**2, sums.imag**2, sums.real * sums.imag
+                    own[:, pairs] -= np.array(taken).sum(axis=1)
     cross = cross.view(float)
 
     def rows_of(pairs):
-        return _gram_rows(own_of_joints, turns, weights, parts, known, spans, offered[pairs])
+        return _gram_rows(own_of_joints, turns, whitened, parts, spans, offered[pairs])
 
-    n_taken = 0 if known or codes is None else len(np.unique(codes))
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -139,40 +150,43 @@ def candidate_sums(rows, columns):
         own,
         cross[-1],
         float(gram[-1, -1]),
-        float(y.shape[1] * (weights.sum() - n_taken)),
+        whitened.n_observations,
         GramRows(rows_of, 2 * len(offered)),
     )
 
 
-def explicit_gram(rows, columns_at, positions=None):
-    """Gram matrix of few columns and y, summed up as they stand, and their sums over positions.
+def explicit_gram(rows, columns_at):
+    """Gram matrix of few columns and y of whitened rows, and what offsets of positions explain.
 
     `columns_at` makes the columns (n, 3, p) of rows of X, y is the last one. Returns the matrix (p
-    + 1, p + 1), and the weighted sums (n_positions, 3, p + 1) of which `less_constants` takes what
-    constants of the positions explain; None without `positions` (n,) from 0.
+    + 1, p + 1); the sums (n_positions, 3, p + 1) of which `less_constants` takes what offsets
+    explain, and the precision (n_positions, 3) of these. Both are None without offsets.
     """
     gram: Any = 0.0
-    of_positions: Any = None if positions is None else 0.0
+    whitened, of_positions = rows.whitening(), None
+    if rows.codes is not None:
+        of_positions, n_positions = 0.0, len(whitened.unit)
     for part in chunks(len(rows.X), _CHUNK):
         columns = np.concatenate([columns_at(rows.X[part]), rows.y[part, :, None]], axis=2)
-        weights = rows.weights[part]
-        if positions is not None:
-            n_positions = int(positions.max()) + 1
-            of_positions = of_positions + group_sums(columns, positions[part], weights, n_positions)
-        columns *= np.sqrt(weights)[:, None, None]
+        columns = whitened.root[part] @ columns
         flat = columns.reshape(-1, columns.shape[2])
         gram = gram + flat.T @ flat
-    return gram, of_positions
+        if of_positions is not None:
+            moved = whitened.basis[part].swapaxes(1, 2) @ columns
+            of_positions = of_positions + group_sums(moved, rows.codes[part], None, n_positions)
+    return gram, of_positions, whitened.precision
 
 
-def less_constants(gram, of_positions, total, known):
+def less_constants(gram, of_positions, share: Any = 1.0):
     """The Gram matrix of `explicit_gram` without what constants of the positions explain.
 
-    `total` (n_positions,) are the weights of the positions; the constants are drawn to 0 as by rows
-    of the weight `known`. The same as of deviations from such means (Frisch-Waugh theorem).
+    Or a `share` (n_positions, 3) of that: v / (v + known) for those of the precision v that are
+    drawn to 0 by as much as `known`.
     """
-    size = np.sqrt(np.maximum(total + known, _TINY))[:, None, None]
-    scaled = (of_positions / size).reshape(-1, len(gram))
+    if of_positions is None:
+        return gram
+    scaled = np.sqrt(np.broadcast_to(share, of_positions.shape[:2]))[:, :, None] * of_positions
+    scaled = scaled.reshape(-1, len(gram))
     return gram - scaled.T @ scaled
 
 
@@ -211,45 +225,38 @@ def length_equations(rows, columns):
     used, ends = np.unique([first, second], return_inverse=True)
     ends = ends.reshape(2, -1)
     rows = rows._replace(lengths=()).at(np.isin(rows.codes, used))
-    total = np.bincount(rows.codes, rows.weights)
-    points = group_means(columns.points(rows.X), rows.codes, rows.weights)
-    means = columns.means(rows.X, rows.codes, rows.weights)
+    whitened = rows.whitening()
+    points = whitened.unknowns(columns.points(rows.X)[:, :, None])[:, :, 0]
+    moved: Any = 0.0
+    for part in chunks(len(rows.X), _CHUNK):
+        sums = whitened.basis[part].swapaxes(1, 2) @ (
+            whitened.root[part] @ columns.at(rows.X[part])
+        )
+        moved = moved + group_sums(sums, rows.codes[part], None, len(used))
+    means = whitened.unit @ moved
     line = points[ends[1]] - points[ends[0]]
     measured = np.linalg.norm(line, axis=1)
     line /= measured[:, None]
+    shares = [np.square(np.einsum("lc,lcq->lq", line, whitened.unit[end])) for end in ends]
     return Extra(
         np.einsum("lc,lcp->lp", line, means[ends[1]] - means[ends[0]]),
         measured - length,
         np.square(sd),
-        1 / total[ends[0]] + 1 / total[ends[1]],
+        sum(shares).sum(axis=1),
     )
 
 
 def _parts_of_positions(codes):
-    """Chunks of whole positions of sorted rows, so that a chunk knows the means that it takes out.
-
-    Pairs of rows, and of the first row of each position in the chunk.
-    """
+    """Chunks of whole positions of sorted rows, so that a chunk knows what it takes out."""
     first = np.flatnonzero(np.diff(codes, prepend=-1))
     ends, parts, begin = np.append(first[1:], len(codes)), [], 0
     limit = chunks(len(codes), _CHUNK)[0].stop
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
         if last or ends[i + 1] - first[begin] > limit:
-            parts.append((slice(first[begin], end), first[begin : i + 1] - first[begin]))
+            parts.append(slice(first[begin], end))
             begin = i + 1
     return parts
-
-
-def _weighted_deviations(columns, weights, starts, known):
-    """Weights times deviations from the position's mean: one side of a product is enough."""
-    weighted = weights[:, None, None] * columns
-    if starts is not None:
-        total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)[:, None, None]
-        mean = np.add.reduceat(weighted, starts, axis=0) / total
-        counts = np.diff(starts, append=len(weights))
-        weighted -= weights[:, None, None] * np.repeat(mean, counts, axis=0)
-    return weighted
 
 
 def _products(columns, wave):
@@ -257,39 +264,32 @@ def _products(columns, wave):
     return (columns.T @ wave.view(float)).view(complex)
 
 
-def _own_blocks(turn, wave, weights, starts, known):
+def _own_blocks(turn, wave):
     """cos'cos, sin'sin and cos'sin of each candidate of one joint, (3, n_orders)."""
-    size = weights * np.square(turn).sum(axis=1)
+    size = np.square(turn).sum(axis=1)
     double, whole = size @ np.square(wave), size.sum()
-    own = 0.5 * np.array([whole + double.real, whole - double.real, double.imag])
-    if starts is not None:
-        total = np.maximum(np.add.reduceat(weights, starts) + known, _TINY)
-        for component in turn.T:
-            sums = np.add.reduceat((weights * component)[:, None] * wave, starts)
-            sums /= np.sqrt(total)[:, None]
-            own -= np.array([sums.real**2, sums.imag**2, sums.real * sums.imag]).sum(axis=1)
-    return own
+    return 0.5 * np.array([whole + double.real, whole - double.real, double.imag])
 
 
-def _gram_rows(angles, turns, weights, parts, known, spans, pairs):
+def _gram_rows(angles, turns, whitened, parts, spans, pairs):
     """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
     on_grid = [len(angles) >= _MANY_POSES and len(orders) >= _MANY_ORDERS for _, orders, _ in spans]
     found: Any = [0.0] * len(spans)
     (joints, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
-    for rows, starts in parts:
-        theta, turn, weight = angles[rows], turns[rows], weights[rows]
+    for rows in parts:
+        theta, turn = angles[rows], turns[rows]
         phase = order * theta[:, joints]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-        columns = None
-        if starts is not None:
-            columns = turn[:, :, twice] * wave[:, None]
-            columns = _weighted_deviations(columns, weight, starts, known)
+        taken = moved = None
+        if whitened.basis is not None:
+            moved = whitened.basis[rows].swapaxes(1, 2) @ turn  # (n, q, n_joints)
+            codes = whitened.feature[rows] - whitened.feature[rows][0]
+            taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
         for i, (joint, orders, _) in enumerate(spans):
-            if columns is None:  # the turns of the joints alone are contracted
-                along = np.einsum("ncj,nc->nj", turn, weight[:, None] * turn[:, :, joint])
-                share = np.take(along, twice, axis=1) * wave
-            else:
-                share = np.einsum("ncm,nc->nm", columns, turn[:, :, joint])
+            along = np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
+            share = np.take(along, twice, axis=1) * wave
+            if taken is not None:
+                share -= np.einsum("nqm,nq->nm", taken, moved[:, :, joint])
             if on_grid[i]:
                 found[i] = found[i] + _spread(theta[:, joint], orders).T @ share
             else:

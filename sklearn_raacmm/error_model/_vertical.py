@@ -13,15 +13,12 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from sklearn_raacmm.error_model._columns import LOAD, columns_of
-from sklearn_raacmm.error_model._fit import fit_with_constants, of_pairs
 from sklearn_raacmm.error_model._sums import beside_motions, explicit_gram, less_constants
 from sklearn_raacmm.inference import root_of
-from sklearn_raacmm.utils import Finding, stage
+from sklearn_raacmm.utils import stage
 
 # Poses of which a direction is found at most: more take time and turn it by less than a degree.
 _ENOUGH = 600
-# Rounds of a fit and a search: of a direction that is far off the fit has taken poses for outliers.
-_ROUNDS = 4
 # Log evidence that another direction has to add, in nats: of upright arms, real and simulated, it
 # came to at most 10; of those inclined by 45 degrees or on a wall to at least 135. Cosine of 2
 # degrees: gravity's columns change by less than 4 % (``benchmarks/bench_after_the_lab.py mounts``).
@@ -40,46 +37,21 @@ _FIRST_STEP, _LAST_STEP = 0.2, 0.002
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def fit_with_vertical(rows, positions, columns, with_field, known=None):
-    """The fit of `fit_with_constants` along the vertical of the arm, or that which data show.
-
-    Where more data have shown it, it is `known`: the `up` of their `Terms`.
-    """
-    terms = columns.terms
-    if known is not None:
-        columns = columns_of(rows.arm, terms._replace(up=known))
-        return fit_with_constants(rows, positions, columns, with_field)
-    # A force that is always there is not told from gravity in its direction.
-    may_turn = terms.gravity and not any(name.startswith("force") for name, _ in terms.extra)
-    fitted, rounds = fit_with_constants(rows, positions, columns, with_field), 0
-    while may_turn and rounds < _ROUNDS and (up := _better_vertical(fitted)):
-        columns, rounds = columns_of(rows.arm, terms._replace(up=up)), rounds + 1
-        fitted = fit_with_constants(rows, positions, columns, with_field)
-    if rounds:
-        shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
-        said = (
-            f"Gravity seems to pull against {shown[0]} of the base frame, not against up = "
-            f"{shown[1]}: its columns follow the data."
-        )
-        advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."
-        Finding("vertical", said, advice).report()
-    return fitted
-
-
 @stage("direction of gravity")
-def _better_vertical(fitted):
+def better_vertical(fitted):
     """A direction against gravity of higher evidence than that of a fit, or ().
 
     Harmonics and variances of the fit stay, but that of gravity. To turn the direction round
     changes signs only: of both the one is taken along which the arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
+    rows = rows._replace(root=None)  # gravity along another direction looks like noise of joints
     size = np.square(fitted.rows.y).mean()
     if size == 0 or state.noise_variance < _NOTHING_LEFT**2 * size:
         return ()
     if len(rows.X) > _ENOUGH:
         rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH)))
-    few = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)[0]
+    few = fitted.columns.with_harmonics(fitted.columns.terms.harmonics[state.pairs])
     loads = np.flatnonzero(few.table["kind"] == LOAD)
     if rows.y.shape[1] * len(np.unique(rows.X, axis=0)) < len(loads):
         return ()  # along any direction so many columns explain so few poses
@@ -125,10 +97,7 @@ def _left_of_gravity(rows, columns, loads, state):
         of_gravity = [axis.at(X)[:, :, loads - n_waves] for axis in axes]
         return np.concatenate([columns.at(X), *of_gravity], axis=2)
 
-    gram, of_positions = explicit_gram(rows, columns_at, rows.codes)
-    if rows.codes is not None:
-        total = np.bincount(rows.codes, rows.weights)
-        gram = less_constants(gram, of_positions, total, rows.known)
+    gram = less_constants(*explicit_gram(rows, columns_at)[:2])
     if rows.codes is not None and not rows.known and columns.terms.kinematics:
         keep = np.eye(len(gram))
         keep[n_waves:n, n_waves:n] = beside_motions(columns.alone)

@@ -17,6 +17,7 @@ from sklearn_raacmm.inference._linear import (
     sums_of_gram,
     sums_of_pairs,
 )
+from sklearn_raacmm.inference._rows import Whitening, whitening
 from sklearn_raacmm.inference._search import beside_field, search, search_at
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "State",
     "Structures",
     "Sums",
+    "Whitening",
     "beside_field",
     "combined",
     "evidence_variance",
@@ -35,4 +37,5 @@ __all__ = [
     "search_at",
     "sums_of_gram",
     "sums_of_pairs",
+    "whitening",
 ]

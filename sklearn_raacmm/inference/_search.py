@@ -39,15 +39,13 @@ _FIELD_SIZES = 10.0 ** np.arange(-4.0, 1.0)
 def search(problem: Problem, state: State | None = None) -> State:
     """Lines that are worth their price, and their variances.
 
-    A state of nearly the same data says where the search begins: at its variances, and if the field
-    is in, it stays; its lines then are where the choice begins, too.
+    A state of nearly the same data says where the search begins: at its variances and its lines;
+    if the field is in, it stays.
     """
     if state is None:
         best = problem.nothing()
     else:
-        lines = state.lines if state.with_field else state.lines[:0]
-        best = problem.with_lines(state, lines)
-        best = _settled(problem, best) if state.with_field else best
+        best = _settled(problem, problem.with_lines(state, state.lines))
     for _ in range(_MAX_ROUNDS):
         lines = _extended(problem, best)
         if len(lines) == len(best.lines):

@@ -6,8 +6,7 @@ Intervals against errors that were drawn, and SciPy's own fit.
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import norm as normal
-from scipy.stats import t as student
+from scipy.stats import norm as normal, t as student
 
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
@@ -97,12 +96,14 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
     for block in range(10):
         of, other = blocks == block, blocks != block
         assert not set(test.groups[of]) & set(test.groups[other])
-        A, z = columns[other], y[other]
-        if single_point:
-            codes = np.unique(test.groups[other], return_inverse=True)[1]
-            A, z = centred(A, codes, robust[other]), centred(z, codes, robust[other])
-        A = (np.sqrt(robust[other])[:, None, None] * A).reshape(-1, A.shape[2]) / model.noise_sd
-        z = (np.sqrt(robust[other])[:, None] * z).ravel() / model.noise_sd
+        white = np.sqrt(robust)[:, None, None] * fitted.rows.root
+        A = (white @ columns)[other].reshape(-1, columns.shape[2]) / model.noise_sd
+        z = (white @ y[:, :, None])[other].ravel() / model.noise_sd
+        if single_point:  # three constants of each position, whitened as its rows are
+            own = test.groups[other][:, None] == np.unique(test.groups[other])
+            dummies = np.einsum("ncd,ng->ncgd", white[other], own).reshape(len(z), -1)
+            Q = np.linalg.qr(dummies)[0]
+            A, z = A - Q @ (Q.T @ A), z - Q @ (Q.T @ z)
         prior = model.prior_sd["kinematics"]
         covariance = np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / prior**2)
         errors = y[of] - columns[of] @ (covariance @ A.T @ z)

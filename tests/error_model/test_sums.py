@@ -22,27 +22,25 @@ from sklearn_raacmm.error_model._sums import (
 from ._arms import ARM, draw_angles
 
 
-def explicit_sums(theta, y, weights, codes, offered, terms):
-    """Gram matrix and moments from all columns, offsets taken out by dummies."""
+def explicit_sums(theta, y, weights, codes, offered, terms, root):
+    """Gram matrix and moments from all columns, whitened, offsets taken out by dummies."""
     always = columns_of(ARM, terms._replace(harmonics=np.empty((0, 2), int))).at(theta)
     waves = columns_of(ARM, Terms(offered, False, False, False)).at(theta)
-    A = np.concatenate([always, waves, y[:, :, None]], axis=2)
+    white = np.sqrt(weights)[:, None, None] * (np.eye(3) if root is None else root)
+    A = white @ np.concatenate([always, waves, y[:, :, None]], axis=2)
+    A = A.reshape(-1, A.shape[2])
     if codes is not None:
-        dummies = np.sqrt(weights)[:, None] * (codes[:, None] == np.unique(codes))
-        Q = np.linalg.qr(dummies)[0]
-    gram = 0.0
-    for component in range(3):
-        part = np.sqrt(weights)[:, None] * A[:, component]
-        if codes is not None:
-            part = part - Q @ (Q.T @ part)
-        gram = gram + part.T @ part
-    return gram, always.shape[2]
+        dummies = np.einsum("ncd,ng->ncgd", white, codes[:, None] == np.unique(codes))
+        Q = np.linalg.qr(dummies.reshape(len(A), -1))[0]
+        A = A - Q @ (Q.T @ A)
+    return A.T @ A, always.shape[2]
 
 
 @pytest.mark.parametrize(("chunk", "many"), [(1024, 128), (7, 1)])
 @pytest.mark.parametrize("with_offsets", [False, True])
 @pytest.mark.parametrize("some_orders", [False, True])
-def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, many, monkeypatch):
+@pytest.mark.parametrize("even", [False, True])
+def test_sums_are_those_of_all_columns(with_offsets, some_orders, even, chunk, many, monkeypatch):
     for name, value in {"_CHUNK": chunk, "_MANY_ORDERS": many, "_MANY_POSES": many}.items():
         monkeypatch.setattr(_sums, name, value)
     rng = np.random.default_rng(3)
@@ -53,8 +51,10 @@ def test_sums_are_those_of_all_columns(with_offsets, some_orders, chunk, many, m
     offered = np.array([(j, k) for j in (0, 2, 5) for k in orders])
     # Without kinematics nothing is taken out.
     terms = Terms(offered, True, False, True)
-    found = candidate_sums(Rows(ARM, theta, y, weights, codes), columns_of(ARM, terms))
-    gram, m = explicit_sums(theta, y, weights, codes, offered, terms)
+    root = None if even else rng.normal(size=(n, 3, 3))
+    rows = Rows(ARM, theta, y, weights, codes, root=root)
+    found = candidate_sums(rows, columns_of(ARM, terms))
+    gram, m = explicit_sums(theta, y, weights, codes, offered, terms, root)
     size = np.sqrt(gram.diagonal())
     size = np.where(size > 1e-9, size, 1.0)
 
@@ -111,8 +111,8 @@ def test_constants_are_those_of_a_ridge_on_dummies(known, monkeypatch):
     codes = rng.permutation(np.arange(n) % 6)
     columns = columns_of(ARM, Terms(np.array([(0, 1), (4, 300)]), True, False, True))
     rows = Rows(ARM, theta, y, weights, codes)
-    total = np.bincount(codes, weights)
-    found = less_constants(*explicit_gram(rows, columns.at, codes), total, known)
+    gram, of_positions, precision = explicit_gram(rows, columns.at)
+    found = less_constants(gram, of_positions, precision / (precision + known))
     A = np.concatenate([columns.at(theta), y[:, :, None]], axis=2)
     dummies = np.sqrt(weights)[:, None] * (codes[:, None] == np.arange(6))
     if np.isinf(known):
@@ -124,7 +124,7 @@ def test_constants_are_those_of_a_ridge_on_dummies(known, monkeypatch):
         of_constants = dummies.T @ part
         expected = expected + part.T @ part - of_constants.T @ np.linalg.solve(size, of_constants)
     assert_allclose(found, expected, atol=1e-12 * expected.max())
-    assert explicit_gram(rows, columns.at)[1] is None
+    assert explicit_gram(rows._replace(codes=None), columns.at)[1] is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,96 @@
+r"""Rows of three coordinates, whitened: their noise is independent and of one size.
+
+A row says :math:`y = A w + B u + e` along some directions. The unknowns u of the feature that the
+row belongs to are of no interest: the constant of a position, the plane that was touched. With W
+the root of the row (:math:`W'W` is the inverse covariance of e, times the weight of the row),
+:math:`T = \sum (W B)' W B` over the rows of a feature and :math:`E E' = T^{-1}`, the columns
+:math:`W B E` are a basis of all that the unknowns explain. What is left of whitened columns beside
+it takes the unknowns out exactly (Frisch-Waugh theorem). What is known of the unknowns beforehand
+is added to T, and draws them to 0.
+"""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_raacmm.utils import group_sums
+
+# Share of what is known best of a feature's unknowns that is rounding: a ball touched on one side.
+_ROUNDING = 1e-12
+_ALL = slice(None)
+
+
+class Whitening(NamedTuple):
+    """What whitens rows, and the basis of what the unknowns of their features explain."""
+
+    root: np.ndarray  # (n, 3, 3) with the root of the weight, 0 along what a row does not show
+    feature: np.ndarray | None  # (n,) from 0; None: no row has unknowns
+    unit: np.ndarray | None  # (n_features, q, q) E: unknowns by what makes their precision 1
+    moves: np.ndarray | None  # (n, 3, q) B E
+    basis: np.ndarray | None  # (n, 3, q) W B E
+    precision: np.ndarray | None  # (n_features, q) of the unknowns, along those of E
+    n_observations: float  # less what the unknowns have taken
+
+    def left(self, whitened: np.ndarray, rows: slice = _ALL) -> np.ndarray:
+        """What is left of whitened columns (n, 3, m) of some rows: all rows of their features."""
+        if self.basis is None or self.feature is None:
+            return whitened
+        codes = self.feature[rows] - self.feature[rows].min()
+        return whitened - self.basis[rows] @ self.explained(whitened, rows)[codes]
+
+    def explained(self, whitened: np.ndarray, rows: slice = _ALL) -> np.ndarray:
+        """Sums over each feature of products of the basis with columns, (n_features, q, m)."""
+        assert self.basis is not None
+        assert self.feature is not None
+        codes = self.feature[rows] - self.feature[rows].min()
+        return group_sums(self.basis[rows].swapaxes(1, 2) @ whitened, codes)
+
+    def deviations(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, 3, m), whitened, less what unknowns explain of them."""
+        return self.left(self.root @ columns)
+
+    def centred(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, 3) or (n, 3, m) in their own unit, less what unknowns explain of them."""
+        if self.moves is None or self.feature is None:
+            return columns
+        flat = columns.reshape(len(columns), 3, -1)
+        found = self.explained(self.root @ flat)[self.feature]
+        return columns - (self.moves @ found).reshape(columns.shape)
+
+    def unknowns(self, columns: np.ndarray) -> np.ndarray:
+        """The unknowns (n_features, q, m) that explain columns (n, 3, m)."""
+        return self.unit @ self.explained(self.root @ columns)
+
+
+def whitening(
+    weights: np.ndarray,
+    root: np.ndarray | None = None,
+    feature: np.ndarray | None = None,
+    unknowns: np.ndarray | None = None,
+    known: float = 0.0,
+    rank: np.ndarray | float = 3.0,
+) -> Whitening:
+    """`Whitening` of rows of some weights (n,), whose noise has the `root` (n, 3, 3) or is I.
+
+    `unknowns` (n, 3, q) are what one of each unknown of the `feature` (n,) does to a row: None is a
+    shift, of which `known` is the precision beforehand. `rank` says how many numbers a row shows.
+    """
+    scale = np.sqrt(weights)[:, None, None]
+    root = scale * (np.eye(3) if root is None else root)
+    n_observations = float(np.sum(rank * weights))
+    if feature is None:
+        return Whitening(root, None, None, None, None, None, n_observations)
+    side = root if unknowns is None else root @ unknowns
+    total = group_sums(side.swapaxes(1, 2) @ side, feature)
+    value, axes = np.linalg.eigh(total)
+    shown = value > _ROUNDING * np.maximum(value[:, -1:], 1e-300)
+    n_observations -= 0 if known else np.count_nonzero(shown)
+    value = np.where(shown, value, 0.0) + known
+    unit = axes * np.where(value > 0, 1 / np.sqrt(np.where(value > 0, value, 1.0)), 0.0)[:, None]
+    of_row = unit[feature]
+    moves = of_row if unknowns is None else unknowns @ of_row
+    basis = side @ of_row
+    return Whitening(root, feature, unit, moves, basis, value, max(n_observations, 0.0))
