@@ -457,11 +457,7 @@ class Fit:
         """Lengths between the centres of groups less the known ones, and sizes, mm."""
         if not self.problem.lengths:
             return np.empty(0)
-        if self.problem.features:
-            return self._off(self._found()[0])
-        centres = self.centres()
-        i, j, length, _ = zip(*self.problem.lengths, strict=True)
-        return np.linalg.norm(centres[list(i)] - centres[list(j)], axis=1) - length
+        return self._off(self._found()[0])
 
     def _found(self):
         """Known lengths and sizes as they are found, their slopes, and the sds of their ends."""

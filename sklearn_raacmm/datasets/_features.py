@@ -19,8 +19,6 @@ from sklearn_raacmm.utils import floats
 _SIZE_SD_MM, _BLOCK_SD_MM = 0.001, 0.0005
 # Half the side of a plate, and of the face of a block, mm.
 _PLATE_MM, _FACE_MM = 100.0, 4.5
-# A plate is level to this, or stands on edge.
-_MOST_TILT = np.deg2rad(30)
 
 
 def make_features(
@@ -41,7 +39,7 @@ def make_features(
     ----------
     n_spheres, n_planes, n_cones : int, default=5, 5 and 0
         Features of each kind: balls of known size that are touched on their upper half, plates of
-        200 mm that are touched all over from above, and cones; at places as those of
+        200 mm that are touched all over and face all directions, and cones; at places as those of
         :func:`make_single_point`.
     n_touches : int, default=25
         Touches of each feature, and of each face of a block; at least 5.
@@ -105,10 +103,10 @@ def make_features(
             one = [(size + tip_diameter) / 2 * out]
             features.append((label, kind, size, _SIZE_SD_MM))
         elif kind == "plane":
-            one = [_square(n_touches, _PLATE_MM, touched) @ _turn(touched, _MOST_TILT)]
+            one = [_square(n_touches, _PLATE_MM, touched) @ _turn(touched)]
             features.append((label, kind))
         elif kind != "cone":
-            turn, half = _turn(touched, np.pi / 2), (kind + tip_diameter) / 2
+            turn, half = _turn(touched), (kind + tip_diameter) / 2
             one = [
                 (_square(n_touches, _FACE_MM, touched) + np.array([0, 0, at])) @ turn
                 for at in (-half, half)
@@ -137,9 +135,9 @@ def _square(n, half, rng):
     return np.column_stack([rng.uniform(-half, half, (n, 2)), np.zeros(n)])
 
 
-def _turn(rng, most):
-    """Rotation (3, 3) about a level axis, by up to `most` rad."""
-    tilt, azimuth = rng.uniform(-most, most), rng.uniform(-np.pi, np.pi)
+def _turn(rng):
+    """Rotation (3, 3) of what is level to any direction."""
+    tilt, azimuth = rng.uniform(-np.pi / 2, np.pi / 2), rng.uniform(-np.pi, np.pi)
     cos, sin = np.cos([tilt, azimuth]), np.sin([tilt, azimuth])
     about_x = np.array([[1, 0, 0], [0, cos[0], sin[0]], [0, -sin[0], cos[0]]])
     about_z = np.array([[cos[1], sin[1], 0], [-sin[1], cos[1], 0], [0, 0, 1]])
