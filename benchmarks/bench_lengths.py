@@ -212,17 +212,13 @@ def distances(learned, machine, seed):
 def diameters(learned, machine, seed):
     """Errors of diameters over their standard deviations by draws."""
     run = make_acceptance(["probing"], machine=machine, exact=True, random_state=seed + 1000)
-    run, arm = run.run, learned.arm
-    X, rng, found = learned.inputs(run.angles), np.random.RandomState(seed), []
-    mean = learned.model.predict(X)
-    draws = learned.model.sample_y(X, 200, rng, with_noise=True) - mean[:, :, None]
-    scale = learned.scale_sd * rng.normal(size=200)
-    points = arm.forward(run.angles) - mean
-    draws += points[:, :, None] * scale
+    run, found = run.run, []
+    points = learned.correct(run.angles)[0]
+    draws = learned.sample(run.angles, 200, np.random.RandomState(seed), with_noise=True)
     for key in sorted(set(zip(run.artefact.tolist(), run.position.tolist(), strict=True))):
         rows = (run.artefact == key[0]) & (run.position == key[1]) & (run.test == "probing")
         size = next(a for a in run.artefacts if a.name == key[0]).size_mm + run.tip_mm
-        of = [2 * fit_sphere(points[rows] + draws[rows][:, :, k])[1] for k in range(200)]
+        of = [2 * fit_sphere(draws[rows][:, :, k])[1] for k in range(200)]
         found.append((2 * fit_sphere(points[rows])[1] - size) / np.std(of))
     return {"diameter": np.array(found)}
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import directions_of
+    from sklearn_raacmm.measurements import Measurements, directions_of
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -41,6 +41,7 @@ __all__ = [
     "CylindricalResidualTarget",
     "FindingError",
     "FindingWarning",
+    "Measurements",
     "PoseFeatures",
     "RBFNetRegressor",
     "__version__",

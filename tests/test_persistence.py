@@ -271,3 +271,19 @@ def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):
     assert hash(loaded) == hash(data.arm)
     with pytest.raises(ValueError, match="read-only"):
         loaded.d[0] = 0.0
+
+
+def test_an_earlier_folder_knows_the_scale_of_its_calibration(skops):
+    """Its root had no scale in it: what the calibration left open is drawn beside it."""
+    folder = Path(__file__).parent / "correction" / "written_by_0.1.0.dev0"
+    correction = Correction.load(folder)
+    linear = correction.model.linear_model_
+    assert len(linear.seen) == 7  # three shifts, three turns and the scale: it has no gravity
+    assert np.all(linear.ranges == [[-np.pi] * 6, [np.pi] * 6])
+    whole = correction.facts["scale_sd"]
+    assert np.hypot(linear.scale_sd, correction.scale_sd) == pytest.approx(whole)
+    angles = make_single_point(8, 10, machine="eccentricity", random_state=0).data
+    lengths, std = correction.distances(angles[:10], angles[-10:])
+    assert np.all(std > 0.9 * whole * lengths)
+    again = pickle.loads(pickle.dumps(correction.model))
+    np.testing.assert_array_equal(again.predict(angles), correction.model.predict(angles))

@@ -13,10 +13,8 @@ from sklearn_raacmm.acceptance._evaluate import (
     evaluate_acceptance,
 )
 from sklearn_raacmm.acceptance._predict import predict_acceptance
-from sklearn_raacmm.acceptance._run import LABELS as LABELS
-from sklearn_raacmm.acceptance._run import AcceptanceRun, Artefact
-from sklearn_raacmm.acceptance._values import LAYOUTS as LAYOUTS
-from sklearn_raacmm.acceptance._values import VALUES as VALUES
+from sklearn_raacmm.acceptance._run import LABELS as LABELS, AcceptanceRun, Artefact
+from sklearn_raacmm.acceptance._values import LAYOUTS as LAYOUTS, VALUES as VALUES
 
 __all__ = [
     "AcceptanceResult",

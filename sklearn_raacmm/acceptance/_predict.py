@@ -87,10 +87,12 @@ def predict_acceptance(
     points = arm.forward(X)
     X = known.inputs(X) if known else X
     rng, mean = check_random_state(random_state), regressor.predict(X)
-    draws = regressor.sample_y(X, n_draws, rng, with_noise=True)
-    draws -= mean[:, :, None]
     if known:
-        draws += points[:, :, None] * (known.scale_sd * rng.normal(size=n_draws))
+        draws = (points - mean)[:, :, None] - known.sample(
+            plan.angles, n_draws, rng, with_noise=True
+        )
+    else:
+        draws = regressor.sample_y(X, n_draws, rng, with_noise=True) - mean[:, :, None]
     tests = [test for test in LAYOUTS if test != "pose" and test in plan.test]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}
     ideal = np.zeros_like(points)

@@ -15,19 +15,17 @@ from sklearn_raacmm.app._sources import TableError, find_source, strip_mark, uni
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
 # beyond a hundred turns in degrees is an encoder's count.
 _SURELY_DEGREES, _SURELY_COUNTS = 4 * np.pi, 36_000
-_UNIT_OF_WORD = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "º", "grad", "度", "도"), "deg"),
-    **dict.fromkeys(
-        ("degs", "degré", "degrés", "grado", "grados", "gradi", "градус", "град"), "deg"
-    ),
-    **dict.fromkeys(("градусы", "stopnie", "graus", "grau", "derece", "degrees."), "deg"),
-    **dict.fromkeys(("rad", "rads", "radian", "radians", "弧度", "ラジアン", "рад"), "rad"),
-    **dict.fromkeys(("radianes", "radianti", "bogenmaß"), "rad"),
-    **dict.fromkeys(("gons", "grades", "neugrad"), "gon"),
-    **dict.fromkeys(("毫米", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("米", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("count", "counts", "pulses", "pulse", "ticks", "inc", "inkremente"), "counts"),
+# Words of loggers and people for a unit, in the languages that they write.
+_WORDS = {
+    "deg": "deg degree degrees degrees. degs ° º grad 度 도 degré degrés grado grados gradi градус "
+    "град градусы stopnie graus grau derece",
+    "rad": "rad rads radian radians radianes radianti bogenmaß 弧度 ラジアン рад",
+    "gon": "gons grades neugrad",
+    "mm": "毫米 millimeter millimeters millimetre millimetres",
+    "m": "米 meter meters metre metres",
+    "counts": "count counts pulses pulse ticks inc inkremente",
 }
+_UNIT_OF_WORD = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 # Units of angles: degrees or radians, and how many of them each is.
 _ANGLES = {
     "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
@@ -58,8 +56,9 @@ _POSITION_NAMES = (
 _NO_LABEL = re.compile(r"name\W?\d+\]?$|frame_id")
 _TIME = re.compile(r"\d{1,4}[-./:]\d{1,2}[-./:]\d{1,4}|\d{1,2}:\d{2}")
 _TIME_NAMES = re.compile(r"_*(time|timestamp|date|datetime|zeit|datum|uhrzeit|utc)(stamp)?")
-# Series of other quantities than angles, of commanded angles, and of measured ones. UR writes
-# target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and effort.
+# Series of other quantities than angles, of commanded angles, of joints, and of measured ones. UR
+# writes target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and
+# effort.
 _OTHER_QUANTITY = re.compile(
     r"velocity|speed|qdd?(?![a-z])|(?<![a-z])vel|accel|effort|torque|moment|current|strom|voltage|"
     r"temperature|temp(?![a-z])|force|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs|"
@@ -78,7 +77,8 @@ _MOVES = 1e-6
 # Angles of columns without names that are beyond this many degrees are no angles of joints.
 _TWO_TURNS = 720
 _NOT_COMMANDED = re.compile(r"^(?!.*(target|command|desired|setpoint|reference|goal|soll))")
-_MEASURED = re.compile(r"actual|measured|encoder|feedback|(?<![a-z])ist(?![a-z])")
+_OF_JOINTS = re.compile(r"(?<![a-z])(q|j|joint|axis|axe|achse|eje|theta|angle|enc|encoder)[\W_]*\d")
+MEASURED = re.compile(r"actual|meas|encoder|feedback|(?<![a-z])ist(?![a-z])")
 # Units that a format states without writing them into the file: UR RTDE guide, actual_q and
 # target_q; ROS, sensor_msgs/JointState.
 _IN_RADIANS = re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?states?\W")
@@ -233,7 +233,6 @@ class Columns:
         self.stated = {_UNIT_OF_WORD.get(word, word) for line in above for word in _stated(line)}
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
-        self.unnamed = False
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
 
     def _unit_of_cells(self, column):
@@ -383,8 +382,8 @@ class Columns:
             return found
         fitting, what = self._series(), ""
         # Columns without names are numbered by us, and such numbers mean nothing.
-        self.unnamed = all(re.fullmatch(r"column \d+", self.header[i]) for i in range(self.width))
-        if not fitting or self.unnamed:
+        unnamed = all(re.fullmatch(r"column \d+", self.header[i]) for i in range(self.width))
+        if not fitting or unnamed:
             numeric, poses = self._columns_of_numbers(taken), self.pose_columns()
             joints = [i for i in numeric if i not in poses]
             if len(joints) == self.n_joints + 1 and self._counts_rows(joints[0]):
@@ -492,8 +491,9 @@ class Columns:
         )
 
     def _fields(self, field):
-        """Columns of a field of messages by their numbers: position0, position[1]."""
-        found = [re.fullmatch(rf"(?:.*\W)?{field}[\[_.]?(\d+)\]?", name) for name in self.names]
+        """Columns of a field of messages by their numbers: position0, position[1], positions[2]."""
+        pattern = re.compile(rf"(?:.*\W)?(?:joint_)?{field}s?[\[_.]?(\d+)\]?")
+        found = [pattern.fullmatch(name) for name in self.names]
         return {int(match[1]): i for i, match in enumerate(found) if match}
 
     def _series(self):
@@ -515,7 +515,7 @@ class Columns:
     def _measured_angles(self, columns):
         """Those of these columns that are angles; of measured and commanded ones, the measured."""
         columns = [i for i in columns if not _OTHER_QUANTITY.search(self.names[i])]
-        for pattern in (_MEASURED, re.compile("position"), _NOT_COMMANDED):
+        for pattern in (MEASURED, re.compile("position"), _NOT_COMMANDED, _OF_JOINTS):
             wanted = [i for i in columns if pattern.search(self.names[i])]
             if len(columns) > 1 and wanted:
                 columns = wanted
@@ -545,8 +545,6 @@ class Columns:
                 f"{self.path}: the angles must all be in degrees or all in radians, but the "
                 f"columns are {units}; say it with --unit deg or --unit rad if these are wrong."
             )
-        if set(columns) <= set(self._fields("position").values()) and self._fields("name"):
-            return "rad"  # sensor_msgs/JointState
         cells = (cell for i in columns for cell in self._cells(i))
         values = map(self.source.number, cells)
         largest = max((abs(value) for value in values if value is not None), default=0.0)
@@ -555,15 +553,17 @@ class Columns:
                 f"{self.path}: the angles reach {largest:.6g}. If they are counts of the encoders, "
                 "say how many make a turn with --counts-per-turn N."
             )
-        if self.unnamed and largest > _TWO_TURNS:
+        if largest > _TWO_TURNS:
             raise TableError(
-                f"{self.path}: the columns have no names, and their numbers reach {largest:.4g}, "
-                "more than two turns in degrees: are they poses of the tool? Joint angles are "
-                "needed; name their columns with --angles 1,2,... and their unit with --unit."
+                f"{self.path}: the numbers reach {largest:.4g}, more than two turns in degrees. "
+                "Are these poses of the tool? Joint angles are needed: name their columns with "
+                "--angles and their unit with --unit."
             )
         if largest > _SURELY_DEGREES:
             self.notes.append(f"Angles in degrees: they reach {largest:.4g}.")
             return "deg"
+        if set(columns) <= set(self._fields("position").values()) and self._fields("name"):
+            return "rad"  # sensor_msgs/JointState
         if all(_IN_RADIANS.search(self.names[i]) for i in columns):
             self.notes.append("Angles in rad, as such columns are defined.")
             return "rad"

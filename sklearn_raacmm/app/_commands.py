@@ -144,7 +144,7 @@ def _say_which_axis(arm, layout):
     where = {"points": table.points, "angle_unit": table.angle_unit, "others": table.others}
     change = search_table(arm, table.angles, table.positions, **where)
     if change:
-        raise TableError(f"an external axis moves the base. {change}")
+        raise TableError(f"the points are not those of the arm alone. {change}")
 
 
 def export(options):
@@ -159,18 +159,16 @@ def export(options):
     print_notes([saved.verdict] * (not saved.helps))
     if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: what is written is for this one."])
-    paths, fade = [], False if options.fade == "none" else options.fade
+    paths = []
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         card = describe(saved.model)
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
-        paths += export_c(
-            saved.model, source, std=options.std, card=card, poses="random", fade=fade
-        )
+        paths += export_c(saved.model, source, std=options.std, card=card, poses="random")
         paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
-        to_onnx(saved.model, options.onnx, fade=fade)
+        to_onnx(saved.model, options.onnx)
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}

@@ -49,6 +49,8 @@ _LEARNT = {"learn": "taught", "update": "updated"}
 _DIGITS, _REPEATED = 4, 2
 # Parts of the model that have changed by less than this share of what is usual are not named.
 _NAMED_TAU = 0.1
+# Causes of which most is not known that are named.
+_MOST_DOUBTS = 3
 
 
 def register(options):
@@ -69,6 +71,7 @@ def register(options):
     facts = step_of("register", today, facts, "mean deviation without and with it", before, left)
     if hasattr(new.model, "linear_model_"):
         _print_lack(saved, new)
+    _print_doubts(new, today.angles, today.positions)
     if holds or options.out.resolve() != options.model.resolve():
         _save(new, options, facts, today, layout)
     else:
@@ -122,6 +125,7 @@ def move(options):
     new = saved.move(probe)
     facts = _print_moves(saved, new)
     _print_lack(saved, new)
+    _print_doubts(new, np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints)))
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
     facts = step_of("move", None, facts)
     _save(new, options, facts)
@@ -135,6 +139,14 @@ def _print_lack(saved, new):
     old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
         print("Learn with two probes: the first alone shows less of the last joints.")
+
+
+def _print_doubts(correction, angles, positions=None):
+    """Say of which causes most is not known of points at these poses."""
+    most = [*correction.doubts(angles, positions).items()][:_MOST_DOUBTS]
+    if most:
+        parts = ", ".join(f"{name} ({share:.0%})" for name, share in most)
+        print(f"What is not known of these points is most of: {parts}.")
 
 
 def _rms(vectors):
@@ -206,6 +218,7 @@ def _check_model(saved, today, measured, rate, options):
             f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
             f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
         )
+    _print_doubts(saved, today.angles, today.positions)
     for row in found.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")

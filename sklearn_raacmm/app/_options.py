@@ -63,7 +63,7 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std --fade",
+        "--model --c --onnx --name --std",
     ),
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
@@ -173,11 +173,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("standard deviations in C, too"),
-    "--fade": _choice(
-        ("small", "exact", "none"),
-        "how it fades where little is known: by small tables, as in Python, not at all",
-        "small",
-    ),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
     "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", Path),

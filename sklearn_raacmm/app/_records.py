@@ -12,19 +12,24 @@ import re
 import tomllib
 from collections import Counter
 from contextlib import suppress
+from importlib.util import find_spec
 from typing import Any
+from xml.etree import ElementTree
 
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
+_IN_LIST = rf"(?:^|,)\s*{_VALUE}"
+# The name of a record, where it has one. Bounded, so that no long cell takes minutes.
+_NAMED = r"(?:\b(\w{1,80})\s?=\s?)?"
 # Programs and logs of controllers: what they are, what their text holds in any case, which is found
 # faster than a pattern, the unit of their angles, a record with its name and its body, and the
-# joints in the body. Names are bounded, so that no long cell takes minutes.
+# joints in the body.
 _PROGRAMS = (
     # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
     (
         "KUKA KRL",
         ("{", "A1"),
         "deg",
-        r"(?:\b(\w{1,80})\s?=\s?)?\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
+        _NAMED + r"\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
         rf"A\d\s+{_VALUE}",
     ),
     # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
@@ -36,25 +41,25 @@ _PROGRAMS = (
         ("[[", ":="),
         "deg",
         r"\b(\w{1,80})\s?:=\s?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
-        rf"(?:^|,)\s*{_VALUE}",
+        _IN_LIST,
     ),
     (
         "ABB RAPID",
         ("[[", "9E"),
         "deg",
         r"()\[\[([^][]*)\]\s?,\s?\[[^][]*9[eE]\+?0?9[^][]*\]\]",
-        rf"(?:^|,)\s*{_VALUE}",
+        _IN_LIST,
     ),
     # Fanuc: section /POS of an LS file in joint representation.
     (
         "Fanuc LS",
         ("P[", "J1"),
         "deg",
-        r"P\[(\d+(?:\s*:\s*\"[^\"]*\")?)\]\s*\{([^{}]*)\}",
+        r'P\[(\d+(?:\s*:\s*"[^"]*")?)\]\s*\{([^{}]*)\}',
         rf"J\d\s*=\s*{_VALUE}\s*deg",
     ),
     # Doosan, programming manual: posj(J1, ..., J6).
-    ("Doosan posj", ("posj",), "deg", r"(?:\b(\w{1,80})\s?=\s?)?\bposj\s?\(([^()]*)\)", _VALUE),
+    ("Doosan posj", ("posj",), "deg", _NAMED + r"\bposj\s?\(([^()]*)\)", _VALUE),
     # Staubli VAL3: data of the type jointRx in a .dtx file.
     (
         "Staubli VAL3",
@@ -64,7 +69,7 @@ _PROGRAMS = (
         rf'j\d="{_VALUE}"',
     ),
     # Efort: a jointtarget is j:{J1, ..., J6, external axes}.
-    ("Efort", (":{",), "deg", r"(?:\b(\w{1,80})\s?=\s?)?\b[jJ]:\{([^{}]*)\}", _VALUE),
+    ("Efort", (":{",), "deg", _NAMED + r"\b[jJ]:\{([^{}]*)\}", _VALUE),
     # Yaskawa, job with POSTYPE PULSE: the counts of the axes' encoders.
     ("Yaskawa JBI", ("PULSE",), "counts", r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
 )
@@ -77,12 +82,12 @@ _LOOKED_AT = 300
 _BRACKETS = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 _SPLIT = re.compile(r"\s*[,;]\s*|\s+")
 _IS_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-# A cell of a list or a mapping in a line of YAML: quoted, or words.
-_CELL = re.compile(r"""\s*("[^"]*"|'[^']*'|[^\[\]{},\s]+(?: [^\[\]{},\s]+)*)""")
 _PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s*[=:]\s*{_VALUE}(?![\w.])")
 _COMMENT = re.compile(r"\s*(#|//|%|--)")
-_ITEM = re.compile(r"-(\s+|$)")
-_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s\[\]{},"'#:-][^\[\]{},"'#:]*):(?:\s+(.*))?$""")
+# Keys and aliases of YAML, and what it has for nothing, and for no number.
+_KEY = re.compile(r"""[\s-]*("[^"]*"|'[^']*'|[^\s\[\]{},"'#:-][^\[\]{},"'#:]*):(\s|$)""")
+_ALIAS = re.compile(r"(?m)(?:^|[\s\[,])\*\w+\s*[,\]\n]")
+_NOTHING = ("~", "null", ".nan")
 # Poses of the tool of URScript, and of MELFA, which has two brackets.
 _POSE_IN_BRACKETS = re.compile(r"\bp\[|\)\s*\(")
 
@@ -93,7 +98,7 @@ def find_records(text, read, n_numbers):
     `text` is the file's beginning, `read` a function that returns all of it. Of a file that holds
     poses of the tool where joints are needed, a ValueError says so.
     """
-    for find in (_json, _program, _yaml, _lists, _pairs):
+    for find in (_json, _program, _xml, _yaml, _lists, _pairs):
         if found := find(text, read, n_numbers):
             what, names, rows = found
             return what, [(0, names), *rows] if names else rows
@@ -233,119 +238,57 @@ def _json(head, read, n_numbers):
     return None
 
 
+def _xml(head, read, n_numbers):
+    """Records of XML, each an element with attributes or simple elements; or rows of HTML."""
+    if not head.lstrip().startswith("<") or "<!ENTITY" in head:
+        return None
+    try:
+        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", read(), flags=re.DOTALL))
+    except ElementTree.ParseError:
+        return None
+    if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
+        return "HTML", None, list(enumerate(rows, 1))
+    found: dict[str, list[Any]] = {}
+    for one in root.iter():
+        simple = {part.tag: part.attrib or (part.text or "").strip() for part in one}
+        found.setdefault(one.tag, []).append(one.attrib | simple)
+    records = (_of_records("XML", each, n_numbers) for each in found.values())
+    return max(filter(None, records), key=lambda one: (len(one[2]), len(one[1])), default=None)
+
+
 def _yaml(head, read, n_numbers):
     """Records of YAML: lists of them, or messages as `ros2 topic echo` writes them."""
     lines = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
     lines = [line for line in lines if not _COMMENT.match(line) or line.startswith("---")]
-    plain = sum(bool(_KEY.match(re.sub(r"^[\s-]*", "", line) or "-")) for line in lines[:5])
-    if not lines or not (plain or lines[0].startswith("---")):
+    plain = sum(bool(_KEY.match(line)) for line in lines[:5])
+    if not lines or not (plain or lines[0].startswith("---")) or find_spec("yaml") is None:
         return None
-    documents = re.split(r"(?m)^(?:---|\.\.\.)\s*$", read())
-    try:
-        found = [parse_yaml(text) for text in documents if text.strip()]
-    except ValueError:
-        return None
-    return _of_records("YAML", found[0] if len(found) == 1 else found, n_numbers)
+    import yaml
+
+    base: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)  # scalars stay text
+
+    class Loader(base):
+        def construct_mapping(self, node, deep=False):
+            if max(Counter(key.value for key, _ in node.value).values(), default=1) > 1:
+                raise yaml.YAMLError("a key stands twice")  # such as the label of each row
+            return super().construct_mapping(node, deep)
+
+    text = read()
+    with suppress(yaml.YAMLError, RecursionError, TypeError):
+        if not _ALIAS.search(text):  # aliases could expand without end
+            found = [_cleaned(one) for one in yaml.load_all(text, Loader) if one]
+            return _of_records("YAML", found[0] if len(found) == 1 else found, n_numbers)
+    return None
 
 
-def parse_yaml(text: str) -> Any:
-    """Value of a document of YAML that loggers write: blocks, lists in lines, and scalars as text.
-
-    What is more than that raises a ValueError.
-    """
-    lines: list[Any] = []
-    for line in text.splitlines():
-        line = re.sub(r"\s#.*$", "", line).rstrip()
-        if line.strip() and not line.lstrip().startswith("#"):
-            lines.append((len(line) - len(line.lstrip()), line.lstrip()))
-    if not lines:
-        return None
-    value, at = _block(lines, 0)
-    if at != len(lines):
-        raise ValueError(f"line {lines[at][1]!r} is not understood")
-    return value
-
-
-def _block(lines, at):
-    """Value of the block that begins at a line, and the number of the line behind it."""
-    indent, is_list = lines[at][0], bool(_ITEM.match(lines[at][1]))
-    found: Any = [] if is_list else {}
-    while at < len(lines) and lines[at][0] == indent:
-        text = lines[at][1]
-        item = _ITEM.match(text)
-        if bool(item) != is_list:
-            break
-        if item:
-            rest = text[item.end() :]
-            if _KEY.match(rest):  # a mapping begins behind the dash
-                lines[at] = indent + item.end(), rest
-                value, at = _block(lines, at)
-            else:
-                value, at = _value(lines, at, rest)
-            found.append(value)
-            continue
-        key = _KEY.match(text)
-        if not key or key[1] in found:
-            raise ValueError(f"line {text!r} is not understood")
-        found[key[1].strip("\"'")], at = _value(lines, at, key[2])
-    return found, at
-
-
-def _value(lines, at, rest):
-    """Value behind a key or a dash: in its line, or the block below it; and the line behind it."""
-    if rest:
-        value, behind = _flow(rest, 0)
-        if behind != len(rest):
-            raise ValueError(f"{rest!r} is not understood")
-        return value, at + 1
-    indent = lines[at][0]
-    below = lines[at + 1] if at + 1 < len(lines) else (-1, "")
-    # The items of a list may stand under the first letter of its key.
-    is_list = below[0] == indent and _ITEM.match(below[1]) and not _ITEM.match(lines[at][1])
-    if below[0] > indent or is_list:
-        return _block(lines, at + 1)
-    return None, at + 1
-
-
-def _flow(text, at):
-    """Value that begins at a place of a line: a list, a mapping or a scalar; and what follows."""
-    if text[at] not in "[{":
-        return _scalar(text[at:]), len(text)
-    close, found, at = {"[": "]", "{": "}"}[text[at]], [], at + 1
-    while True:
-        rest = re.match(r"[\s,]*", text[at:])
-        at += rest.end() if rest else 0
-        if at >= len(text):
-            raise ValueError(f"{text!r} does not end")
-        if text[at] == close:
-            break
-        if text[at] in "[{":
-            value, at = _flow(text, at)
-        else:
-            cell = _CELL.match(text, at)
-            if cell is None:
-                raise ValueError(f"{text!r} is not understood")
-            value, at = cell[1], cell.end()
-            following = re.match(r"\s*([\[{])", text[at:])
-            if close == "}" and value.endswith(":") and following:  # a list behind a key
-                inner, at = _flow(text, at + following.end() - 1)
-                value = (value[:-1].strip("\"'"), inner)
-        found.append(value)
-    if close == "]":
-        cells = [one.split() if isinstance(one, str) and " " in one else [one] for one in found]
-        blanks = len(found) == 1 and all(map(_IS_NUMBER.fullmatch, map(str, cells[0])))
-        found = cells[0] if blanks else [_scalar(x) if isinstance(x, str) else x for x in found]
-        return found, at + 1
-    pairs = [one if isinstance(one, tuple) else str(one).partition(":")[::2] for one in found]
-    return {str(k).strip("\"' "): _scalar(v) if isinstance(v, str) else v for k, v in pairs}, at + 1
-
-
-def _scalar(text):
-    """Text of a scalar; what YAML has for nothing, and for no number, is empty."""
-    text = text.strip()
-    if text[:1] in ("'", '"') and text[-1:] == text[:1] and len(text) > 1:
-        return text[1:-1]
-    return "" if text.lower() in ("~", "null", ".nan") else text
+def _cleaned(value):
+    """A value of YAML: lists that blanks part, as NumPy prints them, and "" for what is nothing."""
+    if isinstance(value, dict):
+        return {key: _cleaned(one) for key, one in value.items()}
+    if isinstance(value, list):
+        parts = _numbers_in(value[0]) if len(value) == 1 and isinstance(value[0], str) else None
+        return parts or [_cleaned(one) for one in value]
+    return "" if value.lower() in _NOTHING else value
 
 
 def _of_records(what, value, n_numbers):
@@ -392,7 +335,11 @@ def _records(value, n_numbers):
     if dicts and len(parts) > 2 and len({tuple(one) for one in parts}) == 1:
         return [{"name": key, **one} for key, one in value.items()]
     inner = [_records(one, n_numbers) for one in parts if isinstance(one, list | dict)]
-    return max(filter(None, inner), key=len, default=None)
+    found = max(filter(None, inner), key=len, default=None)
+    # Names of the joints may stand once for all records.
+    names = {key: one for key, one in value.items() if str(key).endswith(("name", "names"))}
+    names = {key: one for key, one in names.items() if isinstance(one, list)}
+    return [names | one for one in found] if found and isinstance(found[0], dict) else found
 
 
 def _shape(value):

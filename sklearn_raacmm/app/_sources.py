@@ -75,9 +75,8 @@ def check_installed(*names):
     """Refuse work that needs, perhaps in its last step, packages that are missing."""
     missing = [name for name in names if find_spec(name) is None]
     if missing:
-        raise TableError(
-            f"{' and '.join(missing)} must be installed: pip install {' '.join(missing)}."
-        )
+        packages = " ".join(missing).replace("yaml", "pyyaml")
+        raise TableError(f"{' and '.join(missing)} must be installed: pip install {packages}.")
 
 
 def parse_number(text):
@@ -226,6 +225,8 @@ def find_source(path, n_numbers, sheet=None):
         return _find_sheet(path, n_numbers, sheet)
     if sheet is not None:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
+    if path.suffix.lower() in (".yaml", ".yml"):
+        check_installed("yaml")
     if path.suffix.lower() in _ARRAYS:
         return _arrays(path, n_numbers)
     return _find_records(path, n_numbers) or find_dialect(path, n_numbers)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._columns import MEASURED, Columns
 from sklearn_raacmm.app._sources import TableError
 from sklearn_raacmm.utils import Floats
 
@@ -177,6 +177,8 @@ class Layout(Columns):
         if of_each and (by_tracker or not self.needed):
             column: Any = self.position_column
             name = self.header[column]
+            labelled = f"Labels of the positions: {name}."
+            self.notes[:] = [note for note in self.notes if note != labelled]
             self.notes += [f"Column {name} names each row: it says nothing of positions."]
             table = replace(table, positions=None)
         if self.labelled and table.positions is not None:
@@ -275,7 +277,9 @@ _COORDINATES = (
     ("z", "elevation", "height", "h", "up", "elev", "höhe", "hoehe", "u"),
 )
 # Names of a column of names, the surest first.
-_NAMES = ("point name", "pointid", "point id", "name", "id", "point", "target", "no", "nr", "n")
+_NAMES = (
+    "point name", "pointid", "point id", "ptid", "name", "id", "point", "target", "no", "nr", "n",
+)  # fmt: skip
 # Points, rows and columns that are named in a note.
 _MOST_NAMED = 8
 
@@ -316,6 +320,8 @@ def _columns_of_points(columns, wanted):
         [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
     ]
     triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
+    measured = [found for found in triples if MEASURED.search(columns.names[found[0]])]
+    triples = measured if len(triples) > 1 and measured else triples
     if len(triples) == 1:
         return triples[0]
     # Names, then x, y, z, then what else is known of a point.

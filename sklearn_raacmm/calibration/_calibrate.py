@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles
 from sklearn_raacmm.calibration._checks import (
     check_correction,
-    check_problem,
-    one_row_a_pose,
+    check_measured,
     predicted,
     wrong_units,
 )
@@ -26,9 +25,9 @@ from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
 from sklearn_raacmm.calibration._fit import WEIGHTS, Fit, doubt_limit, outlier_limit
 from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, Problem, in_brackets
+from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
 from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
-from sklearn_raacmm.measurements import find_poses, within_turn
+from sklearn_raacmm.measurements import Measurements, find_poses, within_turn
 from sklearn_raacmm.utils import (
     Finding,
     listed,
@@ -72,7 +71,7 @@ _PRIOR = [
 @stage("calibration")
 def calibrate(
     arm: Arm,
-    angles: ArrayLike,
+    angles: ArrayLike | Measurements,
     groups: ArrayLike | None = None,
     *,
     points: ArrayLike | None = None,
@@ -99,8 +98,8 @@ def calibrate(
     ----------
     arm : Arm
         The nominal arm.
-    angles : array-like of shape (n_samples, n_joints)
-        Joint angles.
+    angles : array-like of shape (n_samples, n_joints) or Measurements
+        Joint angles, or all that was measured.
     groups : array-like of shape (n_samples,), default=None
         Label of the fixed point of each sample. Without it and without `points` the places are
         found that the arm's own points are at, and taken as "1", "2" and so on, as they come, if
@@ -140,14 +139,13 @@ def calibrate(
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     accept : str or list of str, default=()
-        Codes of findings, such as "moved-position", with which the result is handed over all the
-        same.
+        Codes of findings with which the result is handed over all the same.
 
     Returns
     -------
     CalibrationResult
-        The calibrated arm, the parameters with their standard deviations, those that could not be
-        identified, the scatter before and after, and the outliers.
+        The calibrated arm, the parameters with their standard deviations, the scatter before and
+        after, and the outliers.
 
     Raises
     ------
@@ -202,28 +200,38 @@ def calibrate(
     >>> bool(np.abs(result.arm.d[2] - truth.d[2]) < 0.02)
     True
     """
-    lengths, free = listed("lengths", lengths), listed("free", free)
-    features = listed("features", features)
+    free = listed("free", free)
     if not all(isinstance(name, str) and name in FIELDS for name in free):
         raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
-    asked = None if correction is None else check_correction(correction, angles, angle_unit)
-    # Within one turn, lest a warning of far angles be repeated by what follows.
-    angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
-    if groups is None and points is None:
-        groups = find_places(arm, angles)
-    problem = check_problem(
-        angles, groups, points, lengths, tools, stations, features, tip_diameter
-    )
-    poses, angles, problem = one_row_a_pose(angles, problem)
-    for finding in wrong_units(arm, angles, problem):
+    asked: Any = angles.angles if isinstance(angles, Measurements) else angles
+    asked = None if correction is None else check_correction(correction, asked, angle_unit)
+    if groups is not None and points is not None:
+        raise ValueError("give either groups, or points that were measured.")
+    lengths = listed("lengths", lengths)
+    if points is not None and lengths:
+        raise ValueError("lengths are between groups; measured points have no use for them.")
+    given: dict[str, Any] = {"points": points, "lengths": lengths, "features": features}
+    given |= {"tip_diameter": tip_diameter, "tools": tools, "stations": stations}
+    if groups is None and points is None and not isinstance(angles, Measurements):
+        angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        groups, angle_unit = find_places(arm, angles), "rad"
+    given |= {"angle_unit": angle_unit, "n_joints": arm.n_joints}
+    problem = Measurements.taken(angles, groups, **given)
+    if problem.points is not None:
+        problem = replace(problem, lengths=[], offsets=None)
+    check_measured(arm, problem)
+    poses = problem.poses
+    for finding in poses.findings():
+        finding.report()
+    for finding in wrong_units(arm, problem):
         finding.report()
     if asked is not None:
-        asked = asked[poses.first]
-        problem.correction = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
+        asked = asked if len(asked) == len(poses.first) else asked[poses.first]
+        corrected = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
-    fit = Fit(arm, angles, problem, loss, free, priors)
-    given = fit.run(np.zeros_like(fit.is_free)).distances().mean()
+    fit = Fit(arm, problem, loss, free, priors, None if asked is None else corrected)
+    before_all = fit.run(np.zeros_like(fit.is_free)).distances().mean()
     before = fit.run(fit.is_free & (fit.kind == "probe_mm")).distances().mean()
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.
     fit.reset_weights()
@@ -232,7 +240,7 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    of_poses = _result(fit, given, before, groups, features)
+    of_poses = _result(fit, before_all, before)
     rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
     result = replace(
         of_poses,
@@ -255,8 +263,8 @@ def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
     few, n = poses.mean_angles(angles), len(poses.first)
     if n < 2:
         raise ValueError(_NO_LABELS)
-    pairs = Problem(np.arange(n) // 2, None, [])
-    points = Fit(arm, few, pairs, "cauchy", ["probe"]).run().points()
+    pairs = Measurements(few, np.arange(n) // 2)
+    points = Fit(arm, pairs, "cauchy", ["probe"]).run().points()
     some = np.linspace(0, n - 1, min(n, MOST_ROWS)).astype(int)
     places: Any = places_of(points[some])
     several = np.bincount(places)[places] > 1
@@ -281,13 +289,13 @@ def _settle(fit, correction, asked):
     for _ in range(_MOST_MOVES):
         probes = [fit.arm(tool).probe for tool in range(problem.n_tools)]
         moved = predicted(correction, asked, problem, probes)
-        if np.abs(moved - problem.correction).max() < _SETTLED_MM:
+        if np.abs(moved - fit.correction).max() < _SETTLED_MM:
             return
-        problem.correction, fit.evaluated = moved, None
+        fit.correction, fit.evaluated = moved, None
         fit.run()
 
 
-def _result(fit, given, before, groups, features):
+def _result(fit, given, before):
     """Everything that is to be known of a fit that has settled."""
     problem = fit.problem
     stations = in_brackets(problem.station_labels, problem.n_stations)
@@ -323,8 +331,10 @@ def _result(fit, given, before, groups, features):
         outliers=tuple(outliers),
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0),
-        groups=None if groups is None else np.asarray(groups),
-        features=tuple(features),
+        groups=None
+        if problem.points is not None
+        else problem.labels[problem.index[problem.poses.pose]],
+        features=problem.stated,
         arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
         bases=dict(zip(problem.station_labels, bases, strict=False)),
         base_rotation=bases[0][0] if bases else None,

@@ -76,10 +76,12 @@ class Fit:
     """
 
     def __init__(
-        self, arm, angles, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM)
-    ):
-        self.nominal_arm, self.angles = arm, angles
+        self, arm, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM),
+        correction=None,
+    ):  # fmt: skip
+        self.nominal_arm, self.angles = arm, problem.angles
         self.problem: Any = problem
+        self.correction: Any = correction
         self.loss, self.free, self.priors = loss, free, priors
         self._name_parameters(free)
         nominal = self.nominal
@@ -97,11 +99,11 @@ class Fit:
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say.
         n = arm.n_joints
-        of_one = problem.index
         if problem.features:
             left = self._touched(points, jac, np.ones(len(points)))[1]
         else:
-            left = jac - jac.mean(axis=0) if of_one is None else centred(jac, of_one)
+            tracked = problem.points is not None
+            left = jac - jac.mean(axis=0) if tracked else centred(jac, problem.index)
         felt = np.sum(left**2, axis=(0, 1))
         length = np.zeros_like(nominal)
         rows = np.r_[:n, 2 * n : 3 * n]
@@ -148,12 +150,13 @@ class Fit:
         index, points = self.problem.index, self.points()
         if self.problem.features:
             return touch_weights(self.problem.features, index, points)
-        return None if index is None else slip_factors(points, index)
+        return None if self.problem.points is not None else slip_factors(points, index)
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
+        correction = changes.pop("correction", self.correction)
         problem, how = replace(self.problem, **changes), (loss or self.loss, free or self.free)
-        return Fit(self.nominal_arm, self.angles, problem, *how, self.priors).run()
+        return Fit(self.nominal_arm, problem, *how, self.priors, correction).run()
 
     def arm(self, tool=0):
         return self.nominal_arm.replace(**unpack(self.x, self.nominal_arm.n_joints, tool))
@@ -319,8 +322,8 @@ class Fit:
             points[rows], own = parameter_jacobian(trial, self.angles[rows])
             jac[rows, :, :n_table] = own[:, :, :n_table]
             jac[rows, :, start : start + 3] = own[:, :, n_table:]
-        if problem.correction is not None:
-            points -= problem.correction
+        if self.correction is not None:
+            points -= self.correction
         self.evaluated = x.copy(), points, jac
         return points, jac
 

@@ -23,6 +23,7 @@ from sklearn.base import clone
 from sklearn_raacmm.correction._condition import condition, log_density, narrowed
 from sklearn_raacmm.error_model import (
     LEAST_POSITIONS,
+    NOTHING_SEEN,
     ArmResidualRegressor,
     check_poses,
     interval_scales,
@@ -45,7 +46,7 @@ from sklearn_raacmm.utils import (
 LOG_NOISE = (0.0, 4.0)
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
-_REGISTERED_PLACE_MM = 5.0
+REGISTERED_PLACE_MM = 5.0
 # Noise that every measurement has, mm: without any, rounding would decide beside the millimetres
 # of base and tool.
 LEAST_NOISE_MM = 1e-4
@@ -147,11 +148,11 @@ def place_columns(arm, angles, with_base):
     Each of the size that a registration may be wrong by.
     """
     angles = angles[:, : arm.n_joints]  # without extra columns
-    tool = _REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
+    tool = REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
     if not with_base:  # of a single-point test the base shows nothing
         return tool
     base = base_motions(arm.forward(angles), arm.reach_mm)
-    return np.concatenate([tool, _REGISTERED_PLACE_MM * base], axis=2)
+    return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
 
 
 def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
@@ -162,24 +163,27 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
     model, what `updates_` keeps of the change (`tau` says how much each part has changed), what the
     loss left of the weight of each pose, (n,), and where the search ended, for `judged_fading`.
     """
+    linear = as_prior(linear)
     model, after = _conditioned(linear, poses, log_noise, named=named)
-    angles, weights, codes = poses.angles, poses.weights, poses.codes
+    angles, codes = poses.angles, poses.codes
     p = len(model.coef)
     half = after.half[:p] + _fold(model, after, codes) @ after.half[p:]
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     errors, noise, std = after.left_out
-    noise_scale, std_scale = interval_scales(errors, noise, std, np.ones(len(errors)))
+    # Until new poses say otherwise errors exceed what is expected as those of the old model do.
+    logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
+    scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
+    noise_scale, std_scale = scales
     model = replace(
         model.with_noise(after.noise_sd**2),
         half=half,
-        gauge_free_half=half,
+        seen=NOTHING_SEEN,
         noise_scale=noise_scale,
         std_scale=std_scale,
         n_positions=float(len(np.unique(poses.positions))),
     )
     if codes is not None:  # what the same test shows at other positions in the same range
-        free = model.constrained(angles, weights, codes)
-        model = replace(model, gauge_free_half=free.gauge_free_half)
+        model = model.with_scale_of(linear).with_seen()
     entry = {
         "date": day(date),
         "n_poses": len(angles),
@@ -191,7 +195,6 @@ def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
 
 def _conditioned(linear, poses, log_noise, start=None, means_only=False, named=None):
     """Linear model with the mean and the fading that new poses ask for, and the `Posterior`."""
-    linear = as_prior(linear)
     arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
     columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
     changes = changes_of(linear)
@@ -208,7 +211,7 @@ def _conditioned(linear, poses, log_noise, start=None, means_only=False, named=N
     model = replace(
         linear,
         coef=after.mean[:p] + _fold(linear, after, codes) @ after.mean[p:],
-        fading_half=_informed(linear.fading_half, columns, place, seen_weights),
+        informed_half=_informed(linear.fading_half, columns, place, seen_weights),
     )
     return model, after
 
@@ -229,6 +232,7 @@ def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE, named=None)
     order = np.random.default_rng(0).permutation(len(labels))
     fold = (order % min(_N_FOLDS, len(labels)))[np.searchsorted(labels, positions) % len(labels)]
     correction, doubt = np.zeros_like(poses.residuals), np.zeros(len(positions))
+    linear = as_prior(linear)
     with ignored_findings():  # what there is to report is reported of all poses
         for number in range(fold.max() + 1):
             out = fold == number
@@ -274,9 +278,9 @@ def with_harmonics(linear, pairs):
         new[at] = values
         return new
 
-    names = ("coef", "half", "gauge_free_half", "fading_half")
     n_new = len(columns) + 2 * (len(pairs) - len(place))
-    wider = {name: spread(getattr(linear, name), columns, n_new) for name in names}
+    roots = {name: getattr(linear, name) for name in ("coef", "half", "informed_half")}
+    wider = {n: spread(root, columns, n_new) for n, root in roots.items() if root is not None}
     return replace(
         linear,
         layout=linear.layout.with_harmonics(np.array(pairs, dtype=int)),
@@ -331,12 +335,35 @@ def _of_named(linear, part, named):
     as a rule are; waves of order 2 are smaller.
     """
     orders = np.repeat(linear.terms.harmonics[:, 1], 2)
-    names = np.array([*[""] * len(orders), *linear.layout.names])
-    for j in range(1, linear.arm.n_joints + 1):
-        part = np.where(names == f"theta_offset{j}", f"offset of joint {j}", part)
+    part = _with_names(linear, part)
     sizes = np.full(len(part), _KNOCK_ARCSEC)
     sizes[: len(orders)] *= np.where(orders > _NEW_ORDERS, 0.0, orders**-2.0)
     return part, np.where(np.isin(part, named), sizes, 0.0)
+
+
+def _with_names(linear, part):
+    """Parts (n_columns,), of which offsets and probe have the names of `causes_of`."""
+    part = part.astype("U32")
+    for i, name in enumerate(linear.layout.names, start=linear.layout.n_waves):
+        if name.startswith("theta_offset"):
+            part[i] = f"offset of joint {name.removeprefix('theta_offset')}"
+        elif name.startswith("probe") and part[i] == "kinematics":
+            part[i] = "probe"
+    return part
+
+
+def doubts_of(linear, angles, codes=None):
+    """Share of what is not known of points at some poses that is of each part, the largest first.
+
+    Of the variance of all coordinates, in a single-point test about their positions: what a part
+    has in common with others is halved between them, so that all shares are 1 together.
+    """
+    half = linear.gauge_free_half
+    columns = centred(linear.columns(angles), codes)
+    shares = np.einsum("ncp,ncp->p", columns, columns @ half @ half.T)
+    part, place = np.unique(_with_names(linear, parts_of(linear)), return_inverse=True)
+    shares = np.bincount(place, shares) / max(shares.sum(), 1e-300)
+    return {str(part[i]): float(shares[i]) for i in np.argsort(-shares, kind="stable")}
 
 
 def _fold(linear, after, codes):
@@ -391,8 +418,7 @@ def transferred_model(models, arm, X, y, groups=None):
     fading, judgement = judged_fading(prior, poses, fading, ended, _LOG_NOISE_OF_MAKE)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
-        half = linear.gauge_free_half
-        new.linear_model_ = replace(linear, offsets=own.offsets, fading_half=half)
+        new.linear_model_ = replace(linear, offsets=own.offsets, informed_half=None)
         new.fading_, new.judgement_, new.pose_weight_ = fading, judgement, pose_weight
     else:
         entry |= {"tau": {}, "noise_sd_mm": own.noise_sd}
@@ -463,25 +489,23 @@ def _pooled(linears, layout):
         trust[of] = common / np.maximum(common + variance[of] / n, 1e-300)
     own = np.diag(np.sqrt(variance * (1 + trust / n)))
 
-    # Both roots together: their difference is what a single-point test does not show.
     kept = np.where(of_table, 0.0, 1 / np.sqrt(n))[:, None]
-    roots = [np.vstack([kept * one.half, kept * one.gauge_free_half]) for one in aligned]
-    pooled = np.linalg.qr(np.hstack([*roots, np.vstack([own, own])]).T, mode="r")
-    half, gauge_free = np.vsplit(np.asarray(pooled).T, 2)
+    half = np.hstack([*(kept * one.half for one in aligned), own])
+    low, high = zip(*(one.ranges for one in linears), strict=True)
     noise = float(np.median([one.noise_variance for one in linears]))
-    return replace(
+    prior = replace(
         aligned[0].with_noise(noise),
         layout=layout.with_harmonics(np.array(pairs, dtype=int)),
         coef=trust * mean,
-        half=half,
-        gauge_free_half=gauge_free,
-        fading_half=gauge_free,
+        half=np.asarray(np.linalg.qr(half.T, mode="r")).T,
+        ranges=np.array([np.min(low, axis=0), np.max(high, axis=0)]),
+        informed_half=None,
         log_bayes_factor=np.zeros(len(pairs)),
         prior_sd=prior_sd,
         noise_scale=1.0,
         std_scale=1.0,
-        scale_sd=0.0,  # that is of known lengths of another arm
     )
+    return prior.with_seen() if len(prior.seen) else prior
 
 
 def _evidence_of_fit(linear, poses):

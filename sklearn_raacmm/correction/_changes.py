@@ -164,7 +164,7 @@ def widened(linear):
     return replace(
         linear.with_noise(np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance),
         half=wider * linear.half,
-        gauge_free_half=wider * linear.gauge_free_half,
+        seen=wider * linear.seen,
     )
 
 

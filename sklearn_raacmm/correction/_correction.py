@@ -14,15 +14,17 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
+from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._one_fit import given_causes
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
-from sklearn_raacmm.correction._update import nothing_changed, update_correction
-from sklearn_raacmm.error_model import LEAST_POSITIONS, judge
+from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
+from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
+from sklearn_raacmm.measurements import Measurements, given_causes, taken_apart
 from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import Finding, Floats, align, check_option, encode_groups
 
@@ -106,11 +108,9 @@ class Correction:
     def scale_sd(self) -> float:
         """Standard deviation of the arm's common scale, as a share of it, beside the model's own.
 
-        Both together are that of the calibration: the same lengths show both of them the scale.
+        0 where the model holds all of it: kinematic columns do, if the correction is used.
         """
-        linear = linear_in_use(self.model)
-        own = 0.0 if linear is None else linear.scale_sd
-        return float(np.sqrt(max(self.facts["scale_sd"] ** 2 - own**2, 0.0)))
+        return self._scale_beside(linear_in_use(self.model))
 
     @property
     def causes(self) -> dict[str, Any]:
@@ -225,9 +225,97 @@ class Correction:
             variance = variance + np.sum(np.square(along * std), axis=1)
         return lengths, np.sqrt(variance + (self.scale_sd * lengths) ** 2)
 
-    def check(
+    def sample(
         self,
         angles: ArrayLike,
+        n_samples: int = 200,
+        random_state: int | np.random.RandomState | None = None,
+        *,
+        angle_unit: str = "rad",
+        extra: dict[str, Any] | None = None,
+        with_noise: bool = False,
+    ) -> Floats:
+        """Draw corrected points of all poses together, with all that is not known of the arm.
+
+        Compute a result, such as a diameter or a flatness, from the points of each draw: the
+        standard deviation of these results is that of the result.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_poses, n_joints)
+            Joint angles.
+        n_samples : int, default=200
+            Number of draws.
+        random_state : int, RandomState instance or None, default=None
+            Of the draws.
+        angle_unit, extra
+            As in :meth:`correct`.
+        with_noise : bool, default=False
+            Whether each reading has noise of its own, independent from pose to pose.
+
+        Returns
+        -------
+        points : ndarray of shape (n_poses, 3, n_samples)
+            In the arm's base frame, mm, about those of :meth:`correct`. What is common to all
+            draws of a pose and others, such as the scale of the arm, is drawn once for all poses.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`correct`.
+        TypeError
+            If the model has no ``sample_y``.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_raacmm import learn_correction
+        >>> from sklearn_raacmm.datasets import make_single_point
+        >>> test = make_single_point(6, 15)  # simulated
+        >>> correction = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
+        >>> points = correction.sample(test.data[[0, 40]], 100, random_state=0)
+        >>> lengths = np.linalg.norm(points[1] - points[0], axis=0)
+        >>> bool(0.01 < np.std(lengths) < 1)
+        True
+        """
+        model: Any = self.model
+        if not hasattr(model, "sample_y"):
+            raise TypeError(f"{type(model).__name__} has no sample_y: it draws no corrections.")
+        rng = check_random_state(random_state)
+        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit), extra)
+        points = self.arm.forward(X[:, : self.arm.n_joints])
+        drawn = points[:, :, None] - model.sample_y(X, n_samples, rng, with_noise=with_noise)
+        scale = self._scale_beside(model.linear_model_) * rng.normal(size=n_samples)
+        return drawn + (points - _shoulder(self.arm))[:, :, None] * scale
+
+    def doubts(
+        self, angles: ArrayLike, positions: ArrayLike | None = None, *, angle_unit: str = "rad"
+    ) -> dict[str, float]:
+        """Of which causes most is not known, of corrected points at some poses.
+
+        Parameters
+        ----------
+        angles : array-like of shape (n_samples, n_joints)
+            Joint angles.
+        positions : array-like of shape (n_samples,), default=None
+            Labels of positions, about which points deviate. None: of points in the base frame.
+        angle_unit : {"rad", "deg"}, default="rad"
+            Unit of `angles`.
+
+        Returns
+        -------
+        dict of str to float
+            Share of the variance of the points by cause, such as "probe" or "offset of joint 3",
+            the largest first; empty where no model of causes is in use.
+        """
+        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit))
+        codes = None if positions is None else encode_groups(positions, len(X))[1]
+        linear = linear_in_use(self.model)
+        return {} if linear is None else doubts_of(linear, X, codes)
+
+    def check(
+        self,
+        angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
@@ -262,7 +350,10 @@ class Correction:
         TypeError, ValueError
             As :func:`check_correction`.
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles, positions, points, lengths, extra, unit = taken_apart(
+            angles, positions, points, lengths, extra
+        )
+        angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         new_base = points is not None and (new_base or self.base is None)
         known: Any = self
         if new_base:
@@ -281,7 +372,7 @@ class Correction:
 
     def register(
         self,
-        angles: ArrayLike,
+        angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
@@ -296,8 +387,8 @@ class Correction:
 
         Parameters
         ----------
-        angles : array-like of shape (n_samples, n_joints)
-            Joint angles of today's poses.
+        angles : array-like of shape (n_samples, n_joints) or Measurements
+            Joint angles of today's poses, or all that was measured.
         positions : array-like of shape (n_samples,), default=None
             Label of the position of each.
         points : array-like of shape (n_samples, 3), default=None
@@ -321,7 +412,10 @@ class Correction:
         ValueError
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles, positions, points, lengths, _, unit = taken_apart(
+            angles, positions, points, lengths
+        )
+        angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
         model: Any = copy(self.model)
         linear = getattr(model, "linear_model_", None)
         codes = None if positions is None else encode_groups(positions, len(angles))[1]
@@ -357,7 +451,7 @@ class Correction:
 
     def update(
         self,
-        angles: ArrayLike,
+        angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
         lengths: Iterable[Sequence[Any]] = (),
@@ -367,9 +461,11 @@ class Correction:
         date: str | None = None,
         accept: str | Sequence[str] = (),
     ) -> Self:
-        """Register, and bring the model up to date with the same poses.
+        """Bring the model up to date with new poses; a tracker's base is found by them, too.
 
-        Where these show nothing but noise, as its evidence says, model and probe stay as they are.
+        The probe counts as the one that was registered, a little bent perhaps: the model holds that
+        beside other changes. Only where the poses show another one it is registered first. Where
+        they show nothing but noise, as its evidence says, the model stays as it is.
 
         Parameters
         ----------
@@ -389,22 +485,30 @@ class Correction:
         TypeError, ValueError
             As :meth:`register` and :func:`update_correction`.
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
-        new: Any = self.register(angles, positions, points, lengths, accept=accept)
-        model, X = copy(self.model), self.inputs(angles, extra)
-        y = new.calibration.residuals(angles, points, positions)
-        if points is None:
-            places: Any = positions
-            old = position_residuals(self.arm.forward(angles), places)
+        angles, positions, points, lengths, extra, unit = taken_apart(
+            angles, positions, points, lengths, extra
+        )
+        angles = check_angles(angles, self.arm.n_joints, unit or angle_unit)
+        given: Any = (angles, positions, points, lengths)
+        X = self.inputs(angles, extra)
+        model: Any = copy(self.model)
+        y, seen = self.arm.forward(angles), None if points is None else np.asarray(points)
+        if seen is None:
+            labels: Any = positions
+            y = position_residuals(y, labels)
         else:
-            old, seen = self.arm.forward(angles), np.asarray(points)
-            turn, shift = align(seen, old - self.model.predict(X))
-            old = old - seen @ turn.T - shift
-        if nothing_changed(model, X, old, positions, date):
-            new = self.register(angles, positions, points, lengths, free=(), accept=accept)
+            turn, shift = align(seen, y - self.model.predict(X))
+            y = y - seen @ turn.T - shift
+        how: Any = {"groups": positions, "date": date}
+        unchanged = nothing_changed(model, X, y, positions, date)
+        if unchanged or not probe_is_new(model, X, y, positions):
+            if not unchanged:
+                model = update_correction(model, X, y, accept=accept, **how)
+            new: Any = replace(self, model=model).register(*given, free=(), accept=accept)
             return replace(new, model=model)
-        updated = update_correction(new.model, X, y, groups=positions, date=date, accept=accept)
-        return replace(new, model=updated)
+        new = self.register(*given, accept=accept)
+        y = new.calibration.residuals(angles, points, positions)
+        return replace(new, model=update_correction(new.model, X, y, accept=accept, **how))
 
     def move(self, probe: ArrayLike) -> Self:
         """The same with another probe, whose vector is known.
@@ -569,6 +673,11 @@ class Correction:
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
+    def _scale_beside(self, linear):
+        """Standard deviation of the common scale beside that of a linear model, or of none."""
+        own = 0.0 if linear is None else linear.scale_sd
+        return float(np.sqrt(max(self.facts["scale_sd"] ** 2 - own**2, 0.0)))
+
     def _within_positions(self, X):
         """Corrected points, and standard deviations of their coordinates within a position."""
         correction, std = predict_with_std(self.model, X, self.noise)
@@ -637,10 +746,3 @@ class Correction:
         if len(outliers) > _SHOWN:
             lines.append(f"  and {len(outliers) - _SHOWN} more")
         return "\n".join(lines)
-
-
-def _shoulder(arm):
-    """The point of the first axis that the scale of the links leaves where it is, (3,), mm."""
-    if arm.convention == "standard":
-        return np.array([0.0, 0.0, arm.d[0]])
-    return arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, 3]

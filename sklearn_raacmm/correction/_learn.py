@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH
+from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_places
 from sklearn_raacmm.correction._correction import Correction
-from sklearn_raacmm.correction._one_fit import Data, usual_values
+from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
 from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
 from sklearn_raacmm.correction._shifted_rows import shifted_rows
 from sklearn_raacmm.correction._table_search import ask_for_the_hand, search_table, taken
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.measurements import drift_of, moved_positions
+from sklearn_raacmm.measurements import Measurements, drift_of, moved_positions, within_turn
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
@@ -58,7 +58,7 @@ _KEPT = (
 
 def learn_correction(
     arm: Arm,
-    angles: ArrayLike,
+    angles: ArrayLike | Measurements,
     positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
@@ -85,8 +85,8 @@ def learn_correction(
     ----------
     arm : Arm
         The nominal arm, or one calibrated on other data.
-    angles : array-like of shape (n_samples, n_joints)
-        Joint angles.
+    angles : array-like of shape (n_samples, n_joints) or Measurements
+        Joint angles, or all that was measured.
     positions : array-like of shape (n_samples,), default=None
         Label of the position at which the probe was held. With `points`, regions of neighbouring
         points replace names of single poses, and None; without, None stands for the places that
@@ -195,20 +195,36 @@ def learn_correction(
         given | {"progress": progress, "points_sd": points_sd, "accept": accept, "take": take},
         "learn_correction",
     )
-    if points_sd and points is None:
+    if points_sd and points is None and getattr(angles, "points", None) is None:
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
-    given_arm, codes = arm, listed("take", take)
+    raw, given_arm, codes = (angles, positions, points), arm, listed("take", take)
+    if isinstance(angles, Measurements):
+        labels = None if angles.labels is None else angles.labels[angles.index]
+        raw, angle_unit = (angles.angles, labels, angles.points), "rad"
     for code in codes:
-        arm = taken(arm, code, (angles, positions, points, angle_unit))
+        arm = taken(arm, code, (*raw, angle_unit))
+
+    def measured():
+        """What was measured, of a single-point test without labels at the places of its points."""
+        check_arm(arm)
+        given: dict[str, Any] = {"points": points, "lengths": lengths, "tools": tools}
+        given |= {"stations": stations, "extra": extra}
+        if isinstance(angles, Measurements):
+            return Measurements.taken(angles, positions, **given)
+        checked = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        refuse_one_pose(checked)
+        no_labels = positions is None and points is None
+        return Measurements.of(
+            checked, find_places(arm, checked) if no_labels else positions, **given
+        )
 
     def inside():
-        labels = tools, blocks, stations
-        data = Data(arm, angles, positions, points, lengths, angle_unit, extra, like, *labels)
-        calibration = _calibrated(data, angles, angle_unit, accept)
+        data = Data(arm, measured(), like, blocks)
+        calibration = _calibrated(data, raw[0], angle_unit, accept)
         if codes and "mirror-image" not in listed("accept", accept):
             with numbered_rows(row_numbers(data.rows)):
-                ask_for_the_hand(given_arm, arm, *data.as_given(angles), angle_unit)
+                ask_for_the_hand(given_arm, arm, *data.as_given(raw[0]), angle_unit)
         data = data.seen_by(calibration)
         outliers = data.outliers(calibration)
         folds = folds_of(data, outliers, cv)
@@ -226,8 +242,12 @@ def learn_correction(
         return data, calibration, scores, fitted, noise
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept)
+    if (linear := getattr(fitted, "linear_model_", None)) is not None:
+        fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
-    base = None if points is None else (calibration.base_rotation, calibration.base_translation)
+    base = (
+        None if data.points is None else (calibration.base_rotation, calibration.base_translation)
+    )
     facts = _facts(data, calibration, scores) | {"noise_mm": noise, "points_sd_mm": points_sd}
     data_of = data.angles, data.positions
     return Correction(calibration.arm, fitted, base, facts, scores, calibration, *data_of)

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
 from copy import copy
 from types import SimpleNamespace
 from typing import Any
@@ -14,20 +13,13 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import FIELDS, Arm, check_angles, check_arm
-from sklearn_raacmm.calibration import are_wrong, calibrate, find_places, places_of
+from sklearn_raacmm.arm import FIELDS, Arm
+from sklearn_raacmm.calibration import are_wrong, calibrate, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import check_length, find_poses, order_explained_by, within_turn
+from sklearn_raacmm.measurements import order_explained_by
 from sklearn_raacmm.residuals import last_step_of, position_residuals
-from sklearn_raacmm.utils import (
-    Finding,
-    FindingError,
-    encode_groups,
-    floats,
-    ignored_findings,
-    listed,
-)
+from sklearn_raacmm.utils import Finding, FindingError, encode_groups, ignored_findings, listed
 
 # Regions that a tracker's poses are judged at, and poses of one: enough for an interval, and few
 # enough to read.
@@ -42,85 +34,58 @@ _STILL = 1e-3
 
 
 class Data:
-    """Checked input: angles in rad, labels, perhaps a tracker's points and known lengths.
+    """What was `measured`, and how it is judged: by which positions, and what is left out together.
 
-    `rows` are the first rows of each pose among those `given`; `causes` name the columns of
-    `values` (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of
-    positions that are one, or of one block; `places` (n,) what is left out together where that is
+    `rows` are the first rows of each pose among those given; `causes` name the columns of `values`
+    (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of positions
+    that are one, or of one block; `places` (n,) what is left out together where that is
     less than a position; `vertical` is the `up` of `Terms` that a model of all rows has, where
     there is one.
     """
 
     vertical: Any = None
 
-    def __init__(
-        self, arm, angles, positions, points, lengths, angle_unit, extra, like, tools, blocks,
-        stations,
-    ):  # fmt: skip
-        check_arm(arm)
-        # Within one turn, lest a warning of far angles be repeated by everything that follows.
-        angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
-        _refuse_one_pose(angles)
-        lengths = listed("lengths", lengths)
-        if positions is None and points is None:
-            positions = find_places(arm, angles)
-        if points is not None:
-            points = floats("points", points, 3)
-            if len(points) != len(angles):
-                raise ValueError(f"points must have shape ({len(angles)}, 3), got {points.shape}.")
-        are_named = positions is not None
-        if blocks is not None:
-            names, codes = encode_groups(blocks, len(angles), "blocks")
-            blocks = names[codes]
-        labels, codes = encode_groups(positions if are_named else np.ones(len(angles)), len(angles))
-        checked = [check_length(entry, labels.tolist()) for entry in lengths]
-        tied = [i for entry in checked for i in entry[:2]]
+    def __init__(self, arm, measured, like=(), blocks=None):
+        refuse_one_pose(measured.angles)
+        if measured.features:
+            raise ValueError(
+                "touches of a plane or a sphere teach the table only: calibrate the arm with them, "
+                "and learn the correction from positions."
+            )
+        self.measured, self.arm, self.like = measured, arm, listed("like", like)
+        self.rows, pose = measured.poses.first, measured.poses.pose
+        self.angles, self.points = measured.angles, measured.points
+        labels = np.ones(1) if measured.labels is None else measured.labels
+        codes = np.zeros(len(self.angles), dtype=int)
+        codes = codes if measured.index is None else measured.index
         # As long as they were when they were measured.
-        lengths = [(*e[:2], *c[2:]) for e, c in zip(lengths, checked, strict=True)]
-        alone = np.setdiff1d(np.flatnonzero(np.bincount(codes) == 1), tied)
-        if points is None and len(alone):
+        ends = labels.tolist()
+        self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths if i != j]
+        given = codes[pose]
+        tied = [i for entry in measured.lengths for i in entry[:2]]
+        alone = np.setdiff1d(np.flatnonzero(np.bincount(given) == 1), tied)
+        if self.points is None and len(alone):
             raise ValueError(
                 f"position {labels[alone[0]].item()!r} has a single row, row "
-                f"{np.flatnonzero(codes == alone[0])[0]}: is its label mistyped?"
+                f"{np.flatnonzero(given == alone[0])[0]}: is its label mistyped?"
             )
-        kinds, positions = codes, labels[codes]
-        self.arm, self.lengths, self.like = arm, lengths, listed("like", like)
-        if tools is not None:
-            if self.like:
-                raise ValueError("like and tools cannot be given together.")
-            names, of_tool = encode_groups(tools, len(angles), "tools")
-            tools, kinds = names[of_tool], codes * len(names) + of_tool
-        if stations is not None:
-            if points is None:
-                raise ValueError(
-                    "stations are of a tracker's points: there are none. A position that is "
-                    "measured from another place is another one: give it a label of its own."
-                )
-            names, of_station = encode_groups(stations, len(angles), "stations")
-            stations, kinds = names[of_station], kinds * len(names) + of_station
-        poses = find_poses(angles, kinds, points)
-        self.rows = poses.first
-        groups = positions if points is None else None
-        self.given = {
-            "angles": angles, "groups": groups, "points": points, "tools": tools,
-            "stations": stations,
-        }  # fmt: skip
-        self.angles, self.points = poses.mean_angles(angles), poses.mean(points)
-        self.places = None
-        if points is not None and not lengths:
-            of_poses = positions[self.rows] if are_named else None
-            plates = None if blocks is None else blocks[self.rows]
+        if measured.tools is not None and self.like:
+            raise ValueError("like and tools cannot be given together.")
+        if blocks is not None:
+            names, of_block = encode_groups(blocks, len(pose), "blocks")
+            blocks = names[of_block][self.rows]
+        self.positions, self.places = labels[codes], None
+        self.tools = named(measured.tools, measured.tool_labels)
+        self.stations = named(measured.stations, measured.station_labels)
+        if self.points is not None and not self.lengths:
+            of_poses = None if measured.index is None else self.positions
             # Stations have frames of their own, and the arm's points one.
-            near = self.points if stations is None else arm.forward(self.angles)
-            labels, self.places = _judged_at(of_poses, near, plates)
-            positions = labels[poses.pose]
-        self.causes, values = _causes(extra, angles, encode_groups(positions)[1])
-        self.positions, self.values = positions[self.rows], values[self.rows]
-        self.tools = None if tools is None else tools[self.rows]
-        self.stations = None if stations is None else stations[self.rows]
+            near = self.points if self.stations is None else arm.forward(self.angles)
+            self.positions, self.places = _judged_at(of_poses, near, blocks)
+        self.causes, self.values = _causes(measured, encode_groups(self.positions)[1])
         self.joined = []
         if blocks is not None:
-            of_blocks = [np.unique(positions[blocks == name]) for name in np.unique(blocks)]
+            of_blocks = [np.unique(self.positions[blocks == name]) for name in np.unique(blocks)]
             self.joined = [tuple(one.tolist()) for one in of_blocks]
 
     def seen_by(self, calibration):
@@ -133,7 +98,8 @@ class Data:
         seen.joined = [*one_place, *self.joined]
         if self.lengths and self.points is None:
             wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
-            seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=True) if not out]
+            seen.measured = self.measured.without_lengths(wrong)
+            seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=False) if not out]
         return seen
 
     def along_vertical_of(self, model):
@@ -158,7 +124,9 @@ class Data:
             own = codes == np.bincount(codes).argmax()
         positions = self.positions if self.points is None else None
         points = None if self.points is None else self.points[own]
-        return np.asarray(angles, dtype=float)[self.rows[own]], positions, points
+        angles = np.asarray(angles, dtype=float)
+        rows = self.rows if len(angles) == len(self.measured.poses.pose) else slice(None)
+        return angles[rows][own], positions, points
 
     def without_lonely(self, rows=None):
         """Of these rows, or all, those of positions with two or more; others have no residuals."""
@@ -192,22 +160,19 @@ class Data:
         """Those that a model is fitted with: where the positions are, a tracker knows."""
         return [] if self.points is not None else self.lengths_among(rows)
 
-    def _at(self, rows) -> Any:
-        """What calibration takes of some rows."""
-        groups = self.positions if self.points is None else None
-        parts = self.angles, groups, self.points, self.tools, self.stations
-        named = zip(self.given, parts, strict=True)
-        return {name: None if part is None else part[rows] for name, part in named}
-
     def calibrate(self, rows=None, accept=(), free=FIELDS):
         """Calibrate on some rows, the fields `free`; on None on all, as they were given."""
-        given = self.given if rows is None else self._at(rows)
-        lengths = self.lengths_of_model(slice(None) if rows is None else rows)
-        return calibrate(self.arm, **given, lengths=lengths, accept=accept, free=free)
+        measured = self.measured if rows is None else self.measured.at(rows)
+        return calibrate(self.arm, measured, accept=accept, free=free)
 
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        return calibration.residuals(**self._at(rows))
+        groups = self.positions[rows] if self.points is None else None
+        parts = (self.points, self.tools, self.stations)
+        points, tools, stations = (None if part is None else part[rows] for part in parts)
+        return calibration.residuals(
+            self.angles[rows], points, groups, tools=tools, stations=stations
+        )
 
     def at_probes(self, model, calibration, rows):
         """The model as it predicts these rows, each with its own probe."""
@@ -289,7 +254,7 @@ class Data:
         return model.set_params(**changed)
 
 
-def _refuse_one_pose(angles):
+def refuse_one_pose(angles):
     """Refuse rows of an arm that stood still, the same angles in rad within one turn."""
     if len(angles) > 1 and np.ptp(angles, axis=0).max() < _STILL:
         said = f"The arm did not move: {len(angles)} rows are 1 pose."
@@ -343,12 +308,12 @@ def _regions(points):
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
-def _causes(extra, angles, codes):
-    """Names and values (n, n_causes) of the causes offered to a model, for angles in rad.
+def _causes(measured, codes):
+    """Names and values (n, n_causes) of the causes offered to a model.
 
     Time that the angles explain is refused: what it explains may be the place.
     """
-    given = given_causes(extra, len(angles))
+    given, angles = measured.extra, measured.angles
     check_extra(tuple(given), angles.shape[1])
     if "time" in given and (explained := order_explained_by(angles, codes)) > _MOST_EXPLAINED:
         raise ValueError(
@@ -359,18 +324,9 @@ def _causes(extra, angles, codes):
     return tuple(given), np.reshape([*given.values()], (len(given), len(angles))).T
 
 
-def given_causes(extra: Any, n_rows: int) -> dict[str, np.ndarray]:
-    """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
-    if extra is not None and not isinstance(extra, Mapping):
-        raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")
-    found = {}
-    for name, value in (extra or {}).items():
-        said = f"extra[{name!r}]"
-        values = floats(said, value, finite=True)
-        if values.shape not in ((), (n_rows,), (n_rows, 1)):
-            raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
-        found[name] = np.broadcast_to(values.ravel(), n_rows)
-    return found
+def named(numbers, labels):
+    """Labels (n,) of tools or stations by their numbers, or None."""
+    return None if numbers is None else np.array(labels)[numbers]
 
 
 def usual_values(names, values):

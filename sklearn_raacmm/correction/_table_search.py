@@ -249,9 +249,10 @@ def _rarer_changes(arm, measured, others):
             both = [part - part.mean(axis=0) for part in (_places(as_given, angles), points)]
             turn, _ = align(*(part - np.outer(x, x @ part) / (x @ x) for part in both))
             way = x @ (both[1] - both[0] @ turn.T) / (x @ x)
-            taken_off = f"{name} times ({', '.join(f'{mm:.6g}' for mm in way)}) mm taken off them"
-            change = f"points with {taken_off}, for an external axis that moves the base,"
-            yield change, f"--points with {taken_off}", arm, {"points": points - np.outer(x, way)}
+            by = ", ".join(f"{mm:.6g}" for mm in way)
+            change = f"{name} as an axis that moves the base by ({by}) mm a unit"
+            option = "--points without that movement"
+            yield change, option, arm, {"points": points - np.outer(x, way)}
     other = taken(arm, "zeros", measured)
     turns = np.rad2deg(np.angle(np.exp(1j * (other.theta_offset - arm.theta_offset))))
     shown = [f"joint {j + 1} by {turns[j]:.4g}" for j in np.flatnonzero(np.abs(turns) > 0.5)]

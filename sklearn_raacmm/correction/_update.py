@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sklearn_raacmm.calibration import UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._change import (
     LEAST_NOISE_MM,
+    REGISTERED_PLACE_MM,
     NewPoses,
     changed_model,
     day,
     judged_fading,
+    place_columns,
 )
 from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
@@ -170,3 +173,21 @@ def nothing_changed(model: Any, X: Any, y: Any, groups: Any, date: Any) -> bool:
     said += " no change: it stays as it was."
     Finding("nothing-changed", said, weight="note").report()
     return True
+
+
+def probe_is_new(model: Any, X: Any, y: Any, groups: Any) -> bool:
+    """Whether residuals show another probe than the one that the model was moved to.
+
+    One that is off by d mm is likelier a new one, ``N(0, 1000^2)`` of each coordinate, than the
+    same one knocked or worn, of which an update expects some millimetres.
+    """
+    linear = model.linear_model_
+    if not linear.terms.kinematics:  # no column of the model could hold where the probe is
+        return True
+    poses = NewPoses(model, X, y, groups)
+    place = place_columns(linear.arm, poses.angles, with_base=poses.codes is None)
+    left = centred(poses.residuals - linear.predict(poses.angles)[0], poses.codes)
+    rows = centred(place, poses.codes).reshape(left.size, -1)
+    off = np.linalg.lstsq(rows, left.ravel(), rcond=1e-9)[0][:3]
+    wider = UNKNOWN_PLACE_MM / REGISTERED_PLACE_MM
+    return bool(0.5 * (off @ off) * (1 - wider**-2) > 3 * np.log(wider))

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.measurements import check_length
+from sklearn_raacmm.measurements import base_motions, check_length
 from sklearn_raacmm.utils import align, centred, encode_groups, group_means, listed
 
 # Rows that zeros are found from, starts at most, and steps of each: for speed. A start has found
@@ -56,10 +56,8 @@ def with_found_zeros(
             return centred(ours, codes), centred(slope, codes)
         turn, shift = align(ours, points)
         ours = ours @ turn.T + shift
-        # What the base takes up: small turns about the points' middle, and shifts.
-        turns = np.cross(np.eye(3), (ours - ours.mean(axis=0))[:, None]).transpose(0, 2, 1)
-        base = np.concatenate([turns, np.tile(np.eye(3), (len(ours), 1, 1))], axis=2)
-        base, slope = base.reshape(-1, 6), (turn @ slope).reshape(-1, len(columns))
+        base = base_motions(ours, arm.reach_mm).reshape(-1, 6)  # takes up its part
+        slope = (turn @ slope).reshape(-1, len(columns))
         return ours - points, slope - base @ np.linalg.lstsq(base, slope)[0]
 
     def left(x):

@@ -94,7 +94,9 @@ def make_features(
     touched = check_random_state(rng.randint(2**31 - 1))
     places, poses = draw_cones(simulated, n, 2 * n_touches, rng)
     kinds = ["sphere"] * n_spheres + ["plane"] * n_planes + ["cone"] * n_cones
-    points, near, groups, features, lengths = [], [], [], [], []
+    groups: list[int] = []
+    features: list[tuple[Any, ...]] = []
+    points, near, lengths = [], [], []
     for kind, place, own in zip([*kinds, *blocks], places, poses, strict=True):
         label = groups[-1] + 1 if groups else 0
         out = _half_sphere(n_touches, touched)

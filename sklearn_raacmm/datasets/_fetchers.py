@@ -109,7 +109,7 @@ def fetch_panda_ball_socket(
     pairs = zip(labels[::2], labels[1::2], strict=True)
     lengths = [(a, b, HOLES_MM, HOLES_SD_MM) for a, b in pairs]
     nominal = Arm.from_name("panda", probe=(0, 0, 241))
-    moved = {"accept": "moved-position"}  # two sockets of panda_2
+    moved: dict[str, Any] = {"accept": "moved-position"}  # two sockets of panda_2
     calibrated = calibrate(nominal, angles, groups, lengths=lengths, **moved).arm
     points = calibrated.forward(angles)
     return Bunch(

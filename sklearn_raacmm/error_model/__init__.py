@@ -8,10 +8,11 @@ from sklearn_raacmm.error_model._checks import check_extra, check_poses
 from sklearn_raacmm.error_model._columns import OF_LOADS, Effect, Terms, torque_axis
 from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, order_price, smooth_shares
 from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
-from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, shoulder
 
 __all__ = [
     "LEAST_POSITIONS",
+    "NOTHING_SEEN",
     "OF_LOADS",
     "ArmResidualRegressor",
     "Effect",
@@ -24,6 +25,7 @@ __all__ = [
     "interval_scales",
     "judge",
     "order_price",
+    "shoulder",
     "smooth_shares",
     "torque_axis",
 ]

@@ -12,8 +12,8 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import arm_for, check_angles, points_of
 from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.measurements import check_features as check_touched
 from sklearn_raacmm.measurements import (
+    check_features as check_touched,
     check_length,
     check_targets,
     find_dwells,

@@ -20,7 +20,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
-from sklearn_raacmm.error_model._linear_model import LinearModel
+from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
 from sklearn_raacmm.error_model._noise import even_noise, joint_noise
 from sklearn_raacmm.error_model._sums import Rows, explicit_gram, less_constants, without_motions
 from sklearn_raacmm.error_model._vertical import better_vertical
@@ -512,8 +512,8 @@ def model_of(rows, columns, state):
         offsets=rows.codes is not None and not rows.known,
         n_determined=float(state.determined.sum()),
         log_bayes_factor=state.gains,
-        gauge_free_half=half,
-        fading_half=half,
+        seen=NOTHING_SEEN,
+        ranges=ranges_of(columns.arm, rows.X[rows.weights > 0]),
     )
     if rows.codes is None:
         return model

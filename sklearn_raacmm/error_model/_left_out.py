@@ -333,14 +333,15 @@ def interval_scales(
     weights: np.ndarray,
     worth: float = 1.0,
     usual_log_b: float = 0.0,
+    usual_log_a: float = 0.0,
 ) -> tuple[float, float]:
     """Factors of noise and standard deviation at which intervals of 95 % hold.
 
     Errors (n, q) in units of ``sqrt(a noise^2 + b std^2)`` are a Student variable: a, b and its
     degrees of freedom have the highest posterior. Both deviations (n, q) are then multiplied so
     that 1.96 of them hold 95 %. `worth` are independent errors per coordinate: those of one
-    position resemble each other. `usual_log_b` is the mean of the prior of log b; that of log a is
-    0.
+    position resemble each other. `usual_log_b` and `usual_log_a` are the means of the priors of
+    log b and log a.
     """
     # Rows of no deviation at all, of positions of one pose, say nothing.
     used = np.square(noise) + np.square(std) > 0
@@ -348,7 +349,7 @@ def interval_scales(
     e2, n2, s2 = (np.square(values[used]) for values in (errors, noise, std))
     if not len(e2):
         return 1.0, 1.0
-    usual = np.array([0.0, usual_log_b])
+    usual = np.array([usual_log_a, usual_log_b])
 
     def loss(logs):
         a, b, freedom = np.exp(logs)

@@ -13,7 +13,6 @@ from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
-from scipy.linalg import qr
 
 from sklearn_raacmm.arm import Arm, own_angles
 from sklearn_raacmm.error_model._columns import (
@@ -48,14 +47,23 @@ _LEAST_SHOWN = 0.05
 _BASE = 0.3
 # Size of a column, relative to the largest, that moves nothing. Part of the difference of two
 # roots that is rounding, and of what columns show together.
-_NOTHING, _ROUNDING, _NEVER = 1e-6, 1e-12, 1e-9
+_NOTHING, _NEVER = 1e-6, 1e-9
 # Divides the roots of a noise of 0, mm.
 _NO_NOISE = 1e-150
 
+# Roots of a file that was written when `seen` was not in it, and their shapes.
+_BEFORE = {
+    "half": ("columns", "rank"),
+    "gauge_free_half": ("columns", "rank"),
+    "fading_half": ("columns", "fading"),
+}
 _OF_HARMONICS = (
     "joint", "order", "amplitude_arcsec", "phase_deg", "cos_arcsec", "sin_arcsec",
     "cos_sd_arcsec", "sin_sd_arcsec", "log_bayes_factor",
 )  # fmt: skip
+
+# Of positions without offsets: they hide no field.
+NOTHING_SEEN = np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,18 +96,18 @@ class LinearModel:
         Effective number of coefficients that the data determine.
     log_bayes_factor : ndarray of shape (n_harmonics,)
         By how much each harmonic of `terms` raises the log evidence, beside all others.
-    gauge_free_half : ndarray of shape (n_columns, r)
-        As `half`, for what a single-point test can show (see `constrained`): standard deviations of
-        predictions are made of it, those of lengths of `half`. The same where positions have no
-        offsets.
-    fading_half : ndarray of shape (n_columns, r)
-        Root of the covariance by which corrections fade: `gauge_free_half`, and after an update
-        what the new poses leave of it.
+    seen : ndarray of shape (k, r)
+        How much of each field of `place_fields` columns of `half` hold: a single-point test shows
+        what is left without these (see `gauge_free_half`). Empty where positions have no offsets.
+    ranges : ndarray of shape (2, n_joints + n_extra)
+        Least and largest value, at the poses of the fit, of the joints' own angles in rad and of
+        each extra column; then of the probe in mm where rows had their own.
+    informed_half : ndarray of shape (n_columns, q) or None
+        Root of the covariance by which corrections fade after an update: what the new poses leave
+        of the root by which they faded before. None: `gauge_free_half`.
     std_scale, noise_scale : float
         Factors of the standard deviation of the model and of the noise at which intervals hold at
         positions that were left out; 1 where that is not known.
-    scale_sd : float
-        Standard deviation of the common scale of all lengths that it holds: 0 without known ones.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
     """
@@ -114,12 +122,12 @@ class LinearModel:
     offsets: bool
     n_determined: float
     log_bayes_factor: np.ndarray
-    gauge_free_half: np.ndarray
-    fading_half: np.ndarray
+    seen: np.ndarray
+    ranges: np.ndarray
+    informed_half: np.ndarray | None = None
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
-    scale_sd: float = 0.0
 
     def __getstate__(self) -> dict[str, Any]:
         of_layout = {"arm": self.arm, "terms": self.terms}
@@ -127,14 +135,17 @@ class LinearModel:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         values = dict(state)
+        before = _BEFORE.keys() <= values.keys() and "seen" not in values
         if "noise_of_angles" in values and "noise_variance" in values:  # until 0.1.0.dev0
             share, variance = values.pop("noise_of_angles"), values.pop("noise_variance")
             n, lever = values["arm"].n_joints, values["lever_mm"]
             values["noise_of_joints"] = np.full(n, share * variance / lever**2)
             values["noise_of_rows"] = (1 - share) * variance
             values["lever_mm"] = np.full(n, lever / np.sqrt(n))
-        # A default would be a guess at what another version knew of this model.
         wanted = {"arm", "terms", *(f.name for f in fields(self)[1:])}
+        if before:
+            wanted ^= {"seen", "ranges", "informed_half", *_BEFORE}
+        # A default would be a guess at what another version knew of this model.
         if missing := sorted(wanted.difference(values)):
             raise ValueError(
                 f"The file does not say {', '.join(missing)} of the linear model: another version "
@@ -148,14 +159,24 @@ class LinearModel:
                 f"The file is damaged: a harmonic belongs to joint {pairs[:, 0].max() + 1} of "
                 f"{arm.n_joints}."
             )
-        vars(self).update(values, layout=columns_of(arm, terms))
-        shapes = {"coef": ("columns",), "half": ("columns", "rank"), "log_bayes_factor": ("pairs",)}
-        shapes["gauge_free_half"] = ("columns", "rank")
-        shapes["fading_half"] = ("columns", "fading")
+        layout = columns_of(arm, terms)
+        shapes: dict[str, Any] = {"coef": ("columns",), "half": ("columns", "rank")}
+        shapes |= {"log_bayes_factor": ("pairs",)}
         shapes |= {"noise_of_joints": ("joints",), "lever_mm": ("joints",)}
-        n = 2 * len(pairs) + len(self.layout.others)
+        if before:
+            shapes |= _BEFORE
+        else:
+            if len(values["seen"]):
+                shapes["seen"] = ("fields", "rank")
+            shapes["ranges"] = (2, "inputs")
+            if values["informed_half"] is not None:
+                shapes["informed_half"] = ("columns", "informed")
+        n = 2 * len(pairs) + len(layout.others)
         sizes = {"columns": n, "pairs": len(pairs), "joints": arm.n_joints}
-        check_shapes("LinearModel", vars(self), shapes, sizes)
+        check_shapes("LinearModel", values, shapes, sizes)
+        if before:
+            values = _as_now(values, layout)
+        vars(self).update(values, layout=layout)
 
     @property
     def arm(self) -> Arm:
@@ -220,14 +241,33 @@ class LinearModel:
         return mean, found[0] if return_std else None, doubt
 
     @cached_property
+    def gauge_free_half(self) -> np.ndarray:
+        """As `half`, of what a single-point test can show, (n_columns, r): `constrained` says what.
+
+        Standard deviations of predictions are made of it, those of lengths of `half`. The same
+        where positions have no offsets.
+        """
+        return self.half - place_fields(self.layout) @ self.seen if len(self.seen) else self.half
+
+    @property
+    def fading_half(self) -> np.ndarray:
+        """Root of the covariance by which corrections fade, (n_columns, q)."""
+        return self.gauge_free_half if self.informed_half is None else self.informed_half
+
+    @property
+    def scale_sd(self) -> float:
+        """Standard deviation of the common scale of all distances, as a share of them."""
+        return float(np.linalg.norm(self._scale_of(*self._in_ranges()) @ self.half))
+
+    @cached_property
     def _std_root(self):
         return _triangle(self.gauge_free_half, len(self.terms.harmonics))
 
     @cached_property
     def _fading_root(self):
-        if np.array_equal(self.fading_half, self.gauge_free_half):
+        if self.informed_half is None:
             return self._std_root
-        return _triangle(self.fading_half, len(self.terms.harmonics))
+        return _triangle(self.informed_half, len(self.terms.harmonics))
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
@@ -252,8 +292,8 @@ class LinearModel:
         What a single-point test shows is widened by `std_scale`, what it does not is not.
         """
         half = self.std_scale * self.gauge_free_half
-        if with_unseen:
-            half = half + self._unseen_half()
+        if with_unseen and len(self.seen):
+            half = half + np.matmul(*self._unseen)
         out = np.empty((len(angles), 3, half.shape[1]))
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.columns(angles[rows])
@@ -261,80 +301,103 @@ class LinearModel:
             out[rows] = every.reshape(len(columns), 3, half.shape[1])
         return out.reshape(-1, half.shape[1])
 
-    def _unseen_half(self):
-        """What positions with offsets do not show, as columns to add to `gauge_free_half`.
+    @cached_property
+    def _unseen(self):
+        """What positions with offsets do not show, as columns (n_columns, k) and a root (k, r).
 
-        What the posterior has beside it, without the motions of the base: the frame is the arm's
-        own. What is left is how the arm gives way as a function of the place.
+        Without the motions of the base: the frame is the arm's own. What is left is the scale, and
+        how the arm gives way as a function of the place.
         """
-        unseen, others = self.half - self.gauge_free_half, self.layout.others
-        if self.offsets:
-            fields = place_fields(self.layout)
-            motions = np.linalg.lstsq(fields, unseen, rcond=None)[0]
-            motions[_n_motions(self.layout.alone) :] = 0.0
-            unseen -= fields @ motions
-            for i, column in enumerate(others, start=len(unseen) - len(others)):
-                if column.kind == LOAD and column.frame == 0:
-                    unseen[i] *= _BASE
-        return unseen
+        n = _n_motions(self.layout.alone) if self.offsets else 0
+        of_place = place_fields(self.layout)[:, n:].copy()
+        for i, column in enumerate(self.layout.others, start=self.layout.n_waves):
+            if self.offsets and column.kind == LOAD and column.frame == 0:
+                of_place[i] *= _BASE
+        return of_place, self.seen[n:]
 
     def unseen_variance(self, angles: np.ndarray) -> np.ndarray:
         """Variance of each coordinate that positions with offsets do not show, (n, 3), mm^2.
 
-        With G the widened root of what they show and U of what they do not, ``(G + U)(G + U)' - G
-        G'`` is ``U (2 G + U)'`` but for its order. U is narrow, for few fields differ.
+        With G the widened root of what they show and ``U = F S`` of what they do not, ``(G + U) (G
+        + U)' - G G'`` is ``F S (2 G + U)'`` but for its order. F is narrow, for few fields differ.
         """
         variance = np.zeros((len(angles), 3))
-        if not self.offsets:
+        if not self.offsets or not len(self.seen):
             return variance
-        unseen = self._unseen_half()
-        basis, triangle, _ = qr(unseen, mode="economic", pivoting=True, check_finite=False)
-        size = np.abs(triangle.diagonal())
-        basis = basis[:, size > _ROUNDING * size.max(initial=0.0)]
-        other = (2 * self.std_scale * self.gauge_free_half + unseen) @ (unseen.T @ basis)
+        of_place, seen = self._unseen
+        other = (2 * self.std_scale * self.gauge_free_half + of_place @ seen) @ seen.T
         for rows in chunks(len(angles), _CHUNK // 256):
             columns = self.columns(angles[rows])
-            columns = columns.reshape(3 * len(columns), len(unseen))
-            variance[rows] = ((columns @ basis) * (columns @ other)).sum(axis=1).reshape(-1, 3)
+            columns = columns.reshape(3 * len(columns), len(other))
+            variance[rows] = ((columns @ of_place) * (columns @ other)).sum(axis=1).reshape(-1, 3)
         return np.maximum(variance, 0.0)  # both together may be known better than what is shown
 
     def constrained(
         self, X: np.ndarray, weights: np.ndarray, codes: np.ndarray, keep_scale: bool = True
     ) -> Self:
-        """Model without what positions with offsets cannot show: the scale, where the base stands.
+        """Model by what positions with offsets show: not the scale, nor where the base stands.
 
         Unless known lengths show the scale, distances between positions stay on the average as the
         calibration has them (an inner constraint, as geodesists have it in free networks). Kept at
         other poses instead, lengths of simulated gauges are too short by 5 to 19 um.
-
-        Other columns imitate the fields of `place_fields`. With M the columns at poses anywhere in
-        the ranges of the rows X of a fit and F = M W those of the fields W, ``G = lstsq(F, M)`` is
-        the field in every column, and ``A - A W G`` are the columns without it: `gauge_free_half`
-        is the root with these. Mean poses of few positions would leave fields in it
-        (``benchmarks/bench_few_poses.py``). Fields that are hardly told from others are left.
         """
-        columns, half = self.layout, self.half
-        changes: dict[str, Any] = {}
-        if columns.terms.kinematics:
-            points = group_means(columns.points(X), codes, weights)
-            spread = points - points.mean(axis=0)
-            size = np.square(spread).sum()
-            if size > 0:
-                means = columns.means(X, codes, weights)
-                scale_of, unit = np.einsum("gc,gcp->p", spread, means) / size, columns.scale
-                along = scale_of @ half
-                if keep_scale:
-                    half = half - np.outer(unit, along)
-                    changes = {"coef": self.coef - unit * (scale_of @ self.coef), "half": half}
-                else:
-                    changes = {"scale_sd": float(np.linalg.norm(along))}
-        of_place = place_fields(columns)
-        if of_place.shape[1]:
-            tried = _poses_in_range(columns.arm, X[weights > 0])
-            flat = columns.at(tried).reshape(3 * len(tried), -1)
-            shown = np.linalg.lstsq(flat @ of_place, flat @ half, rcond=_LEAST_SHOWN)[0]
-            half = half - of_place @ shown
-        return replace(self, **changes, gauge_free_half=half, fading_half=half)
+        layout, coef = self.layout, self.coef
+        if keep_scale:
+            points = group_means(layout.points(X), codes, weights)
+            scale_of = self._scale_of(points, layout.means(X, codes, weights))
+            coef = coef - layout.scale * (scale_of @ coef)
+        return replace(self, coef=coef).with_seen()
+
+    def with_seen(self) -> Self:
+        """Model that knows how much of each field of `place_fields` it holds: `seen` anew.
+
+        Other columns imitate the fields. With M the columns at poses anywhere in `ranges` and ``F =
+        M W`` those of the fields W, ``G = lstsq(F, M)`` is the field in every column. Mean poses of
+        few positions would leave fields in what is shown (``benchmarks/bench_few_poses.py``).
+        Fields that are hardly told from others are left, but the scale of the table is taken out
+        whole.
+        """
+        of_place, (points, columns) = place_fields(self.layout), self._in_ranges()
+        columns = columns.reshape(points.size, -1)
+        there = columns @ of_place
+        seen = np.zeros((of_place.shape[1], self.half.shape[1]))
+        if self.terms.kinematics:
+            scale_of, i = self._scale_of(points, columns), _n_motions(self.layout.alone)
+            seen[i] = scale_of @ self.half / (scale_of @ of_place[:, i])
+        left = columns @ self.half - there @ seen
+        return replace(self, seen=seen + np.linalg.lstsq(there, left, rcond=_LEAST_SHOWN)[0])
+
+    def with_scale_sd(self, scale_sd: float) -> Self:
+        """Model that knows the common scale of all distances to this standard deviation.
+
+        It is that of the lengths of the table, which a calibration knows from the drawing.
+        """
+        of_place, i = place_fields(self.layout), _n_motions(self.layout.alone)
+        scale_of = self._scale_of(*self._in_ranges())
+        own = np.linalg.norm(scale_of @ self.half)
+        if not (own > 0 and np.isfinite(scale_sd) and len(self.seen)):
+            return self
+        seen = np.zeros_like(self.seen)
+        seen[i] = (scale_sd / own - 1) * (scale_of @ self.half) / (scale_of @ of_place[:, i])
+        return replace(self, half=self.half + of_place @ seen, seen=self.seen + seen)
+
+    def with_scale_of(self, other: Self) -> Self:
+        """Model that makes distances no larger than another one of the same columns does."""
+        more = self._scale_of(*self._in_ranges()) @ (self.coef - other.coef)
+        return replace(self, coef=self.coef - self.layout.scale * more)
+
+    def _in_ranges(self):
+        """Points and columns, (n, 3) and (n, 3, n_columns), of poses anywhere in `ranges`."""
+        tried = _poses_in(self.arm, self.ranges)
+        return self.layout.points(tried), self.layout.at(tried)
+
+    def _scale_of(self, points, columns):
+        """By how much a unit of each column makes distances between points larger, (n_columns,)."""
+        spread = points - points.mean(axis=0)
+        size = np.square(spread).sum()
+        if not self.terms.kinematics or not size > 0:
+            return np.zeros(len(self.coef))
+        return spread.ravel() @ columns.reshape(spread.size, -1) / size
 
     def joint_covariance(
         self, angles: np.ndarray, with_noise: bool = False, with_unseen: bool = True
@@ -381,16 +444,35 @@ class LinearModel:
         return np.array([*zip(family, self.layout.names, *values, strict=True)], dtype=dtype)
 
 
-def _poses_in_range(arm, X):
-    """Rows each number of which is anywhere in the range that it has in X.
+def ranges_of(arm, X):
+    """Least and largest value of rows: of the joints' own angles, then of each other column."""
+    own = np.column_stack([own_angles(arm, X[:, : arm.n_joints]), X[:, arm.n_joints :]])
+    return np.array([own.min(axis=0), own.max(axis=0)])
 
-    In that of the joints' own angles, where they are not those that are given.
-    """
+
+def _poses_in(arm, ranges):
+    """Rows each number of which is anywhere in its range."""
     n, rng = arm.n_joints, np.random.default_rng(0)
     turns = own_angles(arm, np.eye(n))
-    X = np.column_stack([X[:, :n] @ turns, X[:, n:]])
-    tried = rng.uniform(X.min(axis=0), X.max(axis=0), (_TRIED, X.shape[1]))
+    tried = rng.uniform(*ranges, (_TRIED, ranges.shape[1]))
     return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
+
+
+def _as_now(values, layout):
+    """The fields of a file that was written when `seen` was not among them, as they are today.
+
+    It does not say in which ranges the model was learnt: all turns count.
+    """
+    half, shown, fading = (values.pop(name) for name in _BEFORE)
+    arm, extra = layout.arm, layout.terms.extra
+    of_place, seen = place_fields(layout), NOTHING_SEEN
+    if not np.array_equal(half, shown):
+        seen = np.linalg.lstsq(of_place, half - shown, rcond=None)[0]
+        half = shown + of_place @ seen
+    usual = [reference[0] for _, reference in extra]
+    ranges = np.array([[turn] * arm.n_joints + usual for turn in (-np.pi, np.pi)])
+    informed = None if np.array_equal(fading, shown) else fading
+    return values | {"half": half, "seen": seen, "ranges": ranges, "informed_half": informed}
 
 
 def _triangle(half, n_pairs):
@@ -416,6 +498,11 @@ def place_fields(columns):
     return np.pad(own, ((columns.n_waves, len(columns.others) - len(own)), (0, 0)))
 
 
+def field_sizes(columns):
+    """How far a unit of each field of `place_fields` moves the same poses of an arm, (k,)."""
+    return _fields_of_causes(columns.alone)[2]
+
+
 def _fields(points, up):
     """Three shifts, three turns, a scale, a stretch across z, and the base bent about its axes.
 
@@ -430,7 +517,7 @@ def _fields(points, up):
     fields += [(turn @ up)[:, None] * turn for turn in fields[3:6]]
     flat = np.stack(fields, axis=2).reshape(3 * len(points), -1)
     size = np.linalg.norm(flat, axis=0)
-    return flat[:, size > 0] / size[size > 0]
+    return flat[:, size > 0] / size[size > 0], size[size > 0]
 
 
 @lru_cache(maxsize=64)
@@ -462,10 +549,24 @@ def _fields_of_causes(columns):
     """The same for the columns that are neither harmonics nor extra; which fields they make."""
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
-    of_place = _fields(columns.points(angles), columns.up)
+    of_place, amount = _fields(columns.points(angles), columns.up)
     own = columns.at(angles).reshape(len(of_place), -1)
     size = np.linalg.norm(own, axis=0)
     size = np.where(size > _NOTHING * size.max(initial=0.0), size, np.inf)
     coef = np.linalg.lstsq(own / size, of_place, rcond=1e-10)[0]
     left = np.linalg.norm(of_place - own / size @ coef, axis=0)
-    return (coef / size[:, None])[:, left < _LEFT], left < _LEFT
+    coef = (coef / size[:, None])[:, left < _LEFT]
+    if columns.terms.kinematics:
+        # The scale of the table alone, about the point that it leaves where it is: other
+        # coefficients that do the same at this probe do not at others.
+        i = np.count_nonzero(left[:6] < _LEFT)
+        scale = columns.scale - coef[:, :3] @ (shoulder(columns.arm) * np.sqrt(len(angles)))
+        coef[:, i] = scale / np.linalg.norm(own @ scale)
+    return coef, left < _LEFT, amount[left < _LEFT]
+
+
+def shoulder(arm):
+    """The point of the first axis that the scale of the links leaves where it is, (3,), mm."""
+    if arm.convention == "standard":
+        return np.array([0.0, 0.0, arm.d[0]])
+    return arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, 3]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.error_model._columns import TEMPERATURE, columns_of
-from sklearn_raacmm.error_model._linear_model import unseen_of_table
+from sklearn_raacmm.error_model._linear_model import field_sizes, place_fields, unseen_of_table
 
 # Fields of the table, none of which a probe changes, and by how much rounding may.
 _TABLE = ("a", "alpha", "d", "theta_offset", "joint_signs")
@@ -54,9 +54,14 @@ def moved_model(linear, arm):
     temperature is in proportion to each length.
     """
     check_same_table(linear.arm, arm)
+    if np.any(arm.up != linear.arm.up):
+        # The probe first: what it does not show is of the earlier mounting.
+        linear = moved_model(linear, arm.replace(up=linear.arm.up))
+        # What the data have found of the vertical was of that, too.
+        layout = columns_of(arm, linear.terms._replace(up=()))
+        moved = replace(linear, layout=layout, informed_half=None)
+        return moved.with_seen() if len(moved.seen) else moved
     terms = linear.terms
-    if np.any(arm.up != linear.arm.up):  # what the data found was of the earlier mounting
-        terms = terms._replace(up=())
     layout = columns_of(arm, terms)
     n_waves, others = layout.n_waves, layout.others
     old = {c.name: (i, c) for i, c in enumerate(linear.layout.others)}
@@ -80,12 +85,26 @@ def moved_model(linear, arm):
     # table by the old probe is a part of the new vector.
     unseen, start = unseen_of_table(linear.layout.alone), linear.layout.n_waves
     roots = {}
-    for name in ("half", "gauge_free_half", "fading_half"):
-        root = getattr(linear, name).copy()
-        of_table = root[start : start + len(unseen)]
-        of_table -= unseen @ (unseen.T @ of_table)
-        roots[name] = np.hstack([matrix @ root, unknown])
-    return replace(linear, layout=layout, prior_sd=prior_sd, coef=matrix @ linear.coef, **roots)
+    for name in ("gauge_free_half", "informed_half"):
+        if (root := getattr(linear, name)) is not None:
+            root = root.copy()
+            of_table = root[start : start + len(unseen)]
+            of_table -= unseen @ (unseen.T @ of_table)
+            roots[name] = np.hstack([matrix @ root, unknown])
+    # What a place hides is there for both probes: fields of the same size.
+    ratio = field_sizes(layout) / field_sizes(linear.layout) if len(linear.seen) else np.ones(0)
+    seen = np.pad(ratio[:, None] * linear.seen, ((0, 0), (0, len(fresh))))
+    half = roots.pop("gauge_free_half")
+    return replace(
+        linear,
+        layout=layout,
+        prior_sd=prior_sd,
+        coef=matrix @ linear.coef,
+        half=half + place_fields(layout) @ seen if len(seen) else half,
+        seen=seen,
+        ranges=linear.ranges[:, : arm.n_joints + len(terms.extra)],
+        **roots,
+    )
 
 
 def turns_of(linear: Any, rows: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from sklearn_raacmm.measurements._features import (
     without_unknowns,
 )
 from sklearn_raacmm.measurements._lengths import check_length
+from sklearn_raacmm.measurements._measurements import Measurements, given_causes, taken_apart
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     angle_faults,
@@ -48,6 +49,7 @@ __all__ = [
     "UNITS",
     "Form",
     "Linearised",
+    "Measurements",
     "angle_faults",
     "base_motions",
     "best_split",
@@ -59,6 +61,7 @@ __all__ = [
     "explanations",
     "find_dwells",
     "find_poses",
+    "given_causes",
     "known_length",
     "likeliest",
     "linearise",
@@ -68,6 +71,7 @@ __all__ = [
     "of_own_points",
     "order_explained_by",
     "probe_offsets",
+    "taken_apart",
     "touch_findings",
     "touch_weights",
     "with_forms",

@@ -172,7 +172,8 @@ def with_forms(
         whole.residual[own], whole.directions[own] = part.residual[used], part.directions[used]
         whole.unknowns[own, :, : part.unknowns.shape[-1]] = part.unknowns[used]
         for i, code in enumerate(members):
-            forms[code] = Form(*(None if value is None else value[i] for value in form))
+            each: Any = (None if value is None else value[i] for value in form)
+            forms[code] = Form(*each)
     return whole, forms
 
 

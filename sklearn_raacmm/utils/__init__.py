@@ -31,12 +31,10 @@ from sklearn_raacmm.utils._estimators import (
     warn_user,
 )
 from sklearn_raacmm.utils._files import check_places, check_unpacked, digest_of, write_whole
-from sklearn_raacmm.utils._findings import (  # for type checkers of those who import them from here
-    Finding as Finding,
-)
-from sklearn_raacmm.utils._findings import FindingError as FindingError
-from sklearn_raacmm.utils._findings import FindingWarning as FindingWarning
 from sklearn_raacmm.utils._findings import (
+    Finding as Finding,  # "as" for type checkers of those who import it from here
+    FindingError as FindingError,
+    FindingWarning as FindingWarning,
     call_collecting,
     collected_findings,
     ignored_findings,

@@ -19,8 +19,7 @@ def angles_at(times):
 def write_log(folder, kind, lag=0.0, more=()):
     """A log of 2 s: joints every 20 ms in another order, a tracker's points every 150 ms."""
     from rosbags.rosbag1 import Writer
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as FolderWriter
+    from rosbags.rosbag2 import StoragePlugin, Writer as FolderWriter
     from rosbags.typesys import Stores, get_typestore
 
     path = folder / ("log.bag" if kind == "bag" else "log")

@@ -251,6 +251,26 @@ KINDS = {
     "python, a dict a line": {"text": "".join(
         f"{dict(zip(['place', *Q], [lab, *row], strict=True))}\n"
         for lab, row in zip(LABELS, DEG.tolist(), strict=True))},
+    "html": {"text": pd.DataFrame(DEG, LABELS, Q).rename_axis("place").reset_index().to_html()},
+    "xml, attributes": {"text": "<?xml version='1.0'?>\n<log>\n" + "".join(
+        f'<pose place="{lab}" ' + " ".join(f'j{j}="{v}"' for j, v in enumerate(row, 1)) + "/>\n"
+        for lab, row in zip(LABELS, DEG, strict=True)) + "</log>\n"},
+    "xml, elements": {"text": "<log>\n" + "".join(
+        f"<pose><place>{lab}</place>" + "".join(f"<q{j}>{v}</q{j}>" for j, v in enumerate(row, 1))
+        + "</pose>\n" for lab, row in zip(LABELS, DEG, strict=True)) + "</log>\n"},
+    "xml, a pose and joints": {"text": "<log>" + "".join(
+        f'<p place="{lab}"><tcp x="1.5" y="2" z="3" a="4" b="5" c="6"/><q '
+        + " ".join(f'j{j}="{v}"' for j, v in enumerate(row, 1)) + "/></p>"
+        for lab, row in zip(LABELS, DEG, strict=True)) + "</log>"},
+    # trajectory_msgs: the names of the joints stand once.
+    "json, names once": with_points(json.dumps(
+        {"joint_names": ALPHABETICAL, "points": [{"positions": q} for q in RAD[:, ORDER].tolist()]}
+    )),
+    "yaml, names in each record": with_points("".join(
+        f"- names: [{', '.join(ALPHABETICAL)}]\n  positions: [{', '.join(map(str, q))}]\n"
+        for q in RAD[:, ORDER])),
+    "angles and currents": {"text": as_table([*(f"i{i}" for i in range(1, 7)), *Q],
+                                             np.hstack([1000 * DEG, DEG]))},
     "exponents of fortran": with_points("".join(
         " ".join(f"{v:.9E}".replace("E", "D") for v in row) + "\n" for row in DEG)),
     "ls, names of places": {"text": of_places(PROGRAM["fanuc ls"])},
@@ -312,6 +332,11 @@ def test_poses_of_the_tool_are_no_joint_angles(kind, tmp_path):
 
 
 def test_numbers_beyond_two_turns_are_no_angles(tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text(joined([[f"p{i}" for i in range(1, 7)], *np.c_[POINTS, DEG[:, 3:]]]))
+    with pytest.raises(TableError, match="reach 3000, more than two turns in degrees"):
+        read_table(path, 6, labelled=False)
+    assert read_table(path, 6, labelled=False, angle_unit="deg").angles.max() > 3000
     np.savetxt(tmp_path / "log.txt", np.c_[POINTS, DEG[:, 3:]])
     with pytest.raises(TableError, match="reach 3000, more than two turns"):
         read_table(tmp_path / "log.txt", 6, points=write_points(tmp_path / "points.txt"))
@@ -464,6 +489,8 @@ POINT_FILES = {
     "pairs under names": ("".join(
         f"p{i}\nCnt=1  X= {x} Y= {y} Z= {z} RotX= 1.5\n"
         for i, (x, y, z) in enumerate(POINTS)), None),
+    "nominal, too": ("PtID,Nominal X,Nominal Y,Nominal Z,Actual X,Actual Y,Actual Z\n" + joined(
+        [f"p{i}", *(point + 1), *point] for i, point in enumerate(POINTS)), None),
     "motive": ("Format Version,1.23,Length Units,Meters\n\n,,Marker,Marker,Marker\n,,1,1,1\n"
         "Frame,Time (Seconds),X,Y,Z\n" + joined(
         [i, i / 120, *point] for i, point in enumerate(POINTS / 1000)), None),
@@ -532,7 +559,7 @@ def test_the_axis_that_moves_the_base_is_found(tmp_path, capsys):
     words = ["--arm", "irb120", "--points", "X,Y,Z", "--out", str(tmp_path / "out")]
     assert main(["learn", str(tmp_path / "log.csv"), *words]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert re.search(r"E1 times \(0\.(6|59999)\d*, 0\.(8|79999)\d*, \S+\) mm taken off", said)
+    assert re.search(r"base by \(0\.(6|59999)\d*, 0\.(8|79999)\d*, \S+\) mm a unit", said)
     assert not (tmp_path / "out").exists()
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, calibrate, lengths_of_places
 from sklearn_raacmm.calibration._fit import Fit
-from sklearn_raacmm.calibration._problem import Problem
+from sklearn_raacmm.measurements import Measurements
 from sklearn_raacmm.utils import FindingWarning
 
 
@@ -78,12 +78,14 @@ def test_fit_jacobian_against_differences(kind):
     rng, n = np.random.default_rng(0), arm.n_joints
     angles = rng.uniform(-1, 1, (12, n))
     if kind == "single-point":
-        problem = Problem(rng.permutation(np.repeat([0, 1, 2], 4)), None, [(0, 2, 300.0, 2.0)])
+        groups = rng.permutation(np.repeat([0, 1, 2], 4))
+        problem = Measurements.of(angles, groups, lengths=[(0, 2, 300.0, 2.0)])
     else:
         labels = np.arange(12) % 2 if kind == "tools and stations" else None
         stations = None if labels is None else labels[::-1].copy()
-        problem = Problem(None, rng.normal(0, 500, (12, 3)), [], None, labels, stations)
-    fit = Fit(arm, angles, problem, "squared")
+        points = rng.normal(0, 500, (12, 3))
+        problem = Measurements.of(angles, points=points, tools=labels, stations=stations)
+    fit = Fit(arm, problem, "squared")
     fit.prior_sd = np.repeat([2.0, 0.02, 2.0, 0.02, 10.0], [n, n, n, n, 3 * problem.n_tools])
     fit.sigma, fit.weights = 3.0, rng.uniform(0.5, 1, 12)
     x = fit.x + 1e-3 * rng.normal(size=len(fit.x))

@@ -1,13 +1,23 @@
 """Standard deviations of coordinates and distances against draws, geometry, and simulated arms."""
 
+from copy import copy
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
+from sklearn_raacmm import (
+    Arm,
+    ArmResidualRegressor,
+    Correction,
+    learn_correction,
+    position_residuals,
+)
+from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._correction import _shoulder
-from sklearn_raacmm.datasets import make_gauge, make_single_point
+from sklearn_raacmm.datasets import SimulatedArm, make_gauge, make_single_point
+from sklearn_raacmm.utils import centred
 
 
 @pytest.mark.parametrize("name", ["aacmm6", "ur10", "panda"])
@@ -56,9 +66,10 @@ def test_three_deviations_have_three_names(learned):
     same, within = correction.correct(angles, std_of="position")
     np.testing.assert_array_equal(points, same)
     assert np.all(of_coordinate >= within)
-    # Calibration and model have the scale from the same lengths: together that of calibration.
+    # Calibration and model have the scale from the same lengths: the model holds all of it.
     own, whole = correction.model.linear_model_.scale_sd, correction.calibration.scale_sd
-    assert 0 < own < whole == pytest.approx(np.hypot(own, correction.scale_sd))
+    assert own == pytest.approx(whole)
+    assert correction.scale_sd < 1e-6 * whole
     lengths, std = correction.distances(angles[:10], angles[10:])
     line = points[10:] - points[:10]
     np.testing.assert_allclose(lengths, np.linalg.norm(line, axis=1))
@@ -76,6 +87,29 @@ def test_three_deviations_have_three_names(learned):
         correction.correct(angles, std_of="length")
     with pytest.raises(ValueError, match="There are 10 angles, but 9 others"):
         correction.distances(angles[:10], angles[:9])
+
+
+def test_draws_hold_the_scale_of_the_arm():
+    """Lengths of drawn points scatter as is said of distances, by the table's scale above all."""
+    test = make_single_point(6, 12, random_state=0)
+    correction = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
+    first, second = test.data[:12], test.data[-12:]
+    points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
+    drawn = np.linalg.norm(points[12:] - points[:12], axis=1)
+    lengths, std = correction.distances(first, second)
+    np.testing.assert_allclose(drawn.mean(axis=1), lengths, atol=0.1 * std.max())
+    noise = correction.model.linear_model_.distance_std(first, second)
+    np.testing.assert_allclose(drawn.std(axis=1), noise, rtol=0.06)
+    assert np.all(drawn.std(axis=1) > 0.8 * correction.calibration.scale_sd * lengths)
+    # One scale for all poses of a draw: long lengths are long together.
+    assert np.corrcoef(drawn[np.argsort(lengths)[-2:]])[0, 1] > 0.8
+    # Of a table whose model holds no lengths the scale is drawn beside it.
+    plain = ArmResidualRegressor(orders=2, causes=[])
+    with pytest.warns(UserWarning, match="nothing holds the distances"):
+        correction = learn_correction(test.nominal_arm, test.data, test.groups, model=plain, cv=3)
+    points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
+    drawn = np.linalg.norm(points[12:] - points[:12], axis=1).std(axis=1)
+    assert np.all(drawn > 0.9 * correction.calibration.scale_sd * lengths)
 
 
 @pytest.mark.exhaustive
@@ -140,3 +174,50 @@ def test_errors_at_other_places_are_as_large_as_is_said(learned):
         of_distances.append((found - np.linalg.norm(true[i] - true[j], axis=1)) / std)
     assert 0.6 < np.sqrt(np.mean(np.square(of_distances))) < 1.6
     assert 0.4 < np.sqrt(np.mean(np.square(of_coordinates))) < 1.4
+
+
+def test_an_update_keeps_the_probe_that_was_registered():
+    """A joint that was knocked is no other stylus; one that is longer by 100 mm is."""
+    machine = SimulatedArm("typical", random_state=0)
+    test = make_single_point(9, 15, machine=machine, random_state=0)
+    learnt, new = test.groups < 6, test.groups >= 6
+    correction = learn_correction(test.nominal_arm, test.data[learnt], test.groups[learnt], cv=3)
+    knocked = test.data[new] + np.deg2rad([0, 0, 0, 0.02, 0, 0])
+    updated = correction.update(knocked, test.groups[new])
+    assert updated.arm == correction.arm
+    assert updated.model.updates_[-1]["tau"].keys() == {"offset of joint 4"}
+    points, bare = updated.correct(knocked)[0], correction.correct(knocked)[0]
+    left, before = (
+        np.linalg.norm(position_residuals(some, test.groups[new])) for some in (points, bare)
+    )
+    assert left < 0.5 * before
+    other = copy(machine)
+    for name in ("nominal_arm", "true_arm"):
+        arm = getattr(machine, name)
+        setattr(other, name, arm.replace(probe=arm.probe + np.array([0, 0, 100])))
+    test = make_single_point(3, 12, machine=other, random_state=1)
+    updated = correction.update(test.data, test.groups)
+    assert updated.arm.probe[2] - correction.arm.probe[2] == pytest.approx(100, abs=1)
+
+
+def test_doubts_are_named_by_their_causes():
+    """A probe that is not known by 1 mm is most of what is not known of points."""
+    names = ["probe_x", "probe_y", "probe_z"]
+    test = make_single_point(4, 10, random_state=0)
+    fit = ArmResidualRegressor(test.arm, orders=2).fit(test.data, test.target, groups=test.groups)
+    linear = fit.linear_model_
+    wide = np.zeros((len(linear.coef), 3))
+    for k, name in enumerate(names):
+        column = linear.layout.others[linear.layout.names.index(name)]
+        wide[linear.layout.n_waves + linear.layout.names.index(name), k] = 1 / column.unit
+    linear = replace(
+        linear, half=np.hstack([linear.half, wide]), seen=np.pad(linear.seen, ((0, 0), (0, 3)))
+    )
+    shares = doubts_of(linear, test.data, test.groups)
+    assert next(iter(shares)) == "probe"
+    assert sum(shares.values()) == pytest.approx(1)
+    assert shares["probe"] > 0.9
+    whole = np.square(centred(linear.columns(test.data) @ linear.gauge_free_half, test.groups))
+    alone = linear.columns(test.data) @ np.where(wide.any(axis=1)[:, None], wide, 0)
+    expected = np.square(centred(alone, test.groups)).sum() / whole.sum()
+    assert shares["probe"] == pytest.approx(expected, rel=0.05)

@@ -19,6 +19,7 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     CylindricalResidualTarget,
+    Measurements,
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
@@ -291,11 +292,11 @@ def test_names_of_single_poses_are_judged_as_without_names():
         assert said.startswith("Judged at 15 regions of neighbouring points: the")
         assert why in said
     # Two poses of a name are a position; blocks hold names of single poses.
-    data = (arm, X, np.repeat(names[:30], 2), tracker, (), "rad", None, (), None, None, None)
-    assert len(np.unique(Data(*data).positions)) == 30
+    two = Measurements.of(X, np.repeat(names[:30], 2), points=tracker)
+    assert len(np.unique(Data(arm, two).positions)) == 30
     blocks = np.repeat(["left", "right", "top"], 20)
-    data = (arm, X, names, tracker, (), "rad", None, (), None, blocks, None)
-    assert_array_equal(Data(*data).positions, blocks)
+    single = Measurements.of(X, names, points=tracker)
+    assert_array_equal(Data(arm, single, blocks=blocks).positions, blocks)
 
 
 def test_places_without_labels_are_left_out_as_a_whole():
@@ -304,7 +305,7 @@ def test_places_without_labels_are_left_out_as_a_whole():
     nest = rng.permutation(np.repeat(np.arange(12), 6))
     X = rng.uniform(-2, 2, (72, 6))
     points = rng.uniform(-800, 800, (12, 3))[nest] + rng.normal(0, 0.1, (72, 3))
-    data = Data(arm, X, None, points, (), "rad", None, (), None, None, None)
+    data = Data(arm, Measurements.of(X, points=points))
     pairs = np.unique(np.column_stack([nest, data.places]), axis=0)
     assert len(pairs) == len(np.unique(data.places)) == 12
     for train, test in folds_of(data, np.arange(0), None):

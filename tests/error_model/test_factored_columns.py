@@ -27,7 +27,9 @@ def some_model(n_orders, rng, triangle=True, extra=()):
     coef = rng.normal(size=n)
     gains = np.zeros(len(pairs))
     none, layout = np.zeros(ARM.n_joints), columns_of(ARM, terms)
-    return LinearModel(layout, coef, half, none, 1.0, none, {}, False, 0.0, gains, half, half)
+    # Positions without offsets hide nothing.
+    seen, ranges = np.zeros((0, n)), np.array([[-3.0] * 6, [3.0] * 6])
+    return LinearModel(layout, coef, half, none, 1.0, none, {}, False, 0.0, gains, seen, ranges)
 
 
 @pytest.mark.parametrize("n_orders", [0, 3, 30])  # few and many: two ways of computing
@@ -53,7 +55,9 @@ def test_standard_deviations_need_no_full_root(n_orders):
     expected = np.sqrt(np.square(model.columns(X) @ model.half).sum(axis=2))
     assert_allclose(model.predict(X, return_std=True)[1], expected, rtol=1e-11)
     assert np.count_nonzero(model._std_root) < 0.6 * model.half.size
-    other = replace(model, gauge_free_half=2 * model.half)  # what was kept belongs to one model
+    other = replace(
+        model, half=2 * model.half, informed_half=model.half
+    )  # what was kept belongs to one model
     _, std, doubt = other.predict_with_doubt(X, return_std=True)
     assert_allclose(std, 2 * expected, rtol=1e-11)
     assert_allclose(doubt, np.linalg.norm(expected, axis=1), rtol=1e-11)  # by a root of its own

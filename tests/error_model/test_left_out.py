@@ -6,8 +6,7 @@ Intervals against errors that were drawn, and SciPy's own fit.
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import norm as normal
-from scipy.stats import t as student
+from scipy.stats import norm as normal, t as student
 
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 from sklearn.base import clone
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, plan_poses, position_residuals
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, plan_poses, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.error_model import _fit
 from sklearn_raacmm.error_model._columns import LOAD, Terms, columns_of
@@ -115,6 +115,43 @@ def test_a_model_moves_to_another_mount():
     moved = model.with_arm(upright.true_arm).linear_model_
     left = moved.predict(angles)[0] - sagged(upright, angles)
     assert np.linalg.norm(left) < 0.01 * np.linalg.norm(sagged(upright, angles))
+
+
+def test_a_test_upright_corrects_the_same_arm_on_a_ceiling():
+    """What cones hid upright is no doubt there: nearly all of the correction is used."""
+    machine, hanging = (SimulatedArm("gravity", random_state=0, up=(0, 0, up)) for up in (1, -1))
+    test = make_single_point(8, 15, machine=machine, random_state=0)
+    found = calibrate(test.nominal_arm, test.data, test.groups)
+    y = found.residuals(test.data, groups=test.groups)
+    model = ArmResidualRegressor(found.arm, orders=2).fit(test.data, y, groups=test.groups)
+    moved = model.with_arm(found.arm.replace(up=(0, 0, -1)))
+    other = make_single_point(4, 15, machine=hanging, random_state=1)
+    points = found.arm.forward(other.data)
+    unfaded, used = moved.linear_model_.predict(other.data)[0], moved.predict(other.data)
+    bare, best, left = (
+        np.linalg.norm(position_residuals(points - shift, other.groups))
+        for shift in (0, unfaded, used)
+    )
+    assert best < 0.3 * bare
+    assert left < 1.3 * best
+
+
+def test_another_probe_hides_the_same_fields():
+    """As much of the scale and of motions of the base, whichever probe is there, is not shown."""
+    test = make_single_point(6, 12, random_state=0)
+    model = ArmResidualRegressor(test.arm, orders=2)
+    linear = model.fit(test.data, test.target, groups=test.groups).linear_model_
+    moved = model.with_arm(test.arm.replace(probe=(0, 0, 250)))
+    longer = moved.linear_model_
+    assert longer.scale_sd == pytest.approx(linear.scale_sd, rel=0.05)
+    one, other = (np.sqrt(m.unseen_variance(test.data).mean()) for m in (linear, longer))
+    assert 0.8 * one < other < 1.5 * one
+    again = moved.with_arm(test.arm).linear_model_
+    for kept in ("half", "gauge_free_half"):
+        before, after = (
+            np.square(m.columns(test.data) @ getattr(m, kept)) for m in (linear, again)
+        )
+        assert_allclose(after.sum(axis=2), before.sum(axis=2), rtol=0.02)
 
 
 def test_what_the_data_found_belongs_to_one_mount(on_a_wall):

@@ -1,0 +1,290 @@
+"""What was measured with an arm: one record, checked once, for every function that takes it."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.measurements._dwells import Dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._features import KINDS, check_features, probe_offsets
+from sklearn_raacmm.measurements._lengths import check_length
+from sklearn_raacmm.utils import encode_groups, floats, listed
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Joint angles, and what each row says of the probe, checked once.
+
+    Made by :meth:`of`. Functions such as :func:`calibrate` and :func:`learn_correction` take it in
+    place of the angles and of all that is measured with them.
+
+    Attributes
+    ----------
+    angles : ndarray of shape (n, n_joints)
+        In rad, one row for each pose: of rows in which the arm stood still the mean.
+    index, labels : ndarray of shape (n,) and (n_groups,), or None
+        Number of what was touched in each row, and what the numbers are called.
+    points : ndarray of shape (n, 3) or None
+        Positions measured by a tracker, mm.
+    lengths : list of (int, int, float, float)
+        Known lengths by the numbers of their ends, mm at their temperature, and their standard
+        deviations; of a feature and itself, its size.
+    offsets : list of ndarray
+        Of each length, by how many mm it may be longer for the centre of the probe's own ball.
+    features : list of (str, None) or None
+        Kind of what each number of `index` is; None: fixed points.
+    tools, tool_labels, stations, station_labels : ndarray of shape (n,) or None, and tuple
+        Numbers of the tool and of the set-up of each row, and what they are called.
+    extra : dict of str to ndarray of shape (n,)
+        Causes that were written down.
+    poses : Dwells
+        Which of the given rows are which row.
+    stated : tuple
+        `features` as given.
+
+    Examples
+    --------
+    >>> from sklearn_raacmm import Measurements, calibrate
+    >>> from sklearn_raacmm.datasets import make_single_point
+    >>> test = make_single_point(n_positions=4, n_poses=20)  # simulated
+    >>> measured = Measurements.of(test.data, test.groups)
+    >>> measured
+    Measurements(80 rows of 6 joints, 4 groups)
+    >>> calibrate(test.nominal_arm, measured).scatter_after_mm < 0.05
+    True
+    """
+
+    angles: np.ndarray
+    index: Any = None
+    points: np.ndarray | None = None
+    lengths: list = field(default_factory=list)
+    tools: Any = None
+    stations: Any = None
+    labels: Any = None
+    tool_labels: tuple = ()
+    station_labels: tuple = ()
+    features: Any = None
+    offsets: Any = None
+    extra: dict = field(default_factory=dict)
+    poses: Any = None
+    stated: tuple = ()
+    # What follows from these, of use to a calibration.
+    n_tools: int = field(init=False)
+    n_stations: int = field(init=False)
+    n_shown: Any = field(init=False)  # coordinates that a row shows, one for all or (n,)
+    informative: Any = field(init=False)  # (n,) whether a row can scatter
+    n_informative: int = field(init=False)
+    n_coordinates: int = field(init=False)  # less those that the unknowns of what was touched take
+
+    @classmethod
+    def of(
+        cls,
+        angles: ArrayLike,
+        groups: ArrayLike | None = None,
+        *,
+        points: ArrayLike | None = None,
+        lengths: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[Any]] = (),
+        tip_diameter: float = 0.0,
+        tools: ArrayLike | None = None,
+        stations: ArrayLike | None = None,
+        extra: dict[str, Any] | None = None,
+        angle_unit: str = "rad",
+        n_joints: int | None = None,
+    ) -> "Measurements":
+        """Check what was measured, and take rows in which the arm stood still as one.
+
+        Parameters
+        ----------
+        angles, groups, points, lengths, features, tip_diameter, tools, stations, angle_unit
+            As in :func:`calibrate`.
+        extra : dict of str to array-like of shape (n_samples,), default=None
+            As in :func:`learn_correction`.
+        n_joints : int, default=None
+            Joints of the arm, where a sentence shall say that their number is wrong.
+
+        Returns
+        -------
+        Measurements
+
+        Raises
+        ------
+        ValueError
+            If shapes, labels or numbers do not fit together.
+
+        Warns
+        -----
+        FindingWarning
+            If angles look as if they were in another unit.
+        """
+        n_joints = np.shape(angles)[-1] if n_joints is None and np.ndim(angles) else n_joints
+        # Within one turn, lest a warning of far angles be repeated by everything that follows.
+        angles = within_turn(check_angles(angles, n_joints or 0, angle_unit))
+        n = len(angles)
+        found: dict[str, Any] = {}
+        if points is not None:
+            points = floats("points", points, 3)
+            if len(points) != n:
+                raise ValueError(f"points must have shape ({n}, 3), got {points.shape}.")
+            if features:
+                raise ValueError("features are groups of touches; measured points have none.")
+        elif stations is not None:
+            raise ValueError(
+                "stations are of measured points. In a test without a tracker, a fixed point that "
+                "is measured from another place is another group: give it a label of its own."
+            )
+        for name, given in (("tool", tools), ("station", stations)):
+            if given is not None:
+                names, found[f"{name}s"] = encode_groups(given, n, f"{name}s")
+                found[f"{name}_labels"] = tuple(names.tolist())
+        lengths, features = listed("lengths", lengths), listed("features", features)
+        if groups is not None:
+            found["labels"], found["index"] = encode_groups(groups, n)
+            named = found["labels"].tolist()
+            found["lengths"] = [check_length(entry, named) for entry in lengths]
+            if features:
+                found |= _touched(features, named, found["lengths"], tip_diameter)
+        elif lengths or features:
+            raise ValueError("lengths and features are of groups: give groups, labels of rows.")
+        whole = cls(angles, points=points, **found, extra=given_causes(extra, n))
+        parts = (whole.index, whole.tools, whole.stations)
+        columns = [np.zeros(n), *(part for part in parts if part is not None)]
+        codes = np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
+        return whole._of_poses(find_poses(angles, codes, points))
+
+    @classmethod
+    def taken(cls, angles: Any, groups: Any = None, **given: Any) -> "Measurements":
+        """What a function was given: measurements, or all that :meth:`of` makes them of."""
+        if not isinstance(angles, cls):
+            return cls.of(angles, groups, **given)
+        doubled = [n for n in _PARTS if (v := given.get(n)) is not None and np.shape(v) != (0,)]
+        doubled += ["tip_diameter"] * bool(given.get("tip_diameter"))
+        if groups is not None or doubled:
+            raise ValueError(
+                f"{(['groups'] if groups is not None else doubled)[0]} are in the measurements "
+                "already: give them to Measurements.of."
+            )
+        return angles
+
+    def _of_poses(self, poses):
+        """One row for each pose."""
+        values = {name: poses.mean(getattr(self, name)) for name in _ROWS}
+        extra = {name: column[poses.first] for name, column in self.extra.items()}
+        angles = poses.mean_angles(self.angles)
+        return replace(self, angles=angles, extra=extra, poses=poses, **values)
+
+    def without_lengths(self, out: Any) -> "Measurements":
+        """The same without the lengths that are `out`, (n_lengths,) of bool."""
+        kept = [k for k, is_out in enumerate(out) if not is_out]
+        lengths, offsets = ([of[k] for k in kept] for of in (self.lengths, self.offsets))
+        return replace(self, lengths=lengths, offsets=offsets)
+
+    def at(self, rows: Any) -> "Measurements":
+        """Some of the rows, and the lengths whose ends are both among them."""
+        some: dict[str, Any] = {
+            name: None if (v := getattr(self, name)) is None else v[rows] for name in _ROWS
+        }
+        angles = self.angles[rows]
+        extra = {name: column[rows] for name, column in self.extra.items()}
+        for name in ("tool", "station"):
+            if some[f"{name}s"] is not None:
+                kept, some[f"{name}s"] = np.unique(some[f"{name}s"], return_inverse=True)
+                some[f"{name}_labels"] = tuple(getattr(self, f"{name}_labels")[i] for i in kept)
+        if self.index is not None:
+            kept, some["index"] = np.unique(some["index"], return_inverse=True)
+            number = {code: i for i, code in enumerate(kept.tolist())}
+            own = [k for k, (i, j, *_) in enumerate(self.lengths) if i in number and j in number]
+            some["lengths"] = [
+                (number[i], number[j], *of) for i, j, *of in (self.lengths[k] for k in own)
+            ]
+            some["offsets"] = self.offsets and [self.offsets[k] for k in own]
+            some["features"] = self.features and [self.features[code] for code in kept]
+            some["labels"] = self.labels[kept]
+            named = set(some["labels"].tolist())
+            some["stated"] = tuple(one for one in self.stated if one[0] in named)
+        every = np.arange(len(angles))
+        return replace(self, angles=angles, extra=extra, poses=Dwells(every, every), **some)
+
+    def __post_init__(self) -> None:
+        n, n_unknown = len(self.angles), 0
+        found: dict[str, Any] = {}
+        found["n_tools"] = 1 if self.tools is None else int(self.tools.max()) + 1
+        found["n_stations"] = 0
+        found["n_shown"] = 3
+        if self.points is not None:
+            found["n_stations"] = 1 if self.stations is None else int(self.stations.max()) + 1
+        used = np.ones(n, dtype=bool)
+        if self.points is None and self.index is not None:
+            count = np.bincount(self.index)
+            kinds = [KINDS[kind] for kind, _ in self.features or [("cone", None)] * len(count)]
+            shown, unknown = np.array([(of.n_shown, of.n_unknowns) for of in kinds]).T
+            # One point is its own mean: its zero residual must not pass for precision.
+            known = count * shown > unknown
+            used, n_unknown = known[self.index], int(unknown[known].sum())
+            if self.features:
+                found["n_shown"] = shown[self.index]
+        found["informative"] = used
+        found["n_informative"] = int(used.sum())
+        of_rows = np.broadcast_to(found["n_shown"], n)
+        found["n_coordinates"] = int(of_rows[used].sum()) - n_unknown
+        if self.offsets is None:
+            found["offsets"] = [np.zeros(1)] * len(self.lengths)
+        if self.poses is None:
+            found["poses"] = Dwells(np.arange(n), np.arange(n))
+        for name, value in found.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        parts = [f"{len(self.angles)} rows of {self.angles.shape[1]} joints"]
+        if self.points is not None:
+            parts.append("measured points")
+        if self.labels is not None:
+            parts.append(f"{len(self.labels)} groups")
+        return f"Measurements({', '.join(parts)})"
+
+
+_ROWS = ("index", "points", "tools", "stations")
+_PARTS = ("points", "lengths", "features", "tools", "stations", "extra")
+
+
+def _touched(features, named, lengths, tip_diameter):
+    """Kinds of what was touched, lengths and sizes, and by how much these may be longer."""
+    kinds, sizes = check_features(features, named)
+    ends = [[kinds[i][0] for i in entry[:2]] for entry in lengths]
+    offsets = [probe_offsets(pair, tip_diameter) for pair in ends]
+    offsets += [probe_offsets(["sphere"], tip_diameter, entry[4]) for entry in sizes]
+    every = [*lengths, *(entry[:4] for entry in sizes)]
+    return {"features": kinds, "lengths": every, "offsets": offsets, "stated": tuple(features)}
+
+
+def taken_apart(angles: Any, groups: Any, points: Any, lengths: Any, extra: Any = None) -> Any:
+    """Angles in rad, groups, points, lengths, causes and unit, of measurements or as given."""
+    if not isinstance(angles, Measurements):
+        return angles, groups, points, lengths, extra, None
+    given = {"points": points, "lengths": lengths, "extra": extra}
+    one, labels = Measurements.taken(angles, groups, **given), angles.labels
+    if one.features or one.tools is not None or one.stations is not None:
+        raise ValueError("features, tools and stations are for calibrate and learn_correction.")
+    known = [(labels[i].item(), labels[j].item(), *of) for i, j, *of in one.lengths]
+    groups = None if one.index is None else labels[one.index]
+    return one.angles, groups, one.points, known, one.extra, "rad"
+
+
+def given_causes(extra: Any, n_rows: int) -> dict[str, np.ndarray]:
+    """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
+    if extra is not None and not isinstance(extra, Mapping):
+        raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")
+    found = {}
+    for name, value in (extra or {}).items():
+        said = f"extra[{name!r}]"
+        values = floats(said, value, finite=True)
+        if values.shape not in ((), (n_rows,), (n_rows, 1)):
+            raise ValueError(f"{said} must have shape ({n_rows},), got {values.shape}.")
+        found[name] = np.broadcast_to(values.ravel(), n_rows)
+    return found
