@@ -210,6 +210,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         lengths: Iterable[Sequence[Any]] = (),
         probes: ArrayLike | None = None,
         accept: str | Sequence[str] = (),
+        features: Iterable[Sequence[Any]] = (),
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
@@ -237,6 +238,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
         accept : str or list of str, default=()
             Codes of findings, such as "sign-of-residuals", with which the model is fitted all the
             same.
+        features : iterable of (label, kind) or (label, kind, size, standard deviation), default=()
+            What was touched under a label of `groups`, as in :func:`calibrate`: "plane", "sphere"
+            or "cone", which others are. The sizes are those of the sphere on which the centre of
+            the probe was, mm. What touches of a plane or a sphere say is taken from the points of
+            the arm, not from `y`.
 
         Returns
         -------
@@ -258,7 +264,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
             Rows in which the arm stood still are merged to one pose.
         """
-        rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes)
+        rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes, features)
         positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
         dwells, rows = poses_of(rows.at(used), self.extra)
@@ -281,10 +287,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
         left_out = leave_out(fitted, positions) if self._judged else None
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
-        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale)
+        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale, rows.centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
-            judged = *left_out[:2], fading, robust, rows.codes, positions
+            judged = *left_out[:2], fading, robust, rows.codes, positions, None, rows.centre
             fading, self.judgement_ = judge(rows.y, *judged)
             fading = near_and_far(fading, fitted, left_out, positions)
             shares = fading.found(left_out[1])

@@ -12,7 +12,15 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import arm_for, check_angles, points_of
 from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.measurements import check_length, check_targets, find_dwells
+from sklearn_raacmm.measurements import (
+    check_features as check_touched,
+    check_length,
+    check_targets,
+    find_dwells,
+    touch_findings,
+    touch_weights,
+    with_forms,
+)
 from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
     Finding,
@@ -40,13 +48,14 @@ _BEYOND = 0.5
 _MOST_JOINTS = 10**6
 
 
-def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
+def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=()) -> Any:
     """Rows of all that `fit` of an estimator is given, those of weight 0 among them.
 
     And the position of each row, (n,) from 0, given or found; None: each row is one.
     """
     X, y = check_data(estimator, X, y)
     extra, lengths = check_extra(estimator.extra), listed("lengths", lengths)
+    features = listed("features", features)
     arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
     check_extra(extra, arm.n_joints)
     unknown = [name for name in estimator.causes if name not in CAUSES]
@@ -60,7 +69,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         probes = floats("probes", probes, finite=True)
         if probes.shape != (len(X), 3):
             raise ValueError(f"probes must have shape ({len(X)}, 3), in mm, got {probes.shape}.")
-    if groups is None and not lengths:
+    if groups is None and not lengths and not features:
         groups = found_positions(points_of(arm, X[:, : arm.n_joints], probes), y, weights)
     groups = None if groups is False else groups
     labels: Any = None
@@ -69,7 +78,18 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         labels, positions = encode_groups(groups, len(y))
         positions, old = numbered_by_rows(positions, np.argsort(weights == 0, kind="stable"))
         labels = labels[old]
-    codes = positions if _have_offsets(estimator.offsets, y, weights, positions) else None
+    if features:
+        if positions is None or estimator.offsets is False:
+            raise ValueError(
+                "features need groups, the label of the feature of each sample, and offsets that "
+                "are not False."
+            )
+        points = points_of(arm, X[:, : arm.n_joints], probes)
+        y, touched = _touched(features, labels, positions, points, y, weights)
+        codes = positions
+    else:
+        has_offsets = _have_offsets(estimator.offsets, y, weights, positions)
+        codes, touched = positions if has_offsets else None, {}
     # Deviations from anything but the mean keep a constant for each position, and are none the less
     # asked what deviations are asked.
     deviations = codes is not None or (
@@ -78,11 +98,36 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes) -> Any:
         and are_deviations(y, positions, weights)
     )
     angles = X[:, : arm.n_joints]
-    for finding in check_targets(y, weights, arm, angles, positions, deviations, probes):
-        finding.report()
+    held = np.ones(len(y), bool) if not features else touched.pop("held")
+    if held.any():  # touches of a surface are not of one point
+        of = None if positions is None else np.unique(positions[held], return_inverse=True)[1]
+        given = y[held], weights[held], arm, angles[held], of, deviations
+        for finding in check_targets(*given, None if probes is None else probes[held]):
+            finding.report()
     lengths = _check_lengths(lengths, codes, labels, "kinematics" in estimator.causes)
+    lengths += touched.pop("sizes", [])
     X = X if probes is None else np.hstack([X, probes])
-    return Rows(arm, X, y, weights, codes, tuple(lengths)), positions
+    return Rows(arm, X, y, weights, codes, tuple(lengths), **touched), positions
+
+
+def _touched(features, labels, codes, points, y, weights):
+    """Residuals (n, 3), those of touches from the arm's own points, and what `Rows` need of these.
+
+    And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.
+    """
+    kinds, sizes = check_touched(features, labels.tolist())
+    weights = weights * touch_weights(kinds, codes, points)
+    rows, forms = with_forms(kinds, codes, points, weights)
+    held = np.array([kind == "cone" for kind, _ in kinds])
+    for finding in touch_findings(kinds, codes, points, labels.tolist()):
+        finding.report()
+    value, axes = np.linalg.eigh(rows.directions)
+    shown = np.where(value[:, :, None] > 0.5, axes.swapaxes(1, 2), 0.0)
+    y = np.where(held[codes][:, None], y, rows.residual)
+    forms = tuple(None if one else form for one, form in zip(held, forms, strict=True))
+    sizes = [(code, code, size, sd) for code, _, size, sd, _ in sizes]
+    of_rows = {"root": shown, "shown": shown, "unknowns": rows.unknowns, "forms": forms}
+    return y, of_rows | {"held": held[codes], "sizes": sizes}
 
 
 def _check_repeats(weights):
@@ -166,6 +211,10 @@ def poses_of(rows, extra):
         y=dwells.mean(rows.y),
         weights=dwells.mean(rows.weights),
         codes=None if rows.codes is None else rows.codes[dwells.first],
+        **{
+            name: None if (values := getattr(rows, name)) is None else values[dwells.first]
+            for name in ("root", "shown", "unknowns")
+        },
     )
     return dwells, rows
 

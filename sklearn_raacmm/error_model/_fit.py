@@ -234,7 +234,7 @@ def fit_rows(rows, positions, columns, with_field, up=None):
             break
         columns, turned = columns_of(rows.arm, terms._replace(up=found)), turned + 1
         # Along the other vertical gravity was noise, and perhaps constants.
-        rows, known, looked = rows._replace(noise=None, root=None), np.inf, 0
+        rows, known, looked = rows._replace(noise=None, root=rows.shown), np.inf, 0
     if turned:
         shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
         said = (
@@ -347,8 +347,8 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
     factor = np.ones(len(rows.weights))
     if rows.codes is not None:  # one slip of metres would shift all others of its position
         factor = slip_factors(rows.y, rows.codes, rows.weights)
-    sums = rows.weighted(factor).sums(columns)
     state: Any = None
+    sums = rows.weighted(factor).sums(columns)
     levers = columns.levers(rows.X)
     if rows.noise is None:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
@@ -369,7 +369,7 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
         noise = _noise_of(rows.weighted(factor), columns, state)
         weighed = bool(np.abs(factor - start).mean() >= _SETTLED_CHOICE)
         if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
-            rows = rows._replace(noise=noise, root=noise.roots(levers))
+            rows = rows._replace(noise=noise, root=noise.roots(levers, rows.shown))
             sums = rows.weighted(factor).sums(columns)
         elif not weighed:
             break
@@ -392,7 +392,7 @@ def _noise_of(rows, columns, state):
     parts = np.r_[: J.shape[2] + 1]  # the last three are the noise of the rows
     taken, whole = (np.add.reduceat(v, parts) for v in (taken, np.square(shapes).sum(axis=(0, 1))))
     taken /= np.maximum(whole, _TINY)
-    return joint_noise(left, columns.levers(rows.X), rows.weights, taken)
+    return joint_noise(left, columns.levers(rows.X), rows.weights, taken, rows.shown)
 
 
 def _some(rows, n):
@@ -438,7 +438,8 @@ def _settled(rows, columns, structures, sums, state, factor):
     for _ in range(_ROUNDS):
         left = rows.whitening(factor).centred(rows.y - expected(state))
         left = left if rows.root is None else np.einsum("nij,nj->ni", rows.root, left)
-        old, new = factor, tukey_weights(left, rows.weights, weighed=bool(np.any(factor < 1)))
+        old, weighed = factor, bool(np.any(factor < 1))
+        new = tukey_weights(left, rows.weights, weighed=weighed, n_coordinates=rows.rank)
         factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
         if np.all(factor == old):
             break

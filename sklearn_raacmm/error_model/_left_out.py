@@ -111,12 +111,13 @@ class Judgement(NamedTuple):
     helps: bool
 
 
-def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0):
+def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0, centre: Any = None):
     """Fading of a correction of residuals (n, 3) in mm.
 
     Errors at positions left out are `widening` times as large as the standard deviation says.
+    `centre` takes out what positions explain, their mean where it is None.
     """
-    y = centred(y, codes, weights)
+    y = centred(y, codes, weights) if centre is None else centre(y, weights)
     if factor == "auto":
         factor = _MOST
         if codes is not None and codes.max() + 1 >= LEAST_POSITIONS:
@@ -135,6 +136,7 @@ def judge(
     codes: np.ndarray | None,
     positions: np.ndarray,
     before: float | None = None,
+    centre: Any = None,
 ) -> tuple[Fading, Judgement]:
     """How much of a correction is used, by positions that were left out of the fit.
 
@@ -143,12 +145,17 @@ def judge(
     With fewer than four `positions` it is 1 or 0, by whether the mean deviation falls at each. A
     share that was known `before` moves as far as it is more than a standard error away.
 
+    `centre` is as `find_fading` takes it.
+
     Returns the fading with this share at every doubt, and how well it did.
     """
     kept = weights > 0
     fading = replace(fading, most=1.0, far=1.0, near_mm=0.0)
-    used = centred(fading.share(doubt)[:, None] * correction, codes, weights)
-    y = centred(y, codes, weights)
+    used = fading.share(doubt)[:, None] * correction
+    if centre is None:
+        used, y = (centred(values, codes, weights) for values in (used, y))
+    else:
+        used, y = centre(used, weights), centre(y, weights)
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
     n = int(places.max()) + 1
 
@@ -189,7 +196,7 @@ def near_and_far(fading, fitted, left_out, positions):
     if near is None:
         return fading
     judged = rows.y, *near[:2], fading, weights, rows.codes, positions
-    most = judge(*judged)[0].most
+    most = judge(*judged, centre=rows.centre)[0].most
     if not most > fading.most:
         return fading
     squares = (np.average(np.square(doubt), weights=weights) for doubt in (near[1], left_out[1]))
@@ -264,7 +271,7 @@ def _at_rows(model, rows):
     mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     if rows.codes is None:
         return mean, doubt, std
-    dots = rows.whitening().centred(model.columns(rows.X)) @ model.half
+    dots = rows.along(rows.whitening().centred(model.columns(rows.X)) @ model.half)
     return mean, doubt, np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
 
 
@@ -302,10 +309,13 @@ def with_honest_intervals(model, left_out, rows, positions, share=1.0):
         return replace(model, noise_scale=wider, std_scale=wider, n_positions=float(n_positions))
     correction, _, spread = left_out
     whitened = rows.whitening()
-    errors = whitened.centred(rows.y - share * correction)
-    variance = np.square(model.noise_ratio(rows.X))
+    errors = rows.along(whitened.centred(rows.y - share * correction))
+    if rows.shown is None:
+        variance = np.square(model.noise_ratio(rows.X))
+    else:
+        variance = np.square(rows.along(model.noise_root(rows.X))).sum(axis=2)
     if codes is not None:  # the position's own constant has taken its share of the noise
-        taken = np.square(whitened.moves).sum(axis=2)
+        taken = np.square(rows.along(whitened.moves)).sum(axis=2)
         variance = np.maximum(variance - np.minimum(taken, variance), 0.0)
     noise = model.noise_sd * np.sqrt(variance)
     worth = min(1.0, _EFFECTIVE_ROWS * n_positions / weights.sum())

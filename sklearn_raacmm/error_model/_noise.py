@@ -44,11 +44,17 @@ class Noise(NamedTuple):
         """So many times the variances."""
         return self._replace(of_joints=factor * self.of_joints, of_rows=factor * self.of_rows)
 
-    def roots(self, levers: np.ndarray) -> np.ndarray:
-        """Inverses (n, 3, 3) of the symmetric roots of the covariances: those of I are I."""
+    def roots(self, levers: np.ndarray, shown: np.ndarray | None = None) -> np.ndarray:
+        """Inverses (n, 3, 3) of the symmetric roots of the covariances: those of I are I.
+
+        Along the axes that are `shown` (n, 3, 3), rows of zeros among them, where not all are.
+        """
         covariance = (self.of_joints * levers) @ levers.swapaxes(1, 2) + self.of_rows * np.eye(3)
+        if shown is not None:
+            covariance = shown @ covariance @ shown.swapaxes(1, 2) + _beside(shown)
         value, axes = np.linalg.eigh(covariance)
-        return (axes / np.sqrt(value)[:, None]) @ axes.swapaxes(1, 2)
+        roots = (axes / np.sqrt(value)[:, None]) @ axes.swapaxes(1, 2)
+        return roots if shown is None else roots @ shown
 
 
 def even_noise(levers: np.ndarray, weights: np.ndarray) -> Noise:
@@ -57,8 +63,17 @@ def even_noise(levers: np.ndarray, weights: np.ndarray) -> Noise:
     return Noise(np.zeros(len(squares)), 1.0, np.sqrt(squares))
 
 
+def _beside(shown):
+    """Ones (n, 3, 3) on the diagonal for the axes along which a row shows nothing."""
+    return (1 - np.square(shown).sum(axis=2).round())[:, :, None] * np.eye(3)
+
+
 def joint_noise(
-    left: np.ndarray, levers: np.ndarray, weights: np.ndarray, taken: np.ndarray
+    left: np.ndarray,
+    levers: np.ndarray,
+    weights: np.ndarray,
+    taken: np.ndarray,
+    shown: np.ndarray | None = None,
 ) -> Noise:
     """The likeliest noise of each joint and of the rows, of which a coordinate has 1 in the mean.
 
@@ -66,19 +81,24 @@ def joint_noise(
     `taken` (n_joints + 1,) are the shares of each noise that the fit has followed. The guess of all
     joints is their harmonic mean, which has the highest likelihood of inverse gamma priors: joints
     without noise stay so beside one that has much of it, and one without lever gets that mean.
+    `shown` (n, 3, 3) are the axes along which a row shows something, where that is not all.
     """
     n, _, n_joints = levers.shape
-    even = even_noise(levers, weights)
+    even, rank, beside = even_noise(levers, weights), 3.0, 0.0
+    if shown is not None:
+        beside, rank = _beside(shown), np.square(shown).sum(axis=(1, 2))
+        left, levers = np.einsum("nij,nj->ni", shown, left), shown @ levers
     size = np.append(np.square(even.lever_mm), 1.0)
     seen = size[:-1] > _LEAST_LEVER**2 * size[:-1].max(initial=0.0)
-    scale = np.average(np.square(left).sum(axis=1), weights=weights) / 3
+    scale = np.average(np.square(left).sum(axis=1), weights=weights)
+    scale /= np.average(rank + np.zeros(n), weights=weights)
     if not (scale > 0 and seen.any()):
         return even
     # Of each noise the covariance that one of it has at each row; symmetric, so that a product of
     # nine numbers is a trace.
     shapes = np.empty((n_joints + 1, n, 3, 3))
     np.einsum("nij,nkj->jnik", levers, levers, out=shapes[:-1])
-    shapes[-1] = np.eye(3)
+    shapes[-1] = np.eye(3) - beside
     flat, left = shapes.reshape(n_joints + 1, -1), left / np.sqrt(scale)
     free = 1 - np.minimum(taken, _MOST_TAKEN)
     v = 0.5 / np.where(np.append(seen, True), size, np.inf)
@@ -86,7 +106,7 @@ def joint_noise(
     v[:-1][~seen] = v[:-1][seen].mean()
     share = v * size
     for _ in range(_STEPS):
-        precision = np.linalg.inv((v @ flat).reshape(n, 3, 3))
+        precision = np.linalg.inv((v @ flat).reshape(n, 3, 3) + beside)
         pull = np.einsum("nij,nj->ni", precision, left)
         squares = flat @ (weights[:, None, None] * pull[:, :, None] * pull[:, None]).ravel()
         determined = free * (flat @ (weights[:, None, None] * precision).ravel())

@@ -35,6 +35,7 @@ from scipy.sparse import csr_array
 from sklearn_raacmm.arm import Arm, own_angles
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
+from sklearn_raacmm.measurements import Form, known_length
 from sklearn_raacmm.utils import chunks, group_sums
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
@@ -61,10 +62,15 @@ class Rows(NamedTuple):
     known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
     noise: Any = None  # `Noise` of variance 1; None: all rows have the same
     root: np.ndarray | None = None  # (n, 3, 3) that whitens a row of this noise; None: I
+    # Of touched features: unit vectors (n, 3, 3) along which a row shows something, zeros for the
+    # others; (n, 3, q) what the unknowns of its feature do; and the `Form` of each position.
+    shown: np.ndarray | None = None
+    unknowns: np.ndarray | None = None
+    forms: tuple = ()
 
     def at(self, which):
         """Some of the rows, with positions counted from 0 and the lengths that are left."""
-        codes, lengths = self.codes, self.lengths
+        codes, lengths, forms = self.codes, self.lengths, self.forms
         if codes is not None:
             present, codes = np.unique(codes[which], return_inverse=True)
             codes = codes.ravel()
@@ -72,11 +78,12 @@ class Rows(NamedTuple):
             lengths = [
                 (place[i], place[j], *rest) for i, j, *rest in lengths if i in place and j in place
             ]
-        X, y, weights = self.X[which], self.y[which], self.weights[which]
-        root = None if self.root is None else self.root[which]
-        return self._replace(
-            X=X, y=y, weights=weights, codes=codes, lengths=tuple(lengths), root=root
-        )
+            forms = tuple(forms[code] for code in present.tolist()) if forms else ()
+        of_rows = {
+            name: None if (values := getattr(self, name)) is None else values[which]
+            for name in ("X", "y", "weights", "root", "shown", "unknowns")
+        }
+        return self._replace(**of_rows, codes=codes, lengths=tuple(lengths), forms=forms)
 
     def weighted(self, factor):
         """The rows with their weights times a factor, without those of no weight."""
@@ -86,7 +93,27 @@ class Rows(NamedTuple):
 
     def whitening(self, factor: Any = 1.0):
         """`Whitening` of the rows, their weights times a factor."""
-        return whitening(self.weights * factor, self.root, self.codes, known=self.known)
+        given = self.weights * factor, self.root, self.codes, self.unknowns, self.known
+        return whitening(*given, self.rank)
+
+    @property
+    def rank(self) -> Any:
+        """How many numbers a row shows: 3, or (n,)."""
+        return 3.0 if self.shown is None else np.square(self.shown).sum(axis=(1, 2)).round()
+
+    def along(self, values):
+        """Vectors (n, 3, ...) along what their rows show."""
+        return values if self.shown is None else np.einsum("nij,nj...->ni...", self.shown, values)
+
+    @property
+    def centre(self) -> Any:
+        """What `judge` asks of touches of features; None where positions have means."""
+        return None if self.shown is None else self._judged
+
+    def _judged(self, values, weights):
+        """Vectors (n, 3) less what unknowns explain of them, as long as those of three numbers."""
+        centred = self._replace(weights=weights, root=self.shown).whitening().centred(values)
+        return self.along(centred) * np.sqrt(3 / np.reshape(self.rank, (-1, 1)))
 
     def sums(self, columns):
         """`Sums` over the rows, the harmonics of the columns being the candidates."""
@@ -226,7 +253,8 @@ def length_equations(rows, columns):
     ends = ends.reshape(2, -1)
     rows = rows._replace(lengths=()).at(np.isin(rows.codes, used))
     whitened = rows.whitening()
-    points = whitened.unknowns(columns.points(rows.X)[:, :, None])[:, :, 0]
+    given = np.stack([columns.points(rows.X), rows.y], axis=2)
+    points, found = np.moveaxis(whitened.unknowns(given), 2, 0)
     moved: Any = 0.0
     for part in chunks(len(rows.X), _CHUNK):
         sums = whitened.basis[part].swapaxes(1, 2) @ (
@@ -234,16 +262,26 @@ def length_equations(rows, columns):
         )
         moved = moved + group_sums(sums, rows.codes[part], None, len(used))
     means = whitened.unit @ moved
-    line = points[ends[1]] - points[ends[0]]
-    measured = np.linalg.norm(line, axis=1)
-    line /= measured[:, None]
-    shares = [np.square(np.einsum("lc,lcq->lq", line, whitened.unit[end])) for end in ends]
-    return Extra(
-        np.einsum("lc,lcp->lp", line, means[ends[1]] - means[ends[0]]),
-        measured - length,
-        np.square(sd),
-        sum(shares).sum(axis=1),
-    )
+    q = points.shape[1]
+    measured, slopes = np.zeros(len(length)), np.zeros((2, len(length), q))
+    for i, (one, other) in enumerate(ends.T.tolist()):
+        forms = [rows.forms[end] if rows.forms else None for end in (one, other)]
+        touched = [form is not None for form in forms]
+        forms = [
+            form or Form(points[end, :3]) for form, end in zip(forms, (one, other), strict=True)
+        ]
+        if one == other:
+            forms[1] = forms[0]
+        measured[i], *along = known_length(*forms)
+        slopes[:, i] = [slope[:q] for slope in along]
+        # Forms are about y; a point is where the arm says that it is.
+        measured[i] += sum(
+            on * (slope[:q] @ found[end])
+            for on, slope, end in zip(touched, along, (one, other), strict=True)
+        )
+    moved = sum(np.einsum("lq,lqp->lp", slopes[i], means[ends[i]]) for i in (0, 1))
+    share = sum(np.einsum("lq,lqk->lk", slopes[i], whitened.unit[ends[i]]) ** 2 for i in (0, 1))
+    return Extra(moved, measured - length, np.square(sd), share.sum(axis=1))
 
 
 def _parts_of_positions(codes):

@@ -234,13 +234,15 @@ def natural_order(labels: Iterable[Any]) -> list[int]:
 
 
 def robust_scale(
-    distances: np.ndarray, n_coordinates: int, weights: np.ndarray | None = None
+    distances: np.ndarray, n_coordinates: Any, weights: np.ndarray | None = None
 ) -> float:
     """Standard deviation of a coordinate, from the median distance over that of chi.
 
-    `distances` (n,) are lengths of vectors of so many coordinates, of which some are no part of the
-    normal distribution of the others. An integer weight is worth that many repeats of the row.
+    `distances` (n,) are lengths of vectors of so many coordinates, one number or one of each, of
+    which some are no part of the normal distribution of the others. An integer weight is worth
+    that many repeats of the row.
     """
+    distances = distances / np.sqrt(chdtri(n_coordinates, 0.5))
     if weights is None:
         median = np.median(distances)
     else:
@@ -249,7 +251,7 @@ def robust_scale(
         # The mean of the lower and the upper median, as of rows without weights.
         lower, upper = (sign * np.quantile(sign * distances[counted], **rule) for sign in (1, -1))
         median = (lower + upper) / 2
-    return float(median / np.sqrt(chdtri(n_coordinates, 0.5)))
+    return float(median)
 
 
 def tukey_weights(
@@ -258,6 +260,7 @@ def tukey_weights(
     *,
     least_scale: float = 0.0,
     weighed: bool = False,
+    n_coordinates: Any = None,
 ) -> np.ndarray:
     """Factors (n,) of the rows' weights by Tukey's biweight, (1 - (r / c)^2)^2 below c [1]_.
 
@@ -265,10 +268,12 @@ def tukey_weights(
     `robust_scale`, in which rows count by `weights`. The standard deviation is at least
     `least_scale`: that of the noise, where a model of few rows follows them closely. All factors
     are 1 where no row that counts is as far off as c, unless the fit has `weighed` before, lest its
-    weights come and go; and where at least half of the rows are met exactly.
+    weights come and go; and where at least half of the rows are met exactly. `n_coordinates` says
+    how many of the q coordinates each row has, where the others are 0.
     """
     distances = np.linalg.norm(residuals, axis=1)
-    scale = max(robust_scale(distances, residuals.shape[1], weights), least_scale)
+    n_coordinates = residuals.shape[1] if n_coordinates is None else n_coordinates
+    scale = max(robust_scale(distances, n_coordinates, weights), least_scale)
     counted = slice(None) if weights is None else weights > 0
     cut = TUKEY_CUT * scale
     if not (cut > 0 and (weighed or np.any(distances[counted] >= cut))):

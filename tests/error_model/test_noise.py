@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm.error_model._columns import Terms, columns_of
+from sklearn_raacmm.error_model._fit import structures_of
 from sklearn_raacmm.error_model._noise import Noise, even_noise, joint_noise
+from sklearn_raacmm.error_model._sums import Rows
+from sklearn_raacmm.inference import Problem, search
 
 ARM = Arm.from_name("aacmm6")
 
@@ -90,6 +94,38 @@ def test_residuals_that_a_fit_has_followed_are_less_than_the_noise():
     found, followed = np.mean(found, axis=0) / (sd**2 / 9e-6)
     np.testing.assert_allclose(found[0], 1.0, atol=0.1)  # the smaller one is drawn to it
     assert followed[0] < 0.8
+
+
+def test_noise_of_even_joints_eats_no_wobble():
+    """Axes that tilt with the angle look like noise of their joints, and are not taken for it."""
+    rng = np.random.default_rng(4)
+    columns = columns_of(ARM, Terms(np.empty((0, 2), int), False, False, True))
+    angles, y = noisy(4, 0.003, 2.0)
+    y = y + columns.at(angles) @ rng.normal(0, 4, len(columns.others))
+    linear = ArmResidualRegressor(ARM, orders=2).fit(angles, y, groups=False).linear_model_
+    shares = np.square(linear.lever_mm) * linear.noise_of_joints / linear.noise_variance
+    sd = np.rad2deg(np.sqrt(linear.noise_of_joints)) * 3600
+    assert np.count_nonzero(shares > 0.05) >= 4
+    assert np.all(np.abs(np.log(sd[shares > 0.05] / 2)) < np.log(1.5))
+
+
+def test_the_size_of_all_noise_changes_no_choice():
+    """With the root of every row twice as large only the noise variance changes."""
+    angles, y = noisy(5, 0.003, 2.0, n=200)
+    y = y + ARM.jacobian(angles)[:, :, 1] * 2e-5 * np.cos(5 * angles[:, 1:2])
+    offered = np.array([(j, k) for j in range(6) for k in range(1, 9)])
+    columns = columns_of(ARM, Terms(offered, True, True, False))
+    noise, found = Noise(np.full(6, 1e-10), 1e-5, np.ones(6)), []
+    for size in (1.0, 2.0):
+        root = size * noise.roots(ARM.jacobian(angles))
+        rows = Rows(ARM, angles, y, np.ones(200), np.arange(200) // 20, root=root)
+        structures = structures_of(columns, True, [])
+        found.append(search(Problem(rows.sums(columns), structures)))
+    one, two = found
+    assert [1, 5] in offered[one.lines].tolist()
+    np.testing.assert_array_equal(two.lines, one.lines)
+    np.testing.assert_allclose(two.coef, one.coef, atol=1e-4 * np.abs(one.coef).max())
+    assert two.noise_variance == pytest.approx(4 * one.noise_variance, rel=1e-4)
 
 
 def test_root_is_of_the_covariance():
