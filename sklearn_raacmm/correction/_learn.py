@@ -149,10 +149,8 @@ def learn_correction(
         them are found from the data) or "other-convention". Where the data fit the mirror image of
         such an arm as well, the finding "mirror-image" asks what decides.
     features, tip_diameter
-        What was touched under labels of `positions`, and the probe's own ball, as in
-        :func:`calibrate`. Planes and spheres are left out as positions are, and judged by the
-        distances of their touches from the form that fits these best. Only with an
-        :class:`ArmResidualRegressor`, and without `take`.
+        As in :func:`calibrate`. Planes and spheres are left out as positions are, and judged by how
+        far their touches are from the form that fits these best.
 
     Returns
     -------
@@ -177,8 +175,7 @@ def learn_correction(
     Notes
     -----
     A correction helps if the upper end of the 95 % interval of mean after over mean before is
-    below 1, and at least five positions say so. Outliers, see :class:`CorrectionScores`, are
-    neither learnt from nor counted.
+    below 1, and at least five positions say so. Outliers are neither learnt from nor counted.
 
     Examples
     --------
