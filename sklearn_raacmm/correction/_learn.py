@@ -107,7 +107,7 @@ def learn_correction(
         `groups` and `lengths` are given to its `fit` where it takes them. None:
         ``ArmResidualRegressor(arm)``.
     cv : int, default=None
-        Number of folds of whole positions or `blocks`; each row is left out once. None: five.
+        Number of folds of whole positions or `blocks`. None: five.
     n_jobs : int, default=None
         Folds computed at the same time, as in scikit-learn.
     progress : callable, default=None
@@ -115,7 +115,7 @@ def learn_correction(
     extra : dict of str to array-like of shape (n_samples,), default=None
         Causes that were written down with the angles, by the names that
         :class:`ArmResidualRegressor` has for them, such as "direction 2" of
-        :func:`directions_of`. "time" is refused where the angles tell the number of the row.
+        :func:`directions_of`.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
         prior of this one's, if the evidence is for it against a model that is
