@@ -42,8 +42,6 @@ _TYPED_MM, _SEEN = 100.0, 0.5
 # Poses anywhere that the standard deviation is computed at, and the part of what the table alone
 # leaves there from which on too little is known: 0.02 in clean tests of 60 poses, 0.2 along a path.
 _TRIED, _OPEN = 100, 0.1
-# Standard deviations by which calibration has to move the probe there to be worth its doubt.
-_MOVED = 2.0
 # Points that scatter by more than a part of that promise nothing.
 _FAR = 5.0
 # Share of rows far off that slips do not come to. A choice.
@@ -221,9 +219,9 @@ def _poses_alike(fit):
             f"{known:.2g} mm only: the poses of this test are too much alike."
         )
         advice = "Swing every joint through its range, at places all over the volume."
-        # Of 36 paths of six simulated arms, up to 1.5 m, all are so, and 32 are worse elsewhere for
-        # it; halves of real tests move by 3 standard deviations at least.
-        weight: Any = "repair" if moved < _MOVED * known else "note"
+        # The square of what it moves is, in the mean, that of what the table was wrong by and its own
+        # variance together: below twice the variance the table was nearer than calibration.
+        weight: Any = "repair" if moved**2 < 2 * known**2 else "note"
         yield Finding("poses-alike", text, advice, weight, size_mm=known)
 
 

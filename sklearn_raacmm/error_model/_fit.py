@@ -325,18 +325,18 @@ def fit_linear_model(rows, columns, with_field) -> Any:
     unused: list[Any] = []
     while True:
         structures = structures_of(columns, with_field, unused)
-        state, factor, rows = _fit(rows, columns, structures)
+        # From the rows as they were: what is left out of the model leaves no trace in their noise.
+        state, factor, whitened = _fit(rows, columns, structures)
         of_family = {f: np.flatnonzero(columns.family == f) for f in extra.difference(unused)}
         gains = [(state.gain_of(of), f) for f, of in of_family.items()]
         gain, least = min(gains, default=(np.inf, None))
         if gain >= _PRICE_OF_EXTRA:
             break
         unused.append(least)
-    used = rows.weighted(factor)
-    model = model_of(used, columns, state)
+    model = model_of(whitened.weighted(factor), columns, state)
     if np.any(factor < 1):
         model = model.with_noise(model.noise_variance / _SHARE_OF_NOISE)
-    return Fitted(model, state, factor, rows, columns, structures)
+    return Fitted(model, state, factor, whitened, columns, structures)
 
 
 def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
@@ -384,7 +384,7 @@ def _noise_of(rows, columns, state):
     whitened, J = some.whitening(), columns.levers(some.X)
     shapes = whitened.root @ np.concatenate([J, np.broadcast_to(np.eye(3), (len(J), 3, 3))], axis=2)
     half = np.roll(state.half, few.n_waves, axis=0) / np.sqrt(state.noise_variance)
-    flat = whitened.deviations(few.at(some.X)).reshape(-1, len(half)) @ half
+    flat = whitened.deviations(few.at(some.X)).reshape(3 * len(J), len(half)) @ half
     followed = [flat.reshape(len(J), 3, -1).swapaxes(1, 2) @ shapes]
     if whitened.basis is not None:
         followed.append(whitened.basis.swapaxes(1, 2) @ shapes)

@@ -72,7 +72,7 @@ def test_stated_sizes_and_lengths_are_those_of_forms_fitted_anew():
     """An independent fit of the forms to moved points: a size, and a distance of two kinds."""
     test = touched(n_spheres=2, n_planes=2, n_touches=12)
     labels = [entry[0] for entry in test.features]
-    between = [(labels[0], labels[1], 300.0, 0.01), (labels[2], labels[3], 300.0, 0.01)]
+    between = [(labels[0], labels[1], 300.0, 0.01), (labels[0], labels[2], 300.0, 0.01)]
     rows = rows_of(test, lengths=between)
     assert sorted(i == j for i, j, *_ in rows.lengths) == [False, False, True, True]
     columns = columns_of(test.arm, Terms(np.empty((0, 2), int), False, True, False))
