@@ -270,13 +270,13 @@ def parse_length(text):
 def known_features(options, table):
     """What was touched: as the options name it, and of other positions as their rows do."""
     found = [parse_feature(text) for text in options.feature or ()]
-    if options.kind is None:
+    kinds = read_labels(table, options, "kind")
+    if kinds is None:
         return found
     if table.positions is None:
         raise TableError("--kind is of positions: name their column with --position.")
-    kinds = map(str.lower, read_labels(table, options, "kind"))
     named = {label for label, *_ in found}
-    pairs = set(zip(table.positions.tolist(), kinds, strict=True))
+    pairs = set(zip(table.positions.tolist(), map(str.lower, kinds.tolist()), strict=True))
     return found + sorted(pair for pair in pairs if pair[0] not in named)
 
 

@@ -72,8 +72,8 @@ class Data:
         # As long as they were when they were measured. Of a ball and itself it is its size.
         ends = labels.tolist()
         self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths]
-        kinds = zip(ends, measured.features or (), strict=False)
-        self.kinds = {label: kind for label, (kind, _) in kinds if kind != "cone"}
+        kinds = zip(ends, [kind for kind, _ in measured.features or []], strict=False)
+        self.kinds = {label: kind for label, kind in kinds if kind != "cone"}
         self.n_shown = np.broadcast_to(measured.n_shown, len(codes))
         self.held = self.n_shown == 3
         given = codes[pose]
