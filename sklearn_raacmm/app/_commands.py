@@ -21,6 +21,7 @@ from sklearn_raacmm.app._files import (
     find_rows,
     find_unnamed_probe,
     in_rad,
+    known_features,
     known_lengths,
     load_arm,
     load_correction,
@@ -104,6 +105,8 @@ def learn(options):
                 stations=read_labels(table, options, "station"),
                 accept=options.accept or (),
                 take=options.take or (),
+                features=known_features(options, table),
+                tip_diameter=options.tip_diameter,
             )
         except FindingError as error:
             if error.finding.code == "another-table" and table.points is not None:
@@ -223,6 +226,8 @@ def _what_was_left_out(table, options):
     """Word for what is left out together."""
     if options.block:
         return "blocks"
+    if options.feature or options.kind:
+        return "features"
     return "regions" if table.points is not None and table.positions is None else "positions"
 
 
@@ -253,7 +258,7 @@ def describe_plan(table, layout, arm, options):
         say("Positions: no column names them; learning finds the rows that share a place.")
     if lengths := known_lengths(options):
         say(f"Known lengths: {len(lengths)}.")
-    elif table.points is None:
+    elif table.points is None and not any(one[2:] for one in known_features(options, table)):
         say("Known lengths: none, so the scale of the arm is that of its table (--length).")
     say(named_first("Causes", list(table.others)) or "Causes: none (--extra names columns).")
     say(f"Arm: {arm.n_joints} joints, reach {arm.reach_mm:.0f} mm, {arm.convention} convention.")

@@ -173,7 +173,7 @@ def find_rows(options, arm, labelled=True, needed=True):
             raise TableError(f"--points needs {needed}, got {options.points!r}.")
     if given["counts_per_turn"] is not None:
         given["counts_per_turn"] = [parse_number(n) for n in given["counts_per_turn"].split(",")]
-    labels = [getattr(options, name, None) for name in ("tool", "block", "station")]
+    labels = [getattr(options, name, None) for name in ("tool", "block", "station", "kind")]
     others = [*find_cause_columns(options).values(), *filter(None, labels)]
     given |= {"labelled": labelled, "needed": needed, "joint_names": arm.names, "others": others}
     return Layout(options.table, arm.n_joints, **given)
@@ -264,6 +264,34 @@ def parse_length(text):
             "--length needs two positions, their distance and its standard deviation in mm, such "
             "as A:B:500.012:0.005, and where they are not those at 20 degrees C the temperature "
             f"and perhaps the expansion per K, such as A:B:500.012:0.005@25:11.5e-6, got {text!r}."
+        ) from None
+
+
+def known_features(options, table):
+    """What was touched: as the options name it, and of other positions as their rows do."""
+    found = [parse_feature(text) for text in options.feature or ()]
+    if options.kind is None:
+        return found
+    if table.positions is None:
+        raise TableError("--kind is of positions: name their column with --position.")
+    kinds = map(str.lower, read_labels(table, options, "kind"))
+    named = {label for label, *_ in found}
+    pairs = set(zip(table.positions.tolist(), kinds, strict=True))
+    return found + sorted(pair for pair in pairs if pair[0] not in named)
+
+
+def parse_feature(text):
+    """What was touched, of ``--feature LABEL:KIND[:SIZE:SD[:SIDE]]``, as `calibrate` takes it."""
+    try:
+        label, kind, *size = (part.strip() for part in text.split(":"))
+        if len(size) == 1:
+            raise ValueError
+        return label, kind, *map(parse_number, size[:2]), *size[2:]
+    except ValueError:
+        raise TableError(
+            "--feature needs the label of a position and plane, sphere or cone, and where its size "
+            "is known the diameter and its standard deviation in mm, such as ball:sphere:30:0.001, "
+            f"got {text!r}."
         ) from None
 
 

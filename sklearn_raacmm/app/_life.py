@@ -323,8 +323,8 @@ def _compare(word, saved, new, today, was, now):
     y = new.calibration.residuals(today.angles, today.points, labels)
     left = [y - mm if labels is None else position_residuals(y - mm, labels) for mm in (was, now)]
     before, after = (float(np.linalg.norm(one, axis=1).mean()) for one in left)
-    usual, by_cones = None, saved.facts["measure"] == "2S"
-    if by_cones == (today.points is None):
+    usual, by_cones = None, today.points is None
+    if saved.facts["measure"] == ("2S" if by_cones else "mean deviation"):
         usual = float(np.mean(saved.facts["positions"]["after"]))
         if by_cones:  # of normal errors: twice their length's root mean square
             usual *= np.sqrt(8 / (3 * np.pi)) / 2

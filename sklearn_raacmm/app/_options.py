@@ -32,8 +32,8 @@ WORDS = {
         "_commands", "calibrate an arm, learn a correction, judge it, report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
-        f"--lengths --places --length-sd {_CAUSES} --block --station --like --take --accept "
-        "--serial --operator",
+        f"--lengths --places --length-sd --feature --kind --tip-diameter {_CAUSES} --block "
+        "--station --like --take --accept --serial --operator",
     ),
     "correct": (
         "_correct", "correct a table of any length",
@@ -142,6 +142,13 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--lengths": _value("CSV", "known lengths: from, to, mm, sd in mm"),
     "--places": _value("CSV", "a plate of known points: position, x, y, z, sd in mm"),
     "--length-sd": _number("MM", "sd of all known lengths"),
+    "--feature": _value(
+        "LABEL:KIND[:SIZE:SD]",
+        "positions that are touches of a plane or sphere, perhaps of known diameter in mm",
+        action="append",
+    ),
+    "--kind": _value("COLUMN", "column of what was touched: plane, sphere or cone"),
+    "--tip-diameter": _number("MM", "diameter of the probe's own ball, for --feature", default=0.0),
     "--extra": _value("NAME[=COLUMN]", "causes, such as temperature=T1, payload, time", nargs="+"),
     "correct --std": _choice(
         ("no", "point", "all"),

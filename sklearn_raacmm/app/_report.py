@@ -216,14 +216,14 @@ def draw_svg(name, draw, *what):
 
 
 def draw_positions(figure, scores):
-    """2S or mean deviation of each position, before and after."""
+    """2S, also from forms, or mean deviation of each position, before and after."""
     figure.set_size_inches(7.2, 3.2)
     order = natural_order(scores.table["position"])
     RepeatabilityDisplay(
         before=scores.table["before"][order],
         after=scores.table["after"][order],
         positions=np.asarray(scores.table["position"])[order],
-        statistic="2s" if scores.measure == "2S" else "mean",
+        statistic="2s" if scores.measure.startswith("2S") else "mean",
         before_interval=_intervals(scores, scores.left_before)[order],
         after_interval=_intervals(scores, scores.left_after)[order],
     ).plot(figure.subplots())
@@ -231,7 +231,7 @@ def draw_positions(figure, scores):
 
 def _intervals(scores, left):
     """What another choice of poses at each position would change (95 %), mm."""
-    if scores.measure == "2S":
+    if scores.measure.startswith("2S"):
         return np.array([repeatability_interval(left[rows]) for rows in scores.rows_by_position])
     sizes = [np.linalg.norm(left[rows], axis=1) for rows in scores.rows_by_position]
     return np.array([_mean_interval(one) for one in sizes])

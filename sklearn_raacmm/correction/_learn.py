@@ -76,6 +76,8 @@ def learn_correction(
     stations: ArrayLike | None = None,
     accept: str | Sequence[str] = (),
     take: str | Sequence[str] = (),
+    features: Iterable[Sequence[Any]] = (),
+    tip_diameter: float = 0.0,
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
 
@@ -105,7 +107,7 @@ def learn_correction(
         `groups` and `lengths` are given to its `fit` where it takes them. None:
         ``ArmResidualRegressor(arm)``.
     cv : int, default=None
-        Number of folds of whole positions or `blocks`; each row is left out once. None: five.
+        Number of folds of whole positions or `blocks`. None: five.
     n_jobs : int, default=None
         Folds computed at the same time, as in scikit-learn.
     progress : callable, default=None
@@ -113,7 +115,7 @@ def learn_correction(
     extra : dict of str to array-like of shape (n_samples,), default=None
         Causes that were written down with the angles, by the names that
         :class:`ArmResidualRegressor` has for them, such as "direction 2" of
-        :func:`directions_of`. "time" is refused where the angles tell the number of the row.
+        :func:`directions_of`.
     like : list of ArmResidualRegressor, default=()
         Models of earlier arms of the make: the mean and the spread of their coefficients are the
         prior of this one's, if the evidence is for it against a model that is
@@ -146,6 +148,9 @@ def learn_correction(
         "reversed-2-4", "zero-2-180", "coupled-2-3" (joint 3 stands at J3 + J2), "zeros" (all of
         them are found from the data) or "other-convention". Where the data fit the mirror image of
         such an arm as well, the finding "mirror-image" asks what decides.
+    features, tip_diameter
+        As in :func:`calibrate`. Planes and spheres are left out as positions are, and judged by how
+        far their touches are from the form that fits these best.
 
     Returns
     -------
@@ -170,8 +175,7 @@ def learn_correction(
     Notes
     -----
     A correction helps if the upper end of the 95 % interval of mean after over mean before is
-    below 1, and at least five positions say so. Outliers, see :class:`CorrectionScores`, are
-    neither learnt from nor counted.
+    below 1, and at least five positions say so. Outliers are neither learnt from nor counted.
 
     Examples
     --------
@@ -199,6 +203,9 @@ def learn_correction(
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
     raw, given_arm, codes = (angles, positions, points), arm, listed("take", take)
+    features = listed("features", features)
+    if codes and (features or getattr(angles, "features", None)):
+        raise ValueError("take needs positions or measured points: features cannot show it.")
     if isinstance(angles, Measurements):
         labels = None if angles.labels is None else angles.labels[angles.index]
         raw, angle_unit = (angles.angles, labels, angles.points), "rad"
@@ -210,11 +217,12 @@ def learn_correction(
         check_arm(arm)
         given: dict[str, Any] = {"points": points, "lengths": lengths, "tools": tools}
         given |= {"stations": stations, "extra": extra}
+        given |= {"features": features, "tip_diameter": tip_diameter}
         if isinstance(angles, Measurements):
             return Measurements.taken(angles, positions, **given)
         checked = within_turn(check_angles(angles, arm.n_joints, angle_unit))
         refuse_one_pose(checked)
-        no_labels = positions is None and points is None
+        no_labels = positions is None and points is None and not features
         return Measurements.of(
             checked, find_places(arm, checked) if no_labels else positions, **given
         )
@@ -254,12 +262,19 @@ def learn_correction(
 
 
 def _say_what_moved(data, calibration, model, rows):
-    """Say which positions moved, and by how much the run drifted, of what a model leaves."""
+    """Say which positions moved, and by how much the run drifted, of what a model leaves.
+
+    Touches of surfaces, each at a place of its own, cannot say so.
+    """
+    rows, held = rows[data.held[rows]], data.held
+    if not len(rows):
+        return
     expected = data.at_probes(model, calibration, slice(None)).predict(data.inputs)
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        for finding in moved_positions(left, data.angles, data.positions, data.rows):
+        own = (part[held] for part in (left, data.angles, data.positions, data.rows))
+        for finding in moved_positions(*own):
             finding.report()
     left = data.residuals(calibration, rows) - expected[rows]
     codes = None if data.points is not None else encode_groups(data.positions[rows])[1]
@@ -281,7 +296,9 @@ def _calibrated(data, angles, angle_unit, accept):
             finding = shifted_rows(data.arm, data.angles, data.points)
             if finding is not None:
                 finding.report()
-        change = search_table(data.arm, *data.as_given(angles), angle_unit=angle_unit)
+        change = None
+        if not data.kinds:
+            change = search_table(data.arm, *data.as_given(angles), angle_unit=angle_unit)
     if change or scatter > SHARE_OF_REACH * reach:  # they belong to another table
         said = (
             f"the points scatter by {scatter:.3g} mm after calibration, and the arm reaches "
@@ -289,6 +306,7 @@ def _calibrated(data, angles, angle_unit, accept):
             "the unit of the angles are wrong."
         )
         advice = str(change or "No single change of these helps.")
+        advice = "Cones, or a tracker, would show which." if data.kinds else advice
         raise FindingError(Finding("another-table", said, advice, "refuse", size_mm=scatter))
     said = f"The points scatter by {scatter:.1f} mm after calibration."
     advice = "The table of the arm is probably wrong: look at it before you use the correction."

@@ -13,13 +13,27 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import FIELDS, Arm
+from sklearn_raacmm.arm import FIELDS, Arm, points_of
 from sklearn_raacmm.calibration import are_wrong, calibrate, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import order_explained_by
+from sklearn_raacmm.measurements import (
+    KINDS,
+    known_length,
+    linearised,
+    order_explained_by,
+    with_forms,
+)
+from sklearn_raacmm.metrics import gauge_lengths
 from sklearn_raacmm.residuals import last_step_of, position_residuals
-from sklearn_raacmm.utils import Finding, FindingError, encode_groups, ignored_findings, listed
+from sklearn_raacmm.utils import (
+    Finding,
+    FindingError,
+    centred,
+    encode_groups,
+    ignored_findings,
+    listed,
+)
 
 # Regions that a tracker's poses are judged at, and poses of one: enough for an interval, and few
 # enough to read.
@@ -40,27 +54,28 @@ class Data:
     (n, n_causes); `like` are models of earlier arms of the make; `joined` are tuples of positions
     that are one, or of one block; `places` (n,) what is left out together where that is
     less than a position; `vertical` is the `up` of `Terms` that a model of all rows has, where
-    there is one.
+    there is one. Of touches, `kinds` are those of the labels of surfaces, whose rows are not `held`
+    in one point, and `longer` is by how many mm a length is for the centre of the probe's own ball.
     """
 
     vertical: Any = None
+    longer: Any = None
 
     def __init__(self, arm, measured, like=(), blocks=None):
         refuse_one_pose(measured.angles)
-        if measured.features:
-            raise ValueError(
-                "touches of a plane or a sphere teach the table only: calibrate the arm with them, "
-                "and learn the correction from positions."
-            )
         self.measured, self.arm, self.like = measured, arm, listed("like", like)
         self.rows, pose = measured.poses.first, measured.poses.pose
         self.angles, self.points = measured.angles, measured.points
         labels = np.ones(1) if measured.labels is None else measured.labels
         codes = np.zeros(len(self.angles), dtype=int)
         codes = codes if measured.index is None else measured.index
-        # As long as they were when they were measured.
+        # As long as they were when they were measured. Of a ball and itself it is its size.
         ends = labels.tolist()
-        self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths if i != j]
+        self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths]
+        kinds = zip(ends, measured.features or (), strict=False)
+        self.kinds = {label: kind for label, (kind, _) in kinds if kind != "cone"}
+        self.n_shown = np.broadcast_to(measured.n_shown, len(codes))
+        self.held = self.n_shown == 3
         given = codes[pose]
         tied = [i for entry in measured.lengths for i in entry[:2]]
         alone = np.setdiff1d(np.flatnonzero(np.bincount(given) == 1), tied)
@@ -69,8 +84,9 @@ class Data:
                 f"position {labels[alone[0]].item()!r} has a single row, row "
                 f"{np.flatnonzero(given == alone[0])[0]}: is its label mistyped?"
             )
-        if measured.tools is not None and self.like:
-            raise ValueError("like and tools cannot be given together.")
+        for what, given_too in (("tools", measured.tools is not None), ("features", self.kinds)):
+            if given_too and self.like:
+                raise ValueError(f"like and {what} cannot be given together.")
         if blocks is not None:
             names, of_block = encode_groups(blocks, len(pose), "blocks")
             blocks = names[of_block][self.rows]
@@ -100,6 +116,12 @@ class Data:
             wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
             seen.measured = self.measured.without_lengths(wrong)
             seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=False) if not out]
+        if self.kinds:
+            every = np.arange(len(self.angles))
+            points = self.shown(calibration, every)
+            off = self.length_errors(points, every, seen.lengths, robust=True)
+            sides = zip(seen.lengths, off, seen.measured.offsets, strict=True)
+            seen.longer = {entry[:2]: by[np.argmin(abs(mm - by))] for entry, mm, by in sides}
         return seen
 
     def along_vertical_of(self, model):
@@ -133,9 +155,14 @@ class Data:
         rows = np.arange(len(self.angles)) if rows is None else rows
         if self.points is not None:
             return rows, rows[:0]
-        _, codes, counts = np.unique(self.positions[rows], return_inverse=True, return_counts=True)
-        alone = counts[codes] < 2
+        labels, codes = np.unique(self.positions[rows], return_inverse=True)
+        alone = (np.bincount(codes, minlength=len(labels)) <= self._unknown(labels))[codes]
         return rows[~alone], rows[alone]
+
+    def _unknown(self, labels):
+        """How many of its touches the form of a feature takes, of each label; of a cone one."""
+        kinds = (self.kinds.get(label) for label in labels.tolist())
+        return np.array([KINDS[kind].n_unknowns if kind else 1 for kind in kinds], dtype=int)
 
     def blocks(self):
         """Block of each row: positions at one place, of one block, or joined by lengths are one."""
@@ -165,8 +192,63 @@ class Data:
         measured = self.measured if rows is None else self.measured.at(rows)
         return calibrate(self.arm, measured, accept=accept, free=free)
 
+    def shown(self, calibration, rows):
+        """Points (n, 3) that the calibrated arm shows in these rows, mm, in the base frame."""
+        return points_of(calibration.arm, self.angles[rows], self.probes(calibration, rows))
+
+    def _forms(self, rows):
+        """Labels of these rows, their codes, and the kind of each label."""
+        labels, codes = encode_groups(self.positions[rows])
+        return labels, codes, [(self.kinds.get(label, "cone"), None) for label in labels.tolist()]
+
+    def about(self, points, rows, robust=False):
+        """Points (n, 3) of these rows less the mean of their position, or the nearest of its form.
+
+        Those that are not slips, if `robust`, decide on the form.
+        """
+        _, codes, kinds = self._forms(rows)
+        if not self.kinds:
+            return centred(points, codes)
+        return linearised(kinds, codes, points, None if robust else np.ones(len(codes))).residual
+
+    def length_errors(self, points, rows, entries, robust=False):
+        """Errors of known lengths, mm, in points (n, 3) of these rows."""
+        labels, codes, kinds = self._forms(rows)
+        if not self.kinds:
+            found = gauge_lengths(points, self.positions[rows], [entry[:2] for entry in entries])
+        else:
+            forms = with_forms(kinds, codes, points, None if robust else np.ones(len(codes)))[1]
+            form = dict(zip(labels.tolist(), forms, strict=True))
+            found = [known_length(form[a], form[b])[0] for a, b, *_ in entries]
+        return np.subtract(found, [mm for _, _, mm, _ in self.at_centres(entries)])
+
+    def at_centres(self, lengths):
+        """Lengths as they are for the centre of the probe."""
+        longer = self.longer or {}
+        return [(a, b, mm + longer.get((a, b), 0.0), sd) for a, b, mm, sd in lengths]
+
+    def as_shown(self, left, std):
+        """Deviations and their standard deviations, (n, 3) each, in coordinates that rows show.
+
+        A touch of a surface shows its distance from the form, which has taken some of the touches.
+        """
+        if not self.kinds:
+            return left, std
+        left, std, surface = left.copy(), std.copy(), ~self.held & np.isfinite(left).all(axis=1)
+        distance = np.linalg.norm(left[surface], axis=1)
+        out = left[surface] / np.maximum(distance, 1e-300)[:, None]
+        labels, codes = np.unique(self.positions[surface], return_inverse=True)
+        n, unknown = np.bincount(codes), self._unknown(labels)
+        free = np.where(n > unknown, (n - unknown) / n, np.nan)
+        std[surface, 0] = np.linalg.norm(out * std[surface], axis=1) * np.sqrt(free[codes])
+        left[surface] = np.nan
+        left[surface, 0] = np.where(np.isfinite(std[surface, 0]), distance, np.nan)
+        return left, std
+
     def residuals(self, calibration, rows):
         """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
+        if self.kinds:
+            return self.about(self.shown(calibration, rows), rows, robust=True)
         groups = self.positions[rows] if self.points is None else None
         parts = (self.points, self.tools, self.stations)
         points, tools, stations = (None if part is None else part[rows] for part in parts)
@@ -214,10 +296,13 @@ class Data:
             fitted = transferred_model(self.like, calibration.arm, X, y, positions)
         if fitted is None:
             fitted = self._fitted(model, calibration, rows, y, self.lengths_of_model(rows))
-        left = y - self.at_probes(fitted, calibration, rows).predict(X)
-        if self.points is None:
+        expected = self.at_probes(fitted, calibration, rows).predict(X)
+        left = y - expected
+        if self.kinds:
+            left = self.about(self.shown(calibration, rows) - expected, rows, robust=True)
+        elif self.points is None:
             left = position_residuals(left, positions)
-        return fitted, float(np.sqrt(np.mean(np.square(left))))
+        return fitted, float(np.sqrt(np.square(left).sum() / self.n_shown[rows].sum()))
 
     def _fitted(self, model, calibration, rows, y, lengths, judged=True) -> Any:
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
@@ -226,12 +311,19 @@ class Data:
         if isinstance(last, ArmResidualRegressor) and (self.vertical is not None or not judged):
             last._vertical, last._judged = self.vertical, judged
         given = {"groups": self.positions[rows], "lengths": lengths}
+        if self.kinds:
+            known = self.at_centres(lengths)
+            given["lengths"] = [entry for entry in known if entry[0] != entry[1]]
+            sizes = {a: of for a, b, *of in known if a == b}
+            present = self.kinds.keys() & set(self.positions[rows].tolist())
+            given["features"] = [(one, self.kinds[one], *sizes.get(one, ())) for one in present]
         if self.tools is not None:
-            if prefix or not has_fit_parameter(last, "probes"):
-                raise ValueError(
-                    "tools need an ArmResidualRegressor as the model, not in another one."
-                )
             given["probes"] = self.probes(calibration, rows)
+        for what, name in (("tools", "probes"), ("features", "features")):
+            if name in given and (prefix or not has_fit_parameter(last, name)):
+                raise ValueError(
+                    f"{what} need an ArmResidualRegressor as the model, not in another one."
+                )
         given = {n: v for n, v in given.items() if len(v) and has_fit_parameter(last, n)}
         fitted.fit(self.inputs[rows], y, **{f"{prefix}{n}": v for n, v in given.items()})
         return fitted

@@ -11,17 +11,8 @@ import numpy as np
 from scipy import stats
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_raacmm.arm import points_of
-from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
-from sklearn_raacmm.utils import (
-    Finding,
-    Floats,
-    centred,
-    encode_groups,
-    group_means,
-    ignored_findings,
-    natural_order,
-)
+from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.utils import Finding, Floats, group_means, ignored_findings, natural_order
 
 # Folds of the default split: each takes a calibration and a fit of the model. A choice of time.
 _N_FOLDS = 5
@@ -30,6 +21,7 @@ _N_FOLDS = 5
 _FEWEST_POSITIONS = 5
 _Z95 = 1.959964  # the standard normal quantile of 97.5 %
 _WHEN = "before", "after"
+_FROM_FORMS = " from forms"  # of a measure, where some positions are surfaces
 _UNKNOWN_LENGTHS = "lengths-unknown"  # the code of a finding
 # Coverage factor of uncertainties that are said in words.
 _K = 2.0
@@ -44,9 +36,10 @@ class CorrectionScores:
 
     Attributes
     ----------
-    measure : {"2S", "mean deviation"}
-        "2S", the single-point repeatability, where positions were only labelled; the mean distance
-        from the tracker's points where these were given.
+    measure : {"2S", "2S from forms", "mean deviation"}
+        "2S", the single-point repeatability, where positions were only labelled, "2S from forms"
+        where some are planes or spheres: the same of the distances of their touches from the form
+        that fits these best. The mean distance from the tracker's points where these were given.
     table : dict of str to ndarray of shape (n_positions,)
         ``position``, ``n_points``, and in mm ``before``, ``after`` (the measure), ``before_max``
         and ``after_max`` (the largest deviation of a point).
@@ -205,7 +198,7 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
             progress(i + 1, len(folds))
     table, rows_by_position = _table(data, before, after)
     blocks = data.blocks()[[rows[0] for rows in rows_by_position]]
-    coverage, factor = coverage_of(after, std)
+    coverage, factor = coverage_of(*data.as_shown(after, std))
     summary = _summary(table["before"], table["after"], blocks)
     of_given = _summary(_table(data, given, before)[0]["before"], table["before"], blocks)
     summary |= {"given": of_given["before"], "calibration": of_given["ratio"]}
@@ -217,8 +210,10 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
         )
         Finding(_UNKNOWN_LENGTHS, text, advice, "note", size_mm=per_metre).report()
     errors = np.array([entry[1:] for entry in lengths]).reshape(-1, 2)
+    measure = "2S" if data.points is None else "mean deviation"
+    measure += _FROM_FORMS * bool(data.kinds)
     return CorrectionScores(
-        measure="2S" if data.points is None else "mean deviation",
+        measure=measure,
         table=table,
         summary=summary,
         lengths=[entry[0] for entry in lengths],
@@ -277,23 +272,20 @@ def _one_fold(data, model, train, test):
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-    points, of_given = (
-        points_of(one.arm, data.angles[test], data.probes(one, test))
-        for one in (calibration, as_given)
-    )
-    labels = data.positions[test]
+    points, of_given = (data.shown(one, test) for one in (calibration, as_given))
     lengths = []
     # A length is judged by another: without any, the scale would be that of the nominal table.
     is_known = data.points is not None or data.lengths_among(train)
-    for entry in data.lengths_among(test) if is_known else ():
-        sizes = (gauge_lengths(p, labels, [entry[:2]])[0] for p in (points, points - correction))
-        lengths.append((entry, *(size - entry[2] for size in sizes)))
+    judged = [one for one in data.lengths_among(test) if one[0] != one[1]] if is_known else []
+    if judged:
+        errors = (data.length_errors(p, test, judged) for p in (points, points - correction))
+        lengths = list(zip(judged, *errors, strict=True))
     is_tracker = data.points is not None
     if is_tracker:
         of_given = data.residuals(as_given, test)
     left = data.residuals(calibration, test) if is_tracker else points
-    codes = None if is_tracker else encode_groups(labels)[1]
-    given, before, after = (centred(one, codes) for one in (of_given, left, left - correction))
+    sides = (of_given, left, left - correction)
+    given, before, after = sides if is_tracker else (data.about(one, test) for one in sides)
     return given, before, after, std, lengths, share
 
 
@@ -359,10 +351,11 @@ def _verdict(scores):
     given = scores.summary["given"][0]
     change = f"{scores.measure} {given:.3f} mm as given, {before.mean():.3f} calibrated, "
     change += f"{after.mean():.3f} corrected"
-    what = "positions" if n_blocks == n else "blocks of positions"
+    of = "features" if scores.measure.endswith(_FROM_FORMS) else "positions"
+    what = of if n_blocks == n else f"blocks of {of}"
     if n_blocks < _FEWEST_POSITIONS:
         return False, (
-            f"Do not use it yet: at new positions {change}, but {n_blocks} {what} are too few to "
+            f"Do not use it yet: at new {of} {change}, but {n_blocks} {what} are too few to "
             f"tell; measure at least {_FEWEST_POSITIONS}."
         )
     if high < 1:
@@ -370,16 +363,16 @@ def _verdict(scores):
         unknown_lengths = [f for f in scores.findings if f.code == _UNKNOWN_LENGTHS]
         helps = "It repeats better" if unknown_lengths else "It helps"
         said = (
-            f"{helps} at new positions: {change}, {better} of {n} positions better; the one that "
+            f"{helps} at new {of}: {change}, {better} of {n} {of} better; the one that "
             f"gained least went from {before[least]:.3f} to {after[least]:.3f} mm."
         )
         return True, " ".join([said, *map(str, unknown_lengths)])
     if scores.calibration_helps:
         return False, (
-            f"Use the calibrated table without the correction: at new positions {change}, "
-            f"{better} of {n} positions better than calibrated."
+            f"Use the calibrated table without the correction: at new {of} {change}, "
+            f"{better} of {n} {of} better than calibrated."
         )
     return False, (
-        f"Do not use it: at new positions {change}, {better} of {n} positions better; after is "
+        f"Do not use it: at new {of} {change}, {better} of {n} {of} better; after is "
         f"{ratio:.2f} times before, and its 95 % interval, {low:.2f} to {high:.2f}, reaches 1."
     )

@@ -20,7 +20,7 @@ from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
 from sklearn_raacmm.app import _arms, _commands, _files, _life, main
 from sklearn_raacmm.app._files import parse_length, read_places
 from sklearn_raacmm.app._sources import TableError
-from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.datasets import make_features, make_single_point
 from sklearn_raacmm.metrics import single_point_repeatability
 
 pytest.importorskip("jinja2")
@@ -546,3 +546,38 @@ def test_the_calibration_of_a_ur_itself(tmp_path, capsys, refused):
     assert main(["arm", "--dh", str(tmp_path / "dh.csv"), "--out", str(made)]) == 0
     same = Arm.from_json(made)
     np.testing.assert_allclose(same.forward(angles), arm.forward(angles), atol=1e-9)
+
+
+def test_touches_are_learnt_through_the_command(tmp_path, capsys, refused):
+    """Balls of known size by an option, a plane and a cone by a column, and a block."""
+    test = make_features(
+        4, 2, 1, 15, blocks=[300.0], tip_diameter=4, machine="eccentricity", random_state=1
+    )
+    test.nominal_arm.to_json(tmp_path / "arm.json")
+    kinds = {label: kind for label, kind, *_ in test.features}
+    lines = [",".join([*(f"q{i} [rad]" for i in range(1, 7)), "position", "what"])]
+    for angles, label in zip(test.data, test.groups, strict=True):
+        what = kinds.get(label, "Cone")
+        cells = [*(f"{q:.9f}" for q in angles), f"F{label}", "plane" if label < 4 else what]
+        lines.append(",".join(cells))
+    (tmp_path / "t.csv").write_text("\n".join(lines) + "\n")
+    first = ["learn", f"{tmp_path}/t.csv", "--arm", f"{tmp_path}/arm.json", "--out"]
+    words = [*first, f"{tmp_path}/out", "--folds", "3", "--kind", "what", "--tip-diameter", "4"]
+    for ball in range(4):  # what an option says goes before the column
+        words += ["--feature", f"F{ball}:sphere:30:0.001:outside"]
+    refused("--feature needs the label", *words, "--feature", "F5:sphere:30")
+    refused("a feature is a cone, plane, sphere", *words, "--feature", "F5:hole")
+    ((one, other, length, sd),) = test.lengths
+    assert main([*words, "--length", f"F{one}:F{other}:{length}:{sd}"]) == 0
+    printed = capsys.readouterr().out
+    assert "It helps at new features: 2S from forms" in printed
+    assert "2S from forms in mm at features left out:" in printed
+    facts = json.loads((tmp_path / "out" / "correction.json").read_text(encoding="utf-8"))
+    assert facts["measure"] == "2S from forms"
+    new = make_single_point(5, 15, machine=test.simulation.machine, random_state=7)
+    saved = _files.load_correction(tmp_path / "out")
+    before, after = (
+        single_point_repeatability(points, new.groups)
+        for points in (saved.arm.forward(new.data), saved.correct(new.data)[0])
+    )
+    assert after < 0.7 * before
