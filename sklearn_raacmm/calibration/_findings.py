@@ -219,8 +219,8 @@ def _poses_alike(fit):
             f"{known:.2g} mm only: the poses of this test are too much alike."
         )
         advice = "Swing every joint through its range, at places all over the volume."
-        # The square of what it moves is, in the mean, that of what the table was wrong by and its own
-        # variance together: below twice the variance the table was nearer than calibration.
+        # The square of what it moves is, in the mean, that of what the table was wrong by and its
+        # own variance together: below twice the variance the table was nearer than calibration.
         weight: Any = "repair" if moved**2 < 2 * known**2 else "note"
         yield Finding("poses-alike", text, advice, weight, size_mm=known)
 

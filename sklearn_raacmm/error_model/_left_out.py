@@ -190,8 +190,8 @@ def near_and_far(fading, fitted, left_out, positions):
     at positions left out singly and those at blocks.
     """
     rows, weights = fitted.rows, fitted.rows.weights * fitted.pose_weight
-    if not (fading.most < 1 and fading.factor > 0 and positions.max() >= N_BLOCKS):
-        return fading  # of few positions the blocks are the positions
+    if not (fading.most < 1 and fading.factor > 0 and positions.max() + 1 >= 2 * N_BLOCKS):
+        return fading  # of few positions the blocks are the positions, or nearly so
     near = leave_out(fitted, positions, between=True)
     if near is None:
         return fading
