@@ -253,7 +253,9 @@ def _xml(head, read, n_numbers):
         simple = {part.tag: part.attrib or (part.text or "").strip() for part in one}
         found.setdefault(one.tag, []).append(one.attrib | simple)
     records = (_of_records("XML", each, n_numbers) for each in found.values())
-    return max(filter(None, records), key=lambda one: (len(one[2]), len(one[1])), default=None)
+    return max(
+        filter(None, records), key=lambda one: (len(one[2]), len(one[1] or ())), default=None
+    )
 
 
 def _yaml(head, read, n_numbers):

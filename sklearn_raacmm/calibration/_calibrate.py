@@ -225,12 +225,13 @@ def calibrate(
         finding.report()
     for finding in wrong_units(arm, problem):
         finding.report()
+    corrected: Any = None
     if asked is not None:
         asked = asked if len(asked) == len(poses.first) else asked[poses.first]
         corrected = predicted(correction, asked, problem, [arm.probe] * problem.n_tools)
 
     priors = (prior_length_mm, prior_angle_rad, UNKNOWN_PLACE_MM)
-    fit = Fit(arm, problem, loss, free, priors, None if asked is None else corrected)
+    fit = Fit(arm, problem, loss, free, priors, corrected)
     before_all = fit.run(np.zeros_like(fit.is_free)).distances().mean()
     before = fit.run(fit.is_free & (fit.kind == "probe_mm")).distances().mean()
     # The deviations of an uncalibrated arm are no noise: forget their size and weights.

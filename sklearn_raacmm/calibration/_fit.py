@@ -138,7 +138,7 @@ class Fit:
         return len(self.nominal) + 6 * station + np.arange(6)
 
     def reset_weights(self):
-        self.weights = np.ones(len(self.angles))
+        self.weights: Any = np.ones(len(self.angles))
         if self.problem.features:
             # One touch of another feature bends a sphere, where it hardly moves a mean.
             self.weights = self.first_weights()

@@ -202,7 +202,8 @@ def learn_correction(
     if points_sd and points is None and getattr(angles, "points", None) is None:
         raise ValueError("points_sd is of the points that a tracker measured: there are none.")
 
-    raw, given_arm, codes = (angles, positions, points), arm, listed("take", take)
+    raw: Any = (angles, positions, points)
+    given_arm, codes = arm, listed("take", take)
     features = listed("features", features)
     if codes and (features or getattr(angles, "features", None)):
         raise ValueError("take needs positions or measured points: features cannot show it.")

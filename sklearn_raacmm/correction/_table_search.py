@@ -218,7 +218,7 @@ def _rarer_changes(arm, measured, others):
     """
     angles, positions, points, unit = measured
     n, as_given = len(angles), _Candidate(0, "", arm, [*range(arm.n_joints)], _AXES, unit)
-    codes = None if positions is None else encode_groups(positions, n)[1]
+    codes: Any = None if positions is None else encode_groups(positions, n)[1]
 
     def left(row):  # where from this row on the base, or all cones, are elsewhere
         late = np.arange(n) >= row
@@ -246,7 +246,9 @@ def _rarer_changes(arm, measured, others):
         x = np.asarray(column, dtype=float) - np.mean(column)
         if x @ x > 0:
             # What goes with it is taken out of both, then what the axis does is left.
-            both = [part - part.mean(axis=0) for part in (_places(as_given, angles), points)]
+            both = [
+                part - part.mean(axis=0) for part in (_places(as_given, angles), np.asarray(points))
+            ]
             turn, _ = align(*(part - np.outer(x, x @ part) / (x @ x) for part in both))
             way = x @ (both[1] - both[0] @ turn.T) / (x @ x)
             by = ", ".join(f"{mm:.6g}" for mm in way)

@@ -91,7 +91,7 @@ def make_features(
     # Places, poses and noise are the same whatever is touched there.
     touched = check_random_state(rng.randint(2**31 - 1))
     places, poses = draw_cones(simulated, n, 2 * n_touches, rng)
-    kinds = ["sphere"] * n_spheres + ["plane"] * n_planes + ["cone"] * n_cones
+    kinds: list[Any] = ["sphere"] * n_spheres + ["plane"] * n_planes + ["cone"] * n_cones
     groups: list[int] = []
     features: list[tuple[Any, ...]] = []
     points, near, lengths = [], [], []

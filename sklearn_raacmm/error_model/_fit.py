@@ -288,6 +288,7 @@ def _known_of_constants(rows, positions, fitted):
 
     whole = explicit_gram(rows._replace(codes=positions), few.at)
     gram, of_positions, precision = whole
+    assert of_positions is not None
     n, n_observations = precision.size, 3.0 * rows.weights.sum()
 
     def evidence(known):

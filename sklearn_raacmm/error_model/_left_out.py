@@ -296,7 +296,7 @@ def _blocks(points, positions, weights, between=False):
     return blocks[place.ravel()[positions]]
 
 
-def with_honest_intervals(model, left_out, rows, positions, share=1.0):
+def with_honest_intervals(model, left_out, rows, positions, share: Any = 1.0):
     """Model whose intervals are as wide as errors at positions left out ask for.
 
     Errors of a share of the correction in units of ``sqrt(a n^2 + b s^2)``, n the noise and s the

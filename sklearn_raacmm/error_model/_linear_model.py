@@ -455,7 +455,7 @@ def _poses_in(arm, ranges):
     """Rows each number of which is anywhere in its range."""
     n, rng = arm.n_joints, np.random.default_rng(0)
     turns = own_angles(arm, np.eye(n))
-    tried = rng.uniform(*ranges, (_TRIED, ranges.shape[1]))
+    tried = rng.uniform(ranges[0], ranges[1], (_TRIED, ranges.shape[1]))
     return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
 
 

@@ -118,4 +118,4 @@ def joint_noise(
         before, share = share, v * size
         if np.abs(share - before).sum() < _SETTLED * share.sum():
             break
-    return even._replace(of_joints=v[:-1], of_rows=v[-1]).scaled(1 / (v @ size))
+    return even._replace(of_joints=v[:-1], of_rows=v[-1]).scaled(float(1 / (v @ size)))

@@ -57,7 +57,7 @@ class Rows(NamedTuple):
     X: np.ndarray  # (n, n_joints + n_extra) angles in rad, extra columns, perhaps probes (n, 3)
     y: np.ndarray  # (n, 3) residuals in mm
     weights: np.ndarray  # (n,)
-    codes: np.ndarray | None  # (n,) position of each row, from 0, where positions have offsets
+    codes: Any  # (n,) position of each row, from 0, where positions have offsets; else None
     lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
     known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
     noise: Any = None  # `Noise` of variance 1; None: all rows have the same
@@ -135,7 +135,8 @@ def candidate_sums(rows, columns):
     else:
         rows = rows.at(np.argsort(rows.codes, kind="stable"))
         parts = _parts_of_positions(rows.codes)
-    whitened, angles = rows.whitening(), rows.X
+    whitened: Any = rows.whitening()
+    angles = rows.X
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
     own_of_joints = own_angles(rows.arm, angles)
     spans = []  # joint, orders, and which of those offered they are
@@ -160,9 +161,11 @@ def candidate_sums(rows, columns):
             cross[:, pairs] += _products(share, wave)
             own[:, pairs] += _own_blocks(turn, wave)
             if whitened.basis is not None:
+                assert rows.codes is not None
                 for component in np.einsum("ncq,nc->qn", whitened.basis[part], turn):
                     moved = (component[:, None] * wave).view(float)
-                    sums = group_sums(moved, rows.codes[part] - rows.codes[part][0]).view(complex)
+                    codes = rows.codes[part] - rows.codes[part][0]
+                    sums: Any = group_sums(moved, codes).view(complex)
                     taken = sums.real**2, sums.imag**2, sums.real * sums.imag
                     own[:, pairs] -= np.array(taken).sum(axis=1)
     cross = cross.view(float)
@@ -190,16 +193,16 @@ def explicit_gram(rows, columns_at):
     explain, and the precision (n_positions, 3) of these. Both are None without offsets.
     """
     gram: Any = 0.0
-    whitened, of_positions = rows.whitening(), None
-    if rows.codes is not None:
-        of_positions, n_positions = 0.0, len(whitened.unit)
+    whitened: Any = rows.whitening()
+    of_positions: Any = None if rows.codes is None else 0.0
     for part in chunks(len(rows.X), _CHUNK):
         columns = np.concatenate([columns_at(rows.X[part]), rows.y[part, :, None]], axis=2)
         columns = whitened.root[part] @ columns
         flat = columns.reshape(-1, columns.shape[2])
         gram = gram + flat.T @ flat
-        if of_positions is not None:
+        if rows.codes is not None:
             moved = whitened.basis[part].swapaxes(1, 2) @ columns
+            n_positions = len(whitened.unit)
             of_positions = of_positions + group_sums(moved, rows.codes[part], None, n_positions)
     return gram, of_positions, whitened.precision
 
@@ -280,7 +283,8 @@ def length_equations(rows, columns):
             for on, slope, end in zip(touched, along, (one, other), strict=True)
         )
     moved = sum(np.einsum("lq,lqp->lp", slopes[i], means[ends[i]]) for i in (0, 1))
-    share = sum(np.einsum("lq,lqk->lk", slopes[i], whitened.unit[ends[i]]) ** 2 for i in (0, 1))
+    unit = whitened.unit
+    share: Any = sum(np.einsum("lq,lqk->lk", slopes[i], unit[ends[i]]) ** 2 for i in (0, 1))
     return Extra(moved, measured - length, np.square(sd), share.sum(axis=1))
 
 
@@ -318,7 +322,8 @@ def _gram_rows(angles, turns, whitened, parts, spans, pairs):
         theta, turn = angles[rows], turns[rows]
         phase = order * theta[:, joints]
         wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-        taken = moved = None
+        taken: Any = None
+        moved: Any = None
         if whitened.basis is not None:
             moved = whitened.basis[rows].swapaxes(1, 2) @ turn  # (n, q, n_joints)
             codes = whitened.feature[rows] - whitened.feature[rows][0]

@@ -255,7 +255,7 @@ def known_length(one: Form, other: Form) -> tuple[float, np.ndarray, np.ndarray]
         else:  # a turn of one of two planes turns the common normal by half
             same = form.axes[:, 0] @ along
             slope[:3] = sign * same, *(-np.sign(same) / len(normals) * (gap @ form.axes[:, 1:]))
-    return float(gap @ along), *slopes
+    return float(gap @ along), slopes[0], slopes[1]
 
 
 def probe_offsets(kinds: Sequence[str], tip_diameter: float, sign: int = 0) -> np.ndarray:

@@ -65,14 +65,15 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
     degree = 0 if estimator.degree == "auto" else estimator.degree
     kernels = tuple(KERNELS) if estimator.kernel == "auto" else (estimator.kernel,)
     sample, problem = set_up(degree)
+    varying = sample.varying
+    spread = sample.spread[varying]
     ranks, may_be_raw = None, estimator.inputs != "ranks"
     if estimator.inputs == "ranks" or (estimator.inputs == "auto" and width is None):
         ranks = mid_ranks(sample.rows.X, sample.rows.weights)
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
     else:
-        held, of = sample.held, sample.varying
-        varying, spread = of, sample.spread[of]
+        held, of = sample.held, varying
         weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
         within = sample.rows.within[:, of] / (sample.unit * spread**2)
         found = search(

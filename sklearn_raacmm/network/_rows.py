@@ -197,9 +197,10 @@ class Problem(NamedTuple):
     def _of_held(self, width):
         """Blocks of the rows that are held; whole groups."""
         parts, codes = chunks(self.n_rows, block_rows(width)), self.held.codes
+        arrays: Any = self.held[:5]
         for part in parts if codes is None else _whole_groups(parts, codes):
             own = None if codes is None else codes[part] - codes[part.start]
-            yield Block(*(array[part] for array in self.held[:5]), own, part)
+            yield Block(*(array[part] for array in arrays), codes=own, part=part)
 
     def _of_ridge(self):
         """The ridge of the polynomial as rows without weight, if it has one."""
@@ -210,7 +211,8 @@ class Problem(NamedTuple):
 
     def _on_read(self, function, X, Y, weights, start):
         """The function of rows that are not held."""
-        kept, (_, outputs, tail_root) = weights > 0, self.elsewhere
+        elsewhere: Any = self.elsewhere
+        kept, (_, outputs, tail_root) = weights > 0, elsewhere
         X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
         basis = tail = root * self.polynomial.columns(X)
         if tail.size and tail_root is not None:
