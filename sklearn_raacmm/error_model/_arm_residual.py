@@ -20,6 +20,7 @@ from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of,
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
+    Fading,
     Judgement,
     find_fading,
     judge,
@@ -297,7 +298,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
             if fading.most > 0 and shares.min() < 1:
                 of_shares = left_out, with_constants, positions, shares[:, None]
                 model = with_honest_intervals(model, *of_shares)
-        self.fading_ = fading
+        self.fading_: Fading = fading
         self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))
         self.pose_weight_[used] = fitted.pose_weight[dwells.pose]

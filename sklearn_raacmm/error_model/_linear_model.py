@@ -567,7 +567,7 @@ def _fields_of_causes(columns):
     return coef, left < _LEFT, amount[left < _LEFT]
 
 
-def shoulder(arm):
+def shoulder(arm: Arm) -> np.ndarray:
     """The point of the first axis that the scale of the links leaves where it is, (3,), mm."""
     if arm.convention == "standard":
         return np.array([0.0, 0.0, arm.d[0]])

@@ -63,17 +63,17 @@ class Measurements:
     angles: np.ndarray
     index: Any = None
     points: np.ndarray | None = None
-    lengths: list = field(default_factory=list)
+    lengths: list[Any] = field(default_factory=list)
     tools: Any = None
     stations: Any = None
     labels: Any = None
-    tool_labels: tuple = ()
-    station_labels: tuple = ()
+    tool_labels: tuple[Any, ...] = ()
+    station_labels: tuple[Any, ...] = ()
     features: Any = None
     offsets: Any = None
-    extra: dict = field(default_factory=dict)
+    extra: dict[str, Any] = field(default_factory=dict)
     poses: Any = None
-    stated: tuple = ()
+    stated: tuple[Any, ...] = ()
     # What follows from these, of use to a calibration.
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
