@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.calibration import UNKNOWN_PLACE_MM
 from sklearn_raacmm.correction._change import (
     LEAST_NOISE_MM,
     REGISTERED_PLACE_MM,
@@ -30,6 +29,8 @@ from sklearn_raacmm.utils import Finding, centred, one_blas_thread, one_warning,
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
 _STRANGE = 10.0
+# Standard deviations of a coordinate of a probe that was knocked, and of another one, mm. A choice.
+_KNOCKED_PROBE_MM, _ANOTHER_PROBE_MM = 1.0, 100.0
 
 
 @one_blas_thread
@@ -178,8 +179,8 @@ def nothing_changed(model: Any, X: Any, y: Any, groups: Any, date: Any) -> bool:
 def probe_is_new(model: Any, X: Any, y: Any, groups: Any) -> bool:
     """Whether residuals show another probe than the one that the model was moved to.
 
-    One that is off by d mm is likelier a new one, ``N(0, 1000^2)`` of each coordinate, than the
-    same one knocked or worn, of which an update expects some millimetres.
+    One that is off by d mm is likelier a new one, ``N(0, 100^2)`` of each coordinate, than the
+    same one knocked or worn, ``N(0, 1)``: from 5.3 mm on.
     """
     linear = model.linear_model_
     if not linear.terms.kinematics:  # no column of the model could hold where the probe is
@@ -189,5 +190,6 @@ def probe_is_new(model: Any, X: Any, y: Any, groups: Any) -> bool:
     left = centred(poses.residuals - linear.predict(poses.angles)[0], poses.codes)
     rows = centred(place, poses.codes).reshape(left.size, -1)
     off = np.linalg.lstsq(rows, left.ravel(), rcond=1e-9)[0][:3]
-    wider = UNKNOWN_PLACE_MM / REGISTERED_PLACE_MM
+    off = REGISTERED_PLACE_MM / _KNOCKED_PROBE_MM * off
+    wider = _ANOTHER_PROBE_MM / _KNOCKED_PROBE_MM
     return bool(0.5 * (off @ off) * (1 - wider**-2) > 3 * np.log(wider))
