@@ -22,9 +22,16 @@ from sklearn_raacmm.correction._change import (
 )
 from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
-from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor
 from sklearn_raacmm.measurements import EQUAL
-from sklearn_raacmm.utils import Finding, centred, one_blas_thread, one_warning, validate_params
+from sklearn_raacmm.utils import (
+    Finding,
+    centred,
+    ignored_findings,
+    one_blas_thread,
+    one_warning,
+    validate_params,
+)
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -136,6 +143,11 @@ def update_correction(
         return updated
     for finding in what_is_wrong(model, poses):
         finding.report()
+    with ignored_findings():  # of a share of 0
+        left = poses.residuals - model.predict(X)
+    if np.abs(left).max() <= ROUNDED * linear.arm.reach_mm:
+        _as_it_was(updated, poses, left, date)
+        return updated
     named = named_changes(linear, poses)
     changed = changed_model(linear, poses, date=date, named=named)
     updated.linear_model_, entry, pose_weight, ended = changed
@@ -166,14 +178,19 @@ def nothing_changed(model: Any, X: Any, y: Any, groups: Any, date: Any) -> bool:
     poses = NewPoses(model, X, y, groups)
     if poses.too_few or gain_of_change(model, poses) > EQUAL:
         return False
-    left = centred(poses.residuals - model.predict(X), poses.codes)
+    _as_it_was(model, poses, poses.residuals - model.predict(X), date)
+    return True
+
+
+def _as_it_was(model, poses, left, date):
+    """Note in `updates_` that poses showed noise alone: what the model leaves of them, (n, 3)."""
+    left = centred(left, poses.codes)
     noise_mm = float(np.sqrt(np.square(left).sum() / poses.n_coordinates))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)
     said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
     said += " no change: it stays as it was."
     Finding("nothing-changed", said, weight="note").report()
-    return True
 
 
 def probe_is_new(model: Any, X: Any, y: Any, groups: Any) -> bool:

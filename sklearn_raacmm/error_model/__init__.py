@@ -6,7 +6,7 @@
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model._checks import check_extra, check_poses
 from sklearn_raacmm.error_model._columns import OF_LOADS, Effect, Terms, torque_axis
-from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, order_price, smooth_shares
+from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, ROUNDED, order_price, smooth_shares
 from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, shoulder
 
@@ -14,6 +14,7 @@ __all__ = [
     "LEAST_POSITIONS",
     "NOTHING_SEEN",
     "OF_LOADS",
+    "ROUNDED",
     "ArmResidualRegressor",
     "Effect",
     "Fading",

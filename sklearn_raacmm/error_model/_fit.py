@@ -89,6 +89,8 @@ _ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
 # choice then stays, where the weights have settled.
 _SETTLED_NOISE, _WITH_NEW_NOISE = 0.1, 2
 _TINY = 1e-300
+# Of the reach: residuals below it are the rounding of points.
+ROUNDED = 1e-12
 
 # What the weights leave of the noise variance, of normal errors in three coordinates: E[w d^2] /
 # (3 E[w]) with w = (1 - d^2 / c^2)^2 and d^2 of the chi-squared distribution, whose moments are 1,
@@ -264,7 +266,8 @@ def _less_constants(rows, positions, fitted, known):
         "for the arm's."
     )
     weight = "doubt" if size > 2 * scatter else "note"
-    Finding("constants-of-positions", said, advice, weight, size_mm=size).report()
+    if scatter > ROUNDED * rows.arm.reach_mm:  # else there is nothing to tell them from
+        Finding("constants-of-positions", said, advice, weight, size_mm=size).report()
     if not known:
         return fitted
     return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))

@@ -544,7 +544,7 @@ MISTAKES = [
     ("learn_cones", "a length in inches", lambda: known((0, 1), factor=1 / 25.4), "unit-of-lengths"),
     ("learn_cones", "the ends of two bars as one", lambda: known((0, 1), ends=(0, 2)), "wrong-length"),
     ("learn_tracker", "points in inches", lambda: base(points=TRACKER / 25.4), "unit-of-points"),
-    ("learn_tracker", "the tracker moved by 5 mm", lambda: moved_tracker(5), "moved-station"),
+    ("learn_tracker", "the tracker moved by 5 mm", lambda: moved_tracker(5), "another-table"),
     ("learn_tracker", "another target, 5 mm aside", lambda: moved_target(5), "moved-tool"),
     ("learn_cones", "a table in inches", lambda: base(arm=table(1 / 25.4)), "unit-of-table"),
 ]  # fmt: skip
