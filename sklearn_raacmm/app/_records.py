@@ -240,10 +240,10 @@ def _json(head, read, n_numbers):
 
 def _xml(head, read, n_numbers):
     """Records of XML, each an element with attributes or simple elements; or rows of HTML."""
-    if not head.lstrip().startswith("<") or "<!ENTITY" in head:
+    if not head.lstrip().startswith("<") or "<!ENTITY" in (text := read()):
         return None
     try:
-        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", read(), flags=re.DOTALL))
+        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", text, flags=re.DOTALL))
     except ElementTree.ParseError:
         return None
     if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:

@@ -8,13 +8,11 @@ from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, places_of
 from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
-from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM
 from sklearn_raacmm.calibration._result import CalibrationResult
 
 __all__ = [
     "MUCH_SCATTER_MM",
     "SHARE_OF_REACH",
-    "UNKNOWN_PLACE_MM",
     "CalibrationResult",
     "are_wrong",
     "calibrate",

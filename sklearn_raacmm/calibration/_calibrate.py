@@ -306,6 +306,9 @@ def _result(fit, given, before):
         turn, shift = np.split(fit.base_columns(s), 2)
         values[turn] = Rotation.from_matrix(rotation).as_rotvec()
         bases.append((rotation, values[shift]))
+    groups = None
+    if problem.points is None:
+        groups = problem.labels[problem.index[problem.poses.pose]]
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.as_of_three(fit.robust_distances())
     informative = robust[problem.informative]
@@ -332,9 +335,7 @@ def _result(fit, given, before):
         outliers=tuple(outliers),
         outlier_limit_mm=limit,
         sample_weight=np.where(doubtful, 0.0, 1.0),
-        groups=None
-        if problem.points is not None
-        else problem.labels[problem.index[problem.poses.pose]],
+        groups=groups,
         features=problem.stated,
         arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
         bases=dict(zip(problem.station_labels, bases, strict=False)),

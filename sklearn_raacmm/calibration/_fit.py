@@ -25,14 +25,8 @@ from sklearn_raacmm.calibration._problem import (
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.inference import evidence_variance
-from sklearn_raacmm.measurements import (
-    known_length,
-    linearised,
-    touch_weights,
-    with_forms,
-    without_unknowns,
-)
+from sklearn_raacmm.inference import evidence_variance, whitening
+from sklearn_raacmm.measurements import known_length, linearised, touch_weights, with_forms
 from sklearn_raacmm.utils import align, centred, group_means, robust_scale, slip_factors
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
@@ -218,9 +212,8 @@ class Fit:
         finite = np.where(np.isfinite(covariance), covariance, 0.0)
         taken = (jac.reshape(-1, jac.shape[2]) @ finite).reshape(jac.shape) @ jac.swapaxes(1, 2)
         if self.problem.features:
-            unknowns, covariance = self._touched(self.points(), jac, self.weights)[4:]
-            unknowns = np.sqrt(self.weights)[:, None, None] * unknowns
-            taken += unknowns @ covariance[self.problem.index] @ unknowns.swapaxes(1, 2)
+            basis: Any = self._touched(self.points(), jac, self.weights)[-1].basis
+            taken += basis @ basis.swapaxes(1, 2)
         elif self.problem.points is None:
             index = self.problem.index
             own = self.weights / np.bincount(index, self.weights)[index]
@@ -331,16 +324,16 @@ class Fit:
         """Residuals (n, 3) in mm of the data, their Jacobian, and what was touched with its own.
 
         Of cones these are the fixed points; of other features, the forms, what the parameters move
-        their unknowns by, and the covariance of these. Derivatives by the turn of a base are those
-        by a small turn after it.
+        their unknowns by, and the root of the covariance of these. Derivatives by the turn of a
+        base are those by a small turn after it.
         """
         problem, n = self.problem, len(self.nominal)
         points, jac = self.points_and_jacobian(x)
         jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
         if problem.points is None:
             if problem.features:
-                residuals, jac, *at, _, covariance = self._touched(points, jac, self.weights)
-                at.append(covariance)
+                residuals, jac, forms, moves, of = self._touched(points, jac, self.weights)
+                at: Any = [forms, moves, of.unit]
             else:
                 both = np.concatenate([points[:, :, None], jac], axis=2)
                 means = group_means(both, problem.index, self.weights)
@@ -371,13 +364,13 @@ class Fit:
     def _touched(self, points, jac, weights):
         """Touches about their features: residuals (n, 3) and their Jacobian, forms, and moves.
 
-        With the unknowns (n, 3, q) along what the touches show, and their covariance (g, q, q).
+        And the `Whitening` of the rows, which takes the unknowns of the features out.
         """
         features, index = self.problem.features, self.problem.index
         rows, forms = with_forms(features, index, points, weights)
-        unknowns = rows.directions @ rows.unknowns
-        left, moves, covariance = without_unknowns(rows.directions @ jac, unknowns, index, weights)
-        return rows.residual, left, forms, moves, unknowns, covariance
+        whitened = whitening(weights, rows.directions, index, rows.directions @ rows.unknowns)
+        jac = rows.directions @ jac
+        return rows.residual, whitened.centred(jac), forms, whitened.unknowns(jac), whitened
 
     def known(self, lengths, at):
         """Known lengths as they are found: (n,) mm, their slopes (n, p), and sds of their ends.
@@ -391,14 +384,14 @@ class Fit:
             slopes = np.einsum("kc,kcp->kp", gap / found[:, None], at[1][one] - at[1][other])
             # What the table does not explain is much the same in all poses of one position.
             return found, slopes, np.full(len(found), np.sqrt(2) * self.sigma)
-        forms, moves, covariance = at
+        forms, moves, unit = at
         found, slopes, variance = np.zeros(len(one)), np.zeros((len(one), moves.shape[2])), []
         for k, (i, j) in enumerate(zip(one, other, strict=True)):
             found[k], *sides = known_length(forms[i], forms[j])
             sides = [side[: moves.shape[1]] for side in sides]
             slopes[k] = sides[0] @ moves[i] + sides[1] @ moves[j]
             ends = zip((i, j), sides, strict=True)
-            variance.append(sum(side @ covariance[end] @ side for end, side in ends))
+            variance.append(sum(np.square(side @ unit[end]).sum() for end, side in ends))
         return found, slopes, self.sigma * np.sqrt(np.array(variance))
 
     def _residuals_and_jacobian(self, x, mask):
@@ -408,16 +401,10 @@ class Fit:
         jac *= weight[:, :, None]
         rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
         sds = self.length_sd / np.sqrt(self.length_weights)
-        if self.problem.features and self.problem.lengths:
+        if self.problem.lengths:
             found, slopes, _ = self.known(self.problem.lengths, at)
             rows.append(self._off(found) / sds)
             jacs.append(slopes / sds[:, None])
-        elif self.problem.lengths:
-            for (i, j, length, _), sd in zip(self.problem.lengths, sds, strict=True):
-                gap = at[0][i] - at[0][j]
-                distance = max(np.linalg.norm(gap), 1e-12)
-                rows.append([(distance - length) / sd])
-                jacs.append((gap @ (at[1][i] - at[1][j]) / (distance * sd))[None])
         is_free = mask[: len(self.nominal)]
         prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
         departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]

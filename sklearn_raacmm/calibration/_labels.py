@@ -89,7 +89,8 @@ def label_findings(fit: Any, result: Any, numbers: Any) -> Iterator[Finding]:
         labels = encode_groups(result.groups)[0]
         far = np.isin(np.arange(len(numbers)), result.outliers)
         if kinds := fit.problem.features:
-            yield from touch_findings(kinds, fit.problem.index, fit.points(), labels.tolist())
+            touched = fit.problem.index, fit.points(), labels.tolist(), fit.problem.lengths
+            yield from touch_findings(kinds, *touched)
             yield from _no_readings(fit.angles, far, numbers)
             return
         right = _right_labels(fit) if result.typical_scatter_mm > MUCH_SCATTER_MM else None

@@ -315,8 +315,12 @@ class Data:
             known = self.at_centres(lengths)
             given["lengths"] = [entry for entry in known if entry[0] != entry[1]]
             sizes = {a: of for a, b, *of in known if a == b}
-            present = self.kinds.keys() & set(self.positions[rows].tolist())
-            given["features"] = [(one, self.kinds[one], *sizes.get(one, ())) for one in present]
+            present = set(self.positions[rows].tolist())
+            given["features"] = [
+                (one, kind, *sizes.get(one, ()))
+                for one, kind in self.kinds.items()  # in their order: a set has none
+                if one in present
+            ]
         if self.tools is not None:
             given["probes"] = self.probes(calibration, rows)
         for what, name in (("tools", "probes"), ("features", "features")):

@@ -45,9 +45,8 @@ def better_vertical(fitted):
     changes signs only: of both the one is taken along which the arm gives way.
     """
     rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
-    rows = rows._replace(
-        root=rows.shown
-    )  # gravity along another direction looks like noise of joints
+    # Gravity along another direction looks like noise of the joints.
+    rows = rows._replace(root=rows.shown)
     size = np.square(fitted.rows.y).mean()
     if size == 0 or state.noise_variance < _NOTHING_LEFT**2 * size:
         return ()

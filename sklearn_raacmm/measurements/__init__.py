@@ -26,7 +26,6 @@ from sklearn_raacmm.measurements._features import (
     touch_findings,
     touch_weights,
     with_forms,
-    without_unknowns,
 )
 from sklearn_raacmm.measurements._lengths import check_length
 from sklearn_raacmm.measurements._measurements import Measurements, given_causes, taken_apart
@@ -76,5 +75,4 @@ __all__ = [
     "touch_weights",
     "with_forms",
     "within_turn",
-    "without_unknowns",
 ]

@@ -96,6 +96,13 @@ def test_a_wrong_size_and_a_wrong_block_are_named():
     assert abs(float(found) - 300) < 0.08
 
 
+def test_no_length_is_between_planes_that_are_not_parallel():
+    test = make_features(5, 2, 0, 25, random_state=1)
+    planes = [label for label, kind, *_ in test.features if kind == "plane"]
+    with pytest.raises(ValueError, match=r"planes . and ., which are turned by \d+ degrees"):
+        calibrated(test, lengths=[(*planes, 300.0, 0.01)])
+
+
 def test_the_ball_of_the_probe_counts_on_the_side_that_was_touched():
     """Outside, as it was touched; said to be inside, sizes disagree by twice the ball."""
     test = make_features(6, 0, 0, 25, blocks=[150.0], tip_diameter=4.0, random_state=3)
