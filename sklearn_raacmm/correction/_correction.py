@@ -264,7 +264,7 @@ class Correction:
         ValueError
             As :meth:`correct`.
         TypeError
-            If the model has no ``sample_y``.
+            If the model knows no causes, as an :class:`ArmResidualRegressor` does.
 
         Examples
         --------
@@ -279,8 +279,8 @@ class Correction:
         True
         """
         model: Any = self.model
-        if not hasattr(model, "sample_y"):
-            raise TypeError(f"{type(model).__name__} has no sample_y: it draws no corrections.")
+        if not hasattr(model, "linear_model_"):
+            raise TypeError(f"{type(model).__name__} knows no causes: it draws no corrections.")
         rng = check_random_state(random_state)
         X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit), extra)
         points = self.arm.forward(X[:, : self.arm.n_joints])

@@ -11,6 +11,7 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     Correction,
+    RBFNetRegressor,
     learn_correction,
     position_residuals,
 )
@@ -110,6 +111,9 @@ def test_draws_hold_the_scale_of_the_arm():
     points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
     drawn = np.linalg.norm(points[12:] - points[:12], axis=1).std(axis=1)
     assert np.all(drawn > 0.9 * correction.calibration.scale_sd * lengths)
+    network = RBFNetRegressor(5).fit(test.data, test.target)
+    with pytest.raises(TypeError, match="RBFNetRegressor knows no causes"):
+        replace(correction, model=network).sample(first)
 
 
 @pytest.mark.exhaustive
