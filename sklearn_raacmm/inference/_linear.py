@@ -48,7 +48,7 @@ _ROUNDING, _NO_SIZE = 1e-12, 1e-7
 # Lines are guessed to be so many, for the first choice.
 _GUESSED_LINES = 12
 # Shares of its diagonal that are added to a matrix, one after another, until it has a factor.
-_RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
+_RIDGES = (1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 # Rows of the candidates' Gram matrix that are summed up together: those of the next best candidates
 # are likely asked for next. 32 to 96 take the same time (``benchmarks/bench_speed.py fit``).
 _BATCH = 48
