@@ -25,6 +25,7 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 
 # Where findings are collected instead of warned of; None outside of `collected_findings`.
 _COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
+_IGNORED: ContextVar[bool] = ContextVar("ignored findings", default=False)
 # Codes that a call accepts, and whether it refuses what has to be repaired: no part of a call does.
 _NOTHING: tuple[tuple[str, ...], bool] = ((), False)
 _ACCEPTED: ContextVar[Any] = ContextVar("accepted findings", default=_NOTHING)
@@ -235,9 +236,18 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
 @contextmanager
 def ignored_findings() -> Iterator[None]:
     """Leave out findings and warnings of parts of the data: those of all rows are shown."""
-    with collected_findings(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        yield
+    token = _IGNORED.set(True)
+    try:
+        with collected_findings(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            yield
+    finally:
+        _IGNORED.reset(token)
+
+
+def are_findings_ignored() -> bool:
+    """Whether nobody will read what is found here, so that it need not be looked for."""
+    return _IGNORED.get()
 
 
 def stage(name: str) -> Callable[[Function], Function]:
