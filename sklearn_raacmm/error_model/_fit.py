@@ -356,17 +356,18 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
     state: Any = None
     sums: Any = None
-    moved = False
+    moved, with_field = False, structures.share is not None
     for _ in range(_CHOICES):
         start = factor
         sums = rows.weighted(factor).sums(columns) if sums is None else sums
         state = search(Problem(sums, structures), state)
         state, new = _settled(rows, columns, structures, state, factor, sums)
-        if structures.share is not None and not state.with_field:
+        if with_field and not state.with_field:
             sums, factor = _reweighted(rows, columns, sums, factor, new), new
-            beside = _beside_field(rows, columns, structures, sums, state, factor)
-            if beside is not None:
-                state, new = _settled(rows, columns, structures, beside, factor, sums)
+            found = _beside_field(rows, columns, structures, sums, state, factor)
+            with_field = found is not None  # else it is not asked for again
+            if found is not None and found.with_field:
+                state, new = _settled(rows, columns, structures, found, factor, sums)
         noise = _noise_of(rows.weighted(new), columns, state)
         moved = np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE
         if moved:
@@ -407,7 +408,7 @@ def _some(rows, n):
 
 
 def _beside_field(rows, columns, structures, sums, state, factor):
-    """The choice beside the field, or None; sums of the field alone say whether it is searched."""
+    """As `beside_field`, with sums of the field alone."""
     problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
     few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)

@@ -437,12 +437,11 @@ def _without_rounding(sums):
         return sums
     size = np.maximum(size, _NO_SIZE * size.max())
     value, vectors = np.linalg.eigh(sums.gram / np.outer(size, size))
-    kept = value > _ROUNDING * value[-1]
-    seen = vectors[:, kept]
-    root = size[:, None] * seen * np.sqrt(value[kept])
-    to_seen = seen.T / size
-
-    def clean(products):
-        return size.reshape(-1, *[1] * (products.ndim - 1)) * (seen @ (to_seen @ products))
-
-    return sums._replace(gram=root @ root.T, moment=clean(sums.moment), cross=clean(sums.cross))
+    is_seen = value > _ROUNDING * value[-1]
+    if is_seen.all():
+        return sums
+    root = size[:, None] * vectors[:, is_seen] * np.sqrt(value[is_seen])
+    unseen = vectors[:, ~is_seen]
+    to_unseen, unseen = unseen.T / size, size[:, None] * unseen
+    moment, cross = (v - unseen @ (to_unseen @ v) for v in (sums.moment, sums.cross))
+    return sums._replace(gram=root @ root.T, moment=moment, cross=cross)

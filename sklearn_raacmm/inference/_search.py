@@ -73,13 +73,13 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     """The choice beside the field, where the data speak for it against a state of lines alone.
 
     It is searched for where its rise of the evidence, beside all that is there, and the prices of
-    those lines that it may replace come to its own price.
+    those lines that it may replace come to its own price: else None. The state as it was where the
+    search finds nothing better.
     `of_field` is the problem with no other candidates than the lines and the field's, which costs
     less, and `alone` the state in it.
     """
     structures = problem.structures
-    if structures.share is None:
-        return None
+    assert structures.share is not None
     size, rise = _first_size(of_field, alone)
     saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
     if rise + saved < structures.field_price:
@@ -87,9 +87,8 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     variance = np.append(state.variance[:-1], size)
     found = search(problem, problem.state(state.lines, True, variance, state.noise_variance))
     before = problem.with_variances(state)
-    if net_evidence(problem, found) < net_evidence(problem, before) + structures.field_price:
-        return None
-    return found
+    is_better = net_evidence(problem, found) >= net_evidence(problem, before) + structures.field_price
+    return found if is_better else state
 
 
 def net_evidence(problem: Problem, state: State) -> float:

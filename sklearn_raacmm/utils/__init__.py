@@ -46,6 +46,7 @@ from sklearn_raacmm.utils._findings import (
     whole_fit,
 )
 from sklearn_raacmm.utils._rows import (
+    CENTRED,
     TUKEY_CUT,
     align,
     are_deviations,
@@ -60,6 +61,7 @@ from sklearn_raacmm.utils._rows import (
     natural_order,
     numbered_by_rows,
     robust_scale,
+    share_of_means,
     slip_factors,
     tukey_weights,
 )
