@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: F401  (used by the other subpackages)
+
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model._checks import check_extra, check_poses
 from sklearn_raacmm.error_model._columns import OF_LOADS, Effect, Terms, torque_axis
@@ -10,23 +12,4 @@ from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, ROUNDED, order_pric
 from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, shoulder
 
-__all__ = [
-    "LEAST_POSITIONS",
-    "NOTHING_SEEN",
-    "OF_LOADS",
-    "ROUNDED",
-    "ArmResidualRegressor",
-    "Effect",
-    "Fading",
-    "Judgement",
-    "LinearModel",
-    "Terms",
-    "check_extra",
-    "check_poses",
-    "interval_scales",
-    "judge",
-    "order_price",
-    "shoulder",
-    "smooth_shares",
-    "torque_axis",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]
