@@ -75,7 +75,7 @@ WORDS = {
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
         "raacmm plan --arm my_arm.json --out plan",
-        "--arm --out --cones --poses",
+        "--arm --out --cones --poses --bar --lean --limits",
     ),
     "accept": (
         "_accept", "judge an arm by its acceptance test, as found and as left: a sheet",
@@ -206,6 +206,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
     "--poses": _number("N", "poses in each cone (12)", int, default=12),
+    "--bar": _number("MM", "bar whose two seats are two of the cones (by the reach); 0: none"),
+    "--lean": _number("DEG", "how far the probe may lean from the vertical (any way)"),
+    "--limits": _value("LOW1,HIGH1,...", "limits of the joints in degrees, where ARM has none"),
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
 }
