@@ -10,6 +10,7 @@ import datetime
 import io
 import platform
 import re
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -126,8 +127,8 @@ def write_report(
     return text
 
 
-def render(name, **values):
-    """Page of a template in this folder."""
+@cache
+def _environment():
     import jinja2
 
     environment = jinja2.Environment(
@@ -135,7 +136,12 @@ def render(name, **values):
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
     )  # fmt: skip
     environment.filters |= {"um": lambda mm: f"{1000 * mm:.1f}", "number": _number}
-    return environment.get_template(name).render(values)
+    return environment
+
+
+def render(template, **values):
+    """Page of a template in this folder."""
+    return _environment().get_template(template).render(values)
 
 
 def with_history(page, history):
