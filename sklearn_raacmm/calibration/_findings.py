@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import parameter_jacobian
+from sklearn_raacmm.arm import parameter_jacobian, random_poses
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
@@ -195,7 +195,7 @@ def _poses_alike(fit):
     # Of too few rows another finding tells.
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
         return
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_TRIED, arm.n_joints))
+    angles = random_poses(arm, _TRIED)
     points, jac = parameter_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale

@@ -306,8 +306,9 @@ class Fit:
         n_table, n = 4 * arm.n_joints, len(self.angles)
         # On trial: an `Arm` would check its fields at every step.
         trial = SimpleNamespace(
-            convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings
-        )
+            convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings,
+            joint_types=arm.joint_types,
+        )  # fmt: skip
         points, jac = np.empty((n, 3)), np.zeros((n, 3, len(x)))
         for tool in range(problem.n_tools):
             rows, start = rows_of(problem.tools, tool), n_table + 3 * tool

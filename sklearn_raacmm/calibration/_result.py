@@ -215,7 +215,7 @@ class CalibrationResult:
         >>> bool(np.abs(result.residuals(angles[40:], tracker[40:])).max() < 1e-3)
         True
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles = check_angles(angles, self.arm.joint_types, angle_unit)
         if (points is None) == (groups is None):
             raise ValueError("Give either points, measured positions, or groups, labels.")
         shown = np.empty((len(angles), 3))
