@@ -61,7 +61,8 @@ class Arm:
 
         with ``theta_i = joint_signs_i * angle_i + theta_offset_i``, see also `couplings`.
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
-        Direction in which each encoder counts: -1 where it counts against the table's angle.
+        Direction in which each encoder counts: -1 where it counts against the table's angle. Of a
+        joint that slides with its scale, as a calibration finds it, such as 1.00003.
     pose_joints : tuple of two int, default=(3, 4)
         Numbers, from 1, of the joints that make the pose: swivel and elbow.
     pose_frames : tuple of two int, default=(2, 5)
@@ -205,7 +206,8 @@ class Arm:
         columns = (self.a, np.rad2deg(self.alpha), self.d, np.rad2deg(self.theta_offset))
         for i, values in enumerate(zip(*columns, strict=True)):
             number = f"{i + 1}{' P' * (self.joint_types[i] == 'P')}"
-            yield number, f"{self.joint_signs[i]:+.0f}", *(f"{value:.4f}" for value in values)
+            sign = f" {self.joint_signs[i]:+.7g}"  # of a slide its scale
+            yield number, sign, *(f"{value:.4f}" for value in values)
 
     def _repr_html_(self):
         header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]

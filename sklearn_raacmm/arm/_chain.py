@@ -341,12 +341,19 @@ def _xyz_rpy(origin):
 
 
 def warn_of_sums(arm):
-    """Say what a file leaves out of an arm whose angles are sums."""
+    """Say what a file leaves out of an arm whose angles are sums, or whose slides have a scale."""
     if arm.couplings:
         sums = ", ".join(f"J{i} {'-+'[f > 0]} J{j}" for i, j, f in arm.couplings)
         warn_user(
             f"A robot's own file has no joints whose angles are sums: it takes the angles of the "
             f"joints themselves, {sums}, which whoever reads the file has to add."
+        )
+    scales = [i for i in range(arm.n_joints) if abs(arm.joint_signs[i]) != 1]
+    if scales:
+        said = ", ".join(f"J{i + 1} by {abs(arm.joint_signs[i]):.8g}" for i in scales)
+        warn_user(
+            "A robot's own file has no scale of a joint that slides: whoever reads the file has to "
+            f"multiply {said}."
         )
 
 

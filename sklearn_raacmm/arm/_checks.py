@@ -17,6 +17,8 @@ _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
 _NO_LIMITS = (-np.inf, np.inf)
 # Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
 _ABSURD_DEG = 3600.0
+# No scale of a rail is off by as much: it would be in another unit.
+_MOST_SCALE = 0.1
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
 # A nanometre: on any arm, shorter lengths and their directions are made of rounding.
@@ -34,7 +36,7 @@ def check_fields(arm: Any) -> dict[str, Any]:
         "d": check_numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
         "theta_offset": check_numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
         "probe": check_numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
-        "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 1, True),
+        "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 2, True),
         "pose_joints": check_pair("pose_joints", arm.pose_joints, 1, n),
         "pose_frames": check_pair("pose_frames", arm.pose_frames, 0, n),
         "names": check_names(arm.names, n),
@@ -43,8 +45,12 @@ def check_fields(arm: Any) -> dict[str, Any]:
         "couplings": check_couplings(arm.couplings, n, types),
         "joint_types": types,
     }
-    if np.any(np.abs(checked["joint_signs"]) != 1):
-        raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
+    off = np.abs(np.abs(checked["joint_signs"]) - 1)
+    if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
+        raise ValueError(
+            f"joint_signs must be -1 or 1 each, or of a joint that slides within {_MOST_SCALE:.0%} "
+            f"of it, got {arm.joint_signs!r:.60}."
+        )
     check_option("convention", arm.convention, ("standard", "modified"))
     if not is_name(arm.name):
         raise ValueError(f"name must be a string of whole characters, got {arm.name!r:.60}.")

@@ -108,7 +108,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
     nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
     same = (nominal.convention, nominal.joint_types) == (arm.convention, arm.joint_types)
-    if not same or np.any(nominal.joint_signs != arm.joint_signs):
+    if not same or np.any(nominal.joint_signs != np.sign(arm.joint_signs)):
         raise ValueError(
             f"{where} has {nominal.n_joints} joints in the modified convention, and the arm "
             f"is {arm!r}: only an arm that was read from this file can be written back into "

@@ -135,7 +135,8 @@ def calibrate(
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
-        long and short lengths apart.
+        long and short lengths apart, and for the axes along which joints slide. Their scales, which
+        change with `d`, have 300 ppm.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     accept : str or list of str, default=()
@@ -357,7 +358,8 @@ def _identified(fit, names):
     angle = np.array([name.startswith(ANGLES) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
-    unit = np.where(angle, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
+    per_reach = angle | np.array([name.startswith("scale") for name in names])
+    unit = np.where(per_reach, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
     seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
     sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
     covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
