@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi
 
-from sklearn_raacmm.arm import own_angles
+from sklearn_raacmm.arm import own_angles, phases, slides_of
 from sklearn_raacmm.correction._change import as_prior, changes_of, place_columns
 from sklearn_raacmm.measurements import medians_of
 from sklearn_raacmm.utils import centred, group_means
@@ -148,9 +148,11 @@ def causes_of(arm: Any, angles: np.ndarray, codes: np.ndarray | None) -> dict[st
     causes["scale"] = points[:, :, None]
     for j in range(arm.n_joints):
         causes[f"offset of joint {j + 1}"] = jacobian[:, :, [j]]
-        phase = angles[:, [j]] * np.array(_ORDERS)
+        phase = phases(arm, angles)[:, [j]] * np.array(_ORDERS)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
         causes[f"harmonics of joint {j + 1}"] = jacobian[:, :, j, None] * waves[:, None]
+    for j in slides_of(arm.joint_types):
+        causes[f"scale of joint {j + 1}"] = jacobian[:, :, [j]] * angles[:, None, [j]]
     return causes
 
 

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, own_angles
+from sklearn_raacmm.arm import Arm, own_angles, random_poses
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
@@ -530,7 +530,7 @@ def unseen_of_table(columns):
     """
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
     kinematic = np.flatnonzero([c.family == KINEMATICS for c in columns.others])
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    angles = random_poses(columns.arm, _POSES)
     own = columns.at(angles)[:, :, columns.n_waves + kinematic].reshape(3 * _POSES, -1)
     size = np.linalg.norm(own, axis=0)
     size[size == 0] = 1.0
@@ -550,7 +550,7 @@ def _n_motions(columns):
 def _fields_of_causes(columns):
     """The same for the columns that are neither harmonics nor extra; which fields they make."""
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    angles = random_poses(columns.arm, _POSES)
     of_place, amount = _fields(columns.points(angles), columns.up)
     own = columns.at(angles).reshape(len(of_place), -1)
     size = np.linalg.norm(own, axis=0)

@@ -32,7 +32,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.arm import Arm, own_angles
+from sklearn_raacmm.arm import Arm, phases
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
 from sklearn_raacmm.measurements import Form, known_length
@@ -138,7 +138,7 @@ def candidate_sums(rows, columns):
     whitened: Any = rows.whitening()
     angles = rows.X
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
-    own_of_joints = own_angles(rows.arm, angles)
+    own_of_joints = phases(rows.arm, angles[:, :n_joints])
     spans = []  # joint, orders, and which of those offered they are
     for joint in np.unique(offered[:, 0]).tolist():
         pairs = np.flatnonzero(offered[:, 0] == joint)
