@@ -50,7 +50,7 @@ def with_found_zeros(
 
     @lru_cache(1)  # what is left and its slope are asked for one after the other
     def both(key):
-        ours, slope = parameter_jacobian(_trial(arm, **fields(np.frombuffer(key))), angles)
+        ours, slope = parameter_jacobian(trial(arm, **fields(np.frombuffer(key))), angles)
         slope = slope[:, :, columns]
         if points is None:
             return centred(ours, codes), centred(slope, codes)
@@ -72,7 +72,7 @@ def with_found_zeros(
     return arm.replace(**fields(_best_of_starts(left, start, len(free), good, slope_of, scale)))
 
 
-def _trial(arm, **changes):
+def trial(arm, **changes):
     """What kinematics need of an arm with some fields changed: an `Arm` would check them."""
     names = (*FIELDS, "joint_signs", "convention", "couplings")
     return SimpleNamespace(**{name: getattr(arm, name) for name in names} | changes)
@@ -162,7 +162,7 @@ def arm_from_data(
     last = np.zeros(len(columns))
 
     def parts(zeros, rows):
-        one = _trial(arm, theta_offset=np.r_[0.0, zeros, 0.0])
+        one = trial(arm, theta_offset=np.r_[0.0, zeros, 0.0])
         slope = parameter_jacobian(one, angles[rows])[1][:, :, columns]
         means = group_means(slope, codes[rows])[codes[rows]]
         return [
