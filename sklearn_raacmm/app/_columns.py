@@ -185,11 +185,6 @@ def split_unit(name):
     return name, _UNIT_OF_WORD.get(unit, unit)
 
 
-def _stated(line):
-    """Words behind "unit" in a line above a table."""
-    return [word.lower() for pair in _STATED.findall(line) for word in pair if word]
-
-
 def _heading(source, cells, n_numbers):
     """Text of a row that is a heading of the rows below it: a comment, or one cell; or None."""
     bare = strip_mark(cells)
@@ -197,12 +192,6 @@ def _heading(source, cells, n_numbers):
     if source.count(cells) >= n_numbers or (bare is None and len(filled) != 1):
         return None
     return " ".join(filled).strip(" :=-*") or None
-
-
-def _is_summary(cells):
-    """Whether a row holds what a statistic of the rows above it is."""
-    texts = [cell for cell in cells if isinstance(cell, str) and not re.search(r"\d", cell)]
-    return bool(texts) and bool(_STATISTICS.fullmatch(texts[0].lower()))
 
 
 def _are_sections(source, rows, n_numbers):
@@ -230,13 +219,13 @@ class Columns:
         self.width = len(self.first[0][1])
         # Names of columns may stand again where logs were joined.
         self.top = next((cells for number, cells, *_ in rows if number == self.header_row), None)
-        self.first = [one for one in self.first if one[1] != self.top]
-        headed = [one for one in rows if one[1] != self.top]
-        self.sections = _are_sections(self.source, headed, n_numbers)
+        others = [one for one in rows if one[1] != self.top]
+        self.sections = _are_sections(self.source, others, n_numbers)
         if self.sections:
             self.header.append("position (headings between the rows)")
-            labels = dict(self._labelled(((n, c) for n, c, *_ in rows), n_numbers))
-            self.first = [(n, [*cells, labels.get(n, "")]) for n, cells in self.first]
+        of_data = {number for number, _ in self.first}
+        headed = self._headed((number, cells) for number, cells, *_ in rows)
+        self.first = [one for one in headed if one[0] in of_data]
         self.names, units = zip(*map(split_unit, self.header), strict=True)
         self.units = tuple(unit or self._unit_of_cells(i) for i, unit in enumerate(units))
         above = (
@@ -244,7 +233,8 @@ class Columns:
             for number, _, bare, is_comment in rows
             if number <= self.header_row or is_comment
         )
-        self.stated = {_UNIT_OF_WORD.get(word, word) for line in above for word in _stated(line)}
+        stated = [word for line in above for pair in _STATED.findall(line) for word in pair if word]
+        self.stated = {_UNIT_OF_WORD.get(word.lower(), word.lower()) for word in stated}
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
@@ -254,14 +244,14 @@ class Columns:
         found = {unit_in(cell) for cell in self.cells(column)}
         return _UNIT_OF_WORD.get(unit := min(found), unit) if len(found) == 1 else ""
 
-    def _labelled(self, rows, n_numbers):
-        """Yield (row number, the heading above it) of the rows of data."""
+    def _headed(self, rows):
+        """Yield rows, each with the heading above it as a further cell if they have headings."""
         label = ""
         for number, cells in rows:
-            heading = _heading(self.source, cells, n_numbers)
+            heading = _heading(self.source, cells, self.n_joints) if self.sections else None
             label = label if heading is None else heading
-            if heading is None:
-                yield number, label
+            if heading is None and cells != self.top:
+                yield number, [*cells, label] if self.sections else cells
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -288,17 +278,10 @@ class Columns:
         Comments are left out, and rows at the end without a number in any of these columns, or
         with means and other statistics of the columns, which a note then names.
         """
-        held, found, label = [], False, ""
-        for number, cells in self.source.rows():
-            if cells == self.top:
-                continue
-            if self.sections:
-                heading = _heading(self.source, cells, self.n_joints)
-                if heading is not None:
-                    label = heading
-                    continue
-                cells = [*cells, label]
-            has_number = self._has_number(cells, columns) and not _is_summary(cells)
+        held, found = [], False
+        for number, cells in self._headed(self.source.rows()):
+            is_statistic = _STATISTICS.fullmatch(str(cells[0]).lower())
+            has_number = not is_statistic and self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue
             held.append((number, cells))
@@ -402,8 +385,10 @@ class Columns:
         if not fitting or unnamed:
             numeric, poses = self.columns_of_numbers(taken), self.pose_columns()
             joints = [i for i in numeric if i not in poses]
-            if len(joints) == self.n_joints + 1 and self._counts_rows(joints[0]):
-                joints = joints[1:]
+            if len(joints) == self.n_joints + 1:  # and the first counts rows, or times
+                steps = np.diff(self.source.numbers(self.cells(joints[0])))
+                even = len(steps) > 1 and steps[0] > 0 and np.ptp(steps) <= 1e-6 * steps[0]
+                joints = joints[1:] if even else joints
             fitting, what = [joints] * (len(joints) == self.n_joints), "the columns of numbers, "
             if not fitting and poses and len(joints) < self.n_joints:
                 named = ", ".join(self.header[i] for i in poses)
@@ -434,12 +419,6 @@ class Columns:
             and not _EXTERNAL.fullmatch(name)
             and all(self._has_number(cells, [i]) for cells in rows)
         ]
-
-    def _counts_rows(self, column):
-        """Whether a column only counts the rows, or holds times at equal steps."""
-        values = self.source.numbers(self.cells(column))
-        steps = np.diff(values)
-        return len(steps) > 1 and steps[0] > 0 and bool(np.ptp(steps) <= 1e-6 * steps[0])
 
     def pose_columns(self):
         """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""

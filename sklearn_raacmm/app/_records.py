@@ -102,15 +102,14 @@ _POSE_IN_BRACKETS = re.compile(r"\bp\[|\)\s*\(")
 
 
 def find_records(text, read, n_numbers):
-    """What a file of text is, and its rows (number, cells), the names first; None of a table.
+    """What a file of text is, names of columns or None, and rows (number, cells); None of a table.
 
     `text` is the file's beginning, `read` a function that returns all of it. Of a file that holds
     poses of the tool where joints are needed, a ValueError says so.
     """
     for find in (_json, _program, _xml, _yaml, _cells, _lists, _pairs):
         if found := find(text, read, n_numbers):
-            what, names, rows = found
-            return what, [(0, names), *rows] if names else rows
+            return found
     return None
 
 
@@ -164,7 +163,7 @@ def _lists(head, read, n_numbers):
         if n_numbers > 3 and _POSE_IN_BRACKETS.search(text[begin : lists[-1][0].end()]):
             raise ValueError(f"row {line} holds a pose of the tool; joint angles are needed.")
         if len(sizes) > 2 and {*sizes} == {n_numbers}:  # rows in one line
-            found += [(line, "", [""], [numbers]) for _, numbers in lists]
+            found += [(k, "", [""], [one]) for k, (_, one) in enumerate(lists, line)]
             continue
         ends = [begin, *(match.end() for match, _ in lists)]
         before = [text[end : match.start()] for end, (match, _) in zip(ends, lists, strict=False)]

@@ -229,20 +229,33 @@ def find_source(path, n_numbers, sheet=None):
 
     `sheet` is the name or number, from 1, of a spreadsheet's; None: the first with such rows.
     """
-    path = Path(path)
-    if path.suffix.lower() in _BAGS or (path / "metadata.yaml").is_file():
-        return _bag(path, n_numbers, (sheet or "").split(","))
-    if not path.is_file():
+    path, suffix = Path(path), Path(path).suffix.lower()
+    is_bag = suffix in _BAGS or (path / "metadata.yaml").is_file()
+    if not (is_bag or path.is_file()):
         raise TableError(f"There is no file {path}.")
-    if path.suffix.lower() in SHEETS:
+    if suffix in SHEETS:
         return _find_sheet(path, n_numbers, sheet)
-    if sheet is not None:
+    if sheet is not None and not is_bag:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
-    if path.suffix.lower() in (".yaml", ".yml"):
-        check_installed("yaml")
-    if path.suffix.lower() in _ARRAYS:
+    check_installed(*["yaml"] * (suffix in (".yaml", ".yml")), *["rosbags"] * is_bag)
+    if suffix in _ARRAYS:
         return _arrays(path, n_numbers)
-    return _find_records(path, n_numbers) or find_dialect(path, n_numbers)
+    try:
+        if is_bag:
+            from sklearn_raacmm.app._bags import read_bag
+
+            found = read_bag(path, n_numbers, (sheet or "").split(","))
+        else:
+            encoding = find_encoding(path)
+            with open(path, encoding=encoding, newline="") as file:
+                head = file.read(HEAD_CHARACTERS)
+            found = find_records(head, partial(path.read_text, encoding), n_numbers)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}") from None
+    if found is None:
+        return find_dialect(path, n_numbers)
+    what, names, rows = found
+    return Dialect(path, what=what, table=[(0, names), *rows] if names else rows)
 
 
 # -- text and spreadsheets ------------------------------------------------------------------------
@@ -453,30 +466,3 @@ class _ArrayRows:
             some = (column[start : start + _BLOCK_ROWS].tolist() for column in self.columns)
             for number, cells in enumerate(zip(*some, strict=True), start + 1):
                 yield number, [clean(cell) for cell in cells]
-
-
-# -- records: programs of robots, lists, echoes ---------------------------------------------------
-
-
-def _find_records(path, n_numbers):
-    """The rows of a file that is no table, but holds rows of numbers; None of any other."""
-    encoding = find_encoding(path)
-    with open(path, encoding=encoding, newline="") as file:
-        head = file.read(HEAD_CHARACTERS)
-    try:
-        found = find_records(head, partial(path.read_text, encoding), n_numbers)
-    except ValueError as error:
-        raise TableError(f"{path}: {error}") from None
-    return None if found is None else Dialect(path, what=found[0], table=found[1])
-
-
-def _bag(path, n_numbers, topics):
-    """The rows of a log of ROS."""
-    check_installed("rosbags")
-    from sklearn_raacmm.app._bags import read_bag
-
-    try:
-        what, names, rows = read_bag(path, n_numbers, topics)
-    except ValueError as error:
-        raise TableError(f"{path}: {error}") from None
-    return Dialect(path, what=what, table=[(0, names), *rows])
