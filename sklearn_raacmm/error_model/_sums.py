@@ -228,21 +228,23 @@ def without_motions(sums, columns):
     """
     if not columns.terms.kinematics:
         return sums
-    keep = beside_motions(columns.alone)
-    return sums._replace(
-        gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
-    )
+    motions = motions_of(columns.alone)
+
+    def beside(products):
+        return products - motions @ (motions.T @ products)
+
+    gram = beside(beside(sums.gram).T)
+    return sums._replace(gram=gram, moment=beside(sums.moment), cross=beside(sums.cross))
 
 
 @lru_cache(maxsize=64)
-def beside_motions(columns):
-    """Projection (m, m) of coefficients to what is no motion of the base and no scale."""
+def motions_of(columns):
+    """Orthonormal coefficients (m, k) that move the base, or scale the arm."""
     # What comes before the first joint in the modified convention moves the arm, too.
     before = ["a1", "alpha1", "beta1"] * (columns.arm.convention == "modified")
     moving = [columns.names.index(name) for name in [*BASE_MOTIONS, *before]]
     unit = np.eye(len(columns.names))
-    motions = np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
-    return unit - motions @ motions.T
+    return np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
 
 
 def length_equations(rows, columns):
