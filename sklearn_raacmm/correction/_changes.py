@@ -79,6 +79,25 @@ def likeliest_change(
     return best, columns
 
 
+class Table:
+    """What each change does to rows that count, whitened: one table for checks and for updates.
+
+    `slipped` (n,) are the rows that do not count. Of the others are `left` (n, 3) what a correction
+    leaves, without tails, mm, and `causes` by their names, columns (n, 3, k); `residual` (m,), the
+    root `known` (m, r) of what the model expects and `seen`, the causes, are over the noise.
+    """
+
+    def __init__(self, linear: Any, rows: Any, correction: np.ndarray) -> None:
+        self.slipped, left = slipped_rows(linear, rows, rows.y - correction)
+        used = ~self.slipped & (rows.weights > 0)
+        self.rows, self.left, correction = rows.at(used), left[used], correction[used]
+        self.shown, self.causes = Shown(linear, self.rows), causes_of(self.rows)
+        self.columns = linear.columns(self.rows.X)
+        self.known = self.shown.flat(self.columns) @ linear.half
+        self.seen = {name: self.shown.flat(one, TAKEN_UP) for name, one in self.causes.items()}
+        self.residual = self.shown.left(self.left, correction).ravel() / linear.noise_sd
+
+
 def named_changes(linear: Any, rows: Any) -> list[str] | None:
     """Changes that rows of a single-point test name, one after another; None: all columns may.
 
@@ -91,18 +110,12 @@ def named_changes(linear: Any, rows: Any) -> list[str] | None:
     if rows.codes is None:
         return None
     linear = widened(as_prior(linear))
-    expected = linear.predict(rows.X)[0]
-    slipped, left = slipped_rows(linear, rows, rows.y - expected)
-    used = np.flatnonzero(~slipped & (rows.weights > 0))
-    rows, left, expected = rows.at(used), left[used], expected[used]
-    shown, columns = Shown(linear, rows), linear.columns(rows.X)
-    causes = {name: shown.flat(cause, TAKEN_UP) for name, cause in causes_of(rows).items()}
-    causes["arm"] = shown.flat(columns * changes_of(linear)[1])
-    residual = shown.left(left, expected).ravel() / linear.noise_sd
-    known = shown.flat(columns) @ linear.half
+    table = Table(linear, rows, linear.predict(rows.X)[0])
+    causes, known, shown = table.seen, table.known, table.shown
+    causes["arm"] = shown.flat(table.columns * changes_of(linear)[1])
     names: list[str] = []
     while True:
-        name, change = likeliest_change(residual, known, causes, shown.n_coordinates)
+        name, change = likeliest_change(table.residual, known, causes, shown.n_coordinates)
         if change is None:
             return names
         if len(names) == _MOST_NAMED or not name.startswith(_HELD):

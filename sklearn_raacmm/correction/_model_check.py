@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.correction._change import day
-from sklearn_raacmm.correction._changes import NOISE, causes_of, likeliest_change, widened
+from sklearn_raacmm.correction._changes import NOISE, Table, likeliest_change, widened
 from sklearn_raacmm.correction._condition import UNSEEN, Whitened, score_tests
-from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, new_rows, place_columns, slipped_rows
+from sklearn_raacmm.correction._rows import new_rows, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
     listed,
@@ -226,12 +226,11 @@ def check_correction(
         raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
     rows = new_rows(model, X, y, groups, lengths, features)
     linear, correction = widened(model.linear_model_), model.predict(X)
-    slipped, tamed = slipped_rows(linear, rows, rows.y - correction)
-    rows, tamed, correction = rows.at(~slipped), tamed[~slipped], correction[~slipped]
-    shown, columns = Shown(linear, rows), linear.columns(rows.X)
+    table = Table(linear, rows, correction)
+    rows, shown, known, seen = table.rows, table.shown, table.known, table.seen
     place = place_columns(linear.arm, rows.X, with_base=True)
     place = place[:, :, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
-    known, nuisance = shown.flat(columns) @ linear.half, shown.flat(place)
+    nuisance, residual, correction = shown.flat(place), table.residual, correction[~table.slipped]
     whiten = Whitened(known, nuisance, shown.n_coordinates)
     if whiten.freedom < 3:
         n = int(shown.rank.sum())
@@ -240,23 +239,21 @@ def check_correction(
             f"{n - whiten.freedom} freedoms of positions, base and probe: nothing is left "
             "to check the correction with."
         )
-    causes = causes_of(rows)
-    seen = {name: shown.flat(cause, TAKEN_UP) for name, cause in causes.items()}
-    residual = shown.left(tamed, correction).ravel() / linear.noise_sd
     n_positions = min(linear.n_positions, _MANY_POSITIONS)
     freedom, of_arms = _ERRORS_OF_POSITION * n_positions, n_positions + _POSITIONS_OF_ARMS
     factor = (n_positions + _POSITIONS_OF_ARMS * _FACTOR_OF_ARMS) / of_arms
     already = shown.flat(-correction[:, :, None])
     left, whole = whiten(residual), whiten(already)[:, 0]
     if whole @ left > 0.5 * (whole @ whole):  # likelier by all of the correction than by none
-        causes["corrected already"], seen["corrected already"] = -correction[:, :, None], already
+        seen["corrected already"] = already
+        table.causes["corrected already"] = -correction[:, :, None]
     tests = score_tests(seen, whiten, residual, [(freedom, 1.0), (of_arms, factor)])
     # Of 560 knocks of 10 arc seconds equal shares found 487, these 497 (arms with other seeds than
     # those of ``benchmarks/bench_check.py kinds``): misfit looks like causes of many numbers.
     shares = np.r_[1.0, 1 / tests["freedom"][1:], 1.0]
     shares /= shares.sum()
     rate = false_alarm_rate * shares[-1]
-    mean, chart = _chart(linear, shown, tamed, columns @ linear.half, place, freedom, rate)
+    mean, chart = _chart(linear, table, place, freedom, rate)
     tests = np.append(tests, np.array(mean, dtype=tests.dtype))
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds, suspect, size_mm = p_value >= false_alarm_rate, "nothing", 0.0
@@ -269,14 +266,14 @@ def check_correction(
         rest = {name: beside(cause) for name, cause in seen.items()}
         given = beside(residual), beside(known), rest, beside.freedom
         suspect = likeliest_change(*given)[0]
-    if suspect in causes:
+    if suspect in seen:
         # By its most likely size; what base and probe do as well is no part of it.
         cause = seen[suspect]
         size = np.linalg.lstsq(whiten(cause), whiten(residual), rcond=UNSEEN)[0]
         taken = np.linalg.lstsq(whiten.scaled(nuisance), whiten.scaled(cause), rcond=UNSEEN)[0]
-        size_mm = _rms(shown, (causes[suspect] - place @ taken) @ size)
+        size_mm = _rms(shown, (table.causes[suspect] - place @ taken) @ size)
     elif suspect == NOISE:  # as much as all exceed what is expected of them
-        size_mm = float(np.sqrt(max(np.square(_rms(shown, tamed)) - usual_mm**2, 0.0)))
+        size_mm = float(np.sqrt(max(np.square(_rms(shown, table.left)) - usual_mm**2, 0.0)))
     matters = size_mm > _WORTH * usual_mm
     advice = _ADVICE.get(suspect, _ADVICE["arm"])
     if not (holds or matters):
@@ -286,7 +283,7 @@ def check_correction(
         )
     record = {"date": day(date), "n_poses": len(rows.X)}
     record |= {**chart, "p_value": p_value, "suspect": suspect}
-    far = tuple(np.flatnonzero(slipped).tolist())
+    far = tuple(np.flatnonzero(table.slipped).tolist())
     return CorrectionCheck(
         holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, far, record
     )
@@ -302,13 +299,14 @@ def _about(shown, columns):
     return shown.rows.along(shown.whitened.centred(columns))
 
 
-def _chart(linear, shown, tamed, half, place, freedom, rate):
+def _chart(linear, table, place, freedom, rate):
     """The test of the mean distance, and mean and range with the limits of that same test.
 
     The square of a mean or a range of distances is about a multiple of a chi-squared variable,
-    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. `half`
-    (n, 3, r) is a root of what the model expects, `place` (n, 3, k) of what was fitted.
+    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. `place`
+    (n, 3, k) has been fitted.
     """
+    shown, tamed, half = table.shown, table.left, table.columns @ linear.half
     basis = np.linalg.qr(_about(shown, place).reshape(tamed.size, place.shape[2]))[0]
     record, tests, rng = {}, [], np.random.default_rng(0)
     noise = linear.noise_sd * linear.noise_root(shown.rows.X)
