@@ -86,7 +86,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
                 "are not False."
             )
         points = points_of(arm, X[:, : arm.n_joints], probes)
-        y, touched = _touched(features, labels, positions, points, y, weights)
+        y, touched = touched_rows(features, labels, positions, points, y, weights)
         codes = positions
         deviations = True
     elif positions is None:
@@ -113,7 +113,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     return Rows(arm, X, y, weights, codes, tuple(lengths), **touched), positions
 
 
-def _touched(features, labels, codes, points, y, weights):
+def touched_rows(features, labels, codes, points, y, weights) -> Any:
     """Residuals (n, 3), those of touches from the arm's own points, and what `Rows` need of these.
 
     And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.

@@ -94,8 +94,8 @@ def joint_noise(
     scale /= np.average(rank + np.zeros(n), weights=weights)
     if not (scale > 0 and seen.any()):
         return even
-    # Of each noise the covariance that one of it has at each row, the last index; symmetric, so that
-    # a product of nine numbers is a trace.
+    # Of each noise the covariance that one of it has at each row, the last index; symmetric, so
+    # that a product of nine numbers is a trace.
     shapes = np.empty((n_joints + 1, 3, 3, n))
     np.einsum("nij,nkj->jikn", levers, levers, out=shapes[:-1])
     beside = np.moveaxis(np.broadcast_to(beside, (n, 3, 3)), 0, 2)

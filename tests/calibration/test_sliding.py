@@ -17,7 +17,7 @@ def test_a_scale_and_a_direction_of_a_rail_are_found_and_kept_in_the_arm():
     )
     q = random_poses(RAIL, 120)
     points = true.forward(q) + np.random.default_rng(1).normal(0, 0.02, (120, 3))
-    result = calibrate(RAIL, q, points=points + [3000, 0, 0])
+    result = calibrate(RAIL, q, points=points + np.array([3000, 0, 0]))
     i = result.names.index("scale1")
     off = (result.values[i] - 1 - 40e-6) / result.standard_deviations[i]
     assert abs(off) < 3
