@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.arm import slides_of, turn_mm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
@@ -70,6 +71,9 @@ _SAME_ANGLE = 1e-6
 # are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
+# Waves of what slides are looked for down to this length, mm: screws and racks have longer pitches.
+_LEAST_PITCH_MM = 4.0
+
 # Rounds of robust weights at one choice, and choices with what they have become. A weight that
 # changes by less than this has settled; with so little change of all, in the mean, a choice is the
 # same.
@@ -115,18 +119,22 @@ _LEAST_MEANS, _PRICE_OF_DEVIATIONS = 1e-6, 30.0
 LEAST_POSITIONS = 4
 
 
-def offered_harmonics(angles, orders):
+def offered_harmonics(angles, orders, arm=None):
     """Harmonics that a fit may take, (n_pairs, 2): joint from 0 and order, sorted.
 
     `angles` (n, n_joints) of the poses are in rad. `orders` may be the highest order: a joint at m
     different angles is offered none above m, for on a grid the waves of lower orders are the same
     there; but all above 72 where its angles are scattered. Or the orders themselves, for all joints
-    or for each.
+    or for each. Of a joint of the `arm` that slides, whose angles are `phases`, all down to the
+    shortest pitch are offered.
     """
     n_joints = angles.shape[1]
     if isinstance(orders, Integral):
         n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
-        named = [_seen_orders(column, orders, n_poses) for column in angles.T]
+        most = np.full(n_joints, orders)
+        if arm is not None and orders and (slides := slides_of(arm.joint_types)):
+            most[slides] = np.maximum(orders, turn_mm(arm)[slides] / _LEAST_PITCH_MM)
+        named = [_seen_orders(*one, n_poses) for one in zip(angles.T, most.tolist(), strict=True)]
     else:
         named = list(orders)
         if not any(np.iterable(order) for order in named):

@@ -30,7 +30,7 @@ from sklearn_raacmm.measurements._features import (
     with_forms,
 )
 from sklearn_raacmm.measurements._lengths import check_length
-from sklearn_raacmm.measurements._measurements import Measurements, given_causes, taken_apart
+from sklearn_raacmm.measurements._measurements import Measurements, given_causes
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     angle_faults,
