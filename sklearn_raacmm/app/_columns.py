@@ -116,6 +116,9 @@ def find_header(source, n_numbers):
     # Rows that say one thing of each column, such as its time between samples, are no data.
     repeated = [i for i in heads if Counter(texts[i]).most_common(1)[0][1] >= n_numbers]
     n_above = max([n_above, *(i + 1 for i in repeated)])
+    # Numbers behind a word, where the table's stand alone, are not the table's.
+    if any(kind in fitting and usual[0] > kind[0] for kind in kinds[n_above:begin]):
+        n_above = begin
     data = [
         (number, cells)
         for (number, cells, _, is_comment), kind in zip(rows, kinds, strict=True)
@@ -227,7 +230,9 @@ class Columns:
         headed = self._headed((number, cells) for number, cells, *_ in rows)
         self.first = [one for one in headed if one[0] in of_data]
         self.names, units = zip(*map(split_unit, self.header), strict=True)
-        self.units = tuple(unit or self._unit_of_cells(i) for i, unit in enumerate(units))
+        of_cells = [{*map(unit_in, self.cells(i))} for i in range(len(units))]
+        behind = [_UNIT_OF_WORD.get(u := min(one), u) if len(one) == 1 else "" for one in of_cells]
+        self.units = tuple(unit or other for unit, other in zip(units, behind, strict=True))
         above = (
             ", ".join(map(str, bare))
             for number, _, bare, is_comment in rows
@@ -238,11 +243,6 @@ class Columns:
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
-
-    def _unit_of_cells(self, column):
-        """Unit that stands behind each number of a column, or ""."""
-        found = {unit_in(cell) for cell in self.cells(column)}
-        return _UNIT_OF_WORD.get(unit := min(found), unit) if len(found) == 1 else ""
 
     def _headed(self, rows):
         """Yield rows, each with the heading above it as a further cell if they have headings."""
