@@ -73,6 +73,8 @@ _ORIENTATIONS = (
 )  # fmt: skip
 # An external axis beside the robot's own: a track, a positioner.
 _EXTERNAL = re.compile(r"(e|ext|ej|eax_?|ext_?axis|external_?axis|track|rail|linear_?axis)_?\d?")
+# What may be the column of a joint that slides, where the arm has one.
+_WAY = re.compile(rf"{_EXTERNAL.pattern}|[xyzuvw]|column|lift|quill|slide|gantry_?[xyz\d]?|s\d")
 # Share by which it moves.
 _MOVES = 1e-6
 # Angles of columns without names that are beyond this many degrees are no angles of joints.
@@ -340,6 +342,20 @@ class Columns:
             raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
         return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
 
+    def mm_per_unit(self, column):
+        """Millimetres in the unit of a column of a joint that slides."""
+        unit = self.units[column]
+        if not unit and column in self._fields("position").values() and self._fields("name"):
+            unit = "m"  # sensor_msgs/JointState
+        if unit and unit in _MM_PER_UNIT:
+            return _MM_PER_UNIT[unit]
+        said = f"its header says {unit!r}" if unit else "its header does not say"
+        name = self.header[column]
+        raise TableError(
+            f"{self.path}: in which unit of length is the column {name!r} of a joint that slides? "
+            f"Name it in the header, such as {self.names[column]} [mm]; {said}."
+        )
+
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
         labels = [str(cells[column]) for _, cells in rows]
@@ -353,12 +369,12 @@ class Columns:
 
     # -- joint angles -----------------------------------------------------------------------
 
-    def find_angles(self, wanted, joint_names, taken=()):
+    def find_angles(self, wanted, joint_names, taken=(), slides=()):
         """Columns of the joint angles in the order of the arm, each another one; not those taken.
 
-        The columns `taken` hold other things.
+        The columns `taken` hold other things. Joints of the numbers `slides`, from 0, slide.
         """
-        found = self._find_angles(wanted, joint_names, taken)
+        found = self._find_angles(wanted, joint_names, taken, slides)
         names = [name.lower() for name in self.header]
         for i in found:
             if found.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
@@ -368,7 +384,7 @@ class Columns:
                 )
         return found
 
-    def _find_angles(self, wanted, joint_names, taken):
+    def _find_angles(self, wanted, joint_names, taken, slides=()):
         if wanted is not None:
             if len(wanted) != self.n_joints:
                 columns = f"--angles names {len(wanted)} columns"
@@ -379,6 +395,17 @@ class Columns:
             shown = ", ".join(self.header[i] for i in found)
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
+        ways = [i for i, name in enumerate(self.names) if _WAY.fullmatch(name) and i not in taken]
+        if slides and len(ways) == len(slides):
+            shown = ", ".join(self.header[i] for i in ways)
+            self.notes.append(f"Joints that slide: {shown}.")
+            found, n = np.zeros(self.n_joints, dtype=int), self.n_joints
+            found[slides], self.n_joints = ways, n - len(slides)
+            if self.n_joints:
+                turn = np.setdiff1d(np.arange(n), slides)
+                found[turn] = self._find_angles(None, (), {*taken, *ways})
+            self.n_joints = n
+            return found.tolist()
         fitting, what = self._series(), ""
         # Columns without names are numbered by us, and such numbers mean nothing.
         unnamed = all(re.fullmatch(r"column \d+", self.header[i]) for i in range(self.width))

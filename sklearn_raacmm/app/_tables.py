@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import MEASURED, Columns
 from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.utils import Floats
 
 # Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
@@ -45,6 +46,8 @@ class Table:
         What was guessed, one sentence each.
     others : dict of str to ndarray of shape (n,)
         Further columns by name: numbers, or text where one cell is no number.
+    joint_types : str
+        Those of the arm: what slides is in mm.
     """
 
     angles: Floats
@@ -54,6 +57,7 @@ class Table:
     rows: np.ndarray
     notes: list[Any] = field(default_factory=list)
     others: dict[str, Any] = field(default_factory=dict)
+    joint_types: str = ""
 
 
 def read_table(
@@ -69,6 +73,7 @@ def read_table(
     counts_per_turn: ArrayLike | None = None,
     sheet: str | None = None,
     others: Iterable[str] = (),
+    joint_types: str = "",
 ) -> Table:
     r"""Read a table of joint angles as a logger, a robot or a spreadsheet program wrote it.
 
@@ -104,6 +109,9 @@ def read_table(
         Name or number of a spreadsheet's sheet. None: the first with such rows.
     others : iterable of str, default=()
         Names of further columns to hand on, such as a temperature.
+    joint_types : str, default=""
+        Those of an arm with joints that slide. Their columns have the names of its joints, or of an
+        external axis, such as E1 or rail, and their unit in the header, such as "E1 [mm]".
 
     Returns
     -------
@@ -140,6 +148,7 @@ class Layout(Columns):
     def __init__(
         self, path, n_joints, *, angles=None, position=None, points=None, angle_unit=None,
         labelled=True, joint_names=(), counts_per_turn=None, sheet=None, others=(), needed=True,
+        joint_types="",
     ):  # fmt: skip
         super().__init__(path, n_joints, sheet)
         self.points_file = points if isinstance(points, str | PathLike) else None
@@ -149,7 +158,8 @@ class Layout(Columns):
         taken = {*self.point_columns, *self.others.values()}
         if position is not None:
             taken.add(self.column(position, "--position"))
-        self.angle_columns = self.find_angles(angles, joint_names, taken)
+        self.types, slides = joint_types, slides_of(joint_types)
+        self.angle_columns = self.find_angles(angles, joint_names, taken, slides)
         self.labelled, self.position_column, self.needed = labelled and points is None, None, needed
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or self.label_columns):
@@ -162,7 +172,12 @@ class Layout(Columns):
         if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
             each = f"one for each of {n_joints} joints"
             raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
-        self.angle_unit = angle_unit or self.find_unit(self.angle_columns)
+        turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
+        self.angle_unit = angle_unit or (self.find_unit(turning) if turning else "rad")
+        if slides:
+            unit = np.broadcast_to(self.factor / self.turns, n_joints).copy()
+            unit[slides] = [self.mm_per_unit(self.angle_columns[i]) for i in slides]
+            self.factor, self.turns = unit, np.ones(1)
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
         self.notes += self.external_axes(used)
@@ -237,7 +252,7 @@ class Layout(Columns):
         angles = self.factor * np.array(angles).T / self.turns
         others = self._others(lambda i: cells[i :: self.width])
         numbers = np.arange(number, number + len(lines))
-        return Table(angles, self.angle_unit, None, None, numbers, self.notes, others)
+        return Table(angles, self.angle_unit, None, None, numbers, self.notes, others, self.types)
 
     def _table(self, rows):
         """The table of some rows."""
@@ -249,7 +264,8 @@ class Layout(Columns):
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
         others = self._others(lambda i: [cells[i] for _, cells in rows])
         numbers = np.array([number for number, _ in rows])
-        return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
+        read = positions, points, numbers, self.notes, others, self.types
+        return Table(angles, self.angle_unit, *read)
 
     def _others(self, column):
         """Further columns: numbers, or text where one cell is no number."""

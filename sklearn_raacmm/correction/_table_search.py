@@ -297,7 +297,7 @@ def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
             raise ValueError(
                 "zeros are found from labels of positions, or from a tracker's points."
             )
-        angles = check_angles(angles, arm.n_joints, unit)
+        angles = check_angles(angles, arm.joint_types, unit)
         rows, codes, few_points = _few_rows(len(angles), positions, points)
         return with_found_zeros(arm, angles[rows], codes, few_points)
     word, *numbers = code.split("-")

@@ -78,7 +78,7 @@ def with_found_zeros(
 
 def trial(arm, **changes):
     """What kinematics need of an arm with some fields changed: an `Arm` would check them."""
-    names = (*FIELDS, "joint_signs", "convention", "couplings")
+    names = (*FIELDS, "joint_signs", "convention", "couplings", "joint_types")
     return SimpleNamespace(**{name: getattr(arm, name) for name in names} | changes)
 
 
