@@ -118,9 +118,6 @@ def find_header(source, n_numbers):
     # Rows that say one thing of each column, such as its time between samples, are no data.
     repeated = [i for i in heads if Counter(texts[i]).most_common(1)[0][1] >= n_numbers]
     n_above = max([n_above, *(i + 1 for i in repeated)])
-    # Numbers behind a word, where the table's stand alone, are not the table's.
-    if any(kind in fitting and usual[0] > kind[0] for kind in kinds[n_above:begin]):
-        n_above = begin
     data = [
         (number, cells)
         for (number, cells, _, is_comment), kind in zip(rows, kinds, strict=True)

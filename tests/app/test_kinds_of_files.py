@@ -554,8 +554,6 @@ POINT_FILES = {
     "a row for each coordinate": ("Name,Axis,Nominal,Measured,Dev\n" + joined(
         [f"p{i}", axis, value + 1, value, -1]
         for i, point in enumerate(POINTS) for axis, value in zip("XYZ", point, strict=True)), None),
-    "point cloud": ("# .PCD v.7\nVERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-        "WIDTH 4\nPOINTS 4\nDATA ascii\n" + joined(POINTS, " "), None),
     "metres above": ("Tracker 1\nCoordinates in metres\n\n" + joined(
         ([f"p{i}", *point] for i, point in enumerate(POINTS / 1000)), " "), None),
     "thousands parted": ("id;X;Y;Z\n" + joined(([f"p{i}", *(
