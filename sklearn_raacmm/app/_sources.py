@@ -55,8 +55,7 @@ _SCRIPTS = (
     ("cp949", "도축관절각위치점좌표번호"),
 )
 # Hard blanks, minus signs and primes are those of word processors, wide brackets of Asian ones.
-_PLAIN = {"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"}
-_PLAIN = str.maketrans(_PLAIN | {"\u2019": "'", "\u2032": "'", "\u2033": '"'})
+_PLAIN = str.maketrans("\xa0\u2212\uff08\uff09\u2019\u2032\u2033", " -()''\"")
 # A line under the header of a table in Markdown, whose rows may begin and end with bars.
 _RULE = re.compile(r"[\s|:+-]*--[\s|:+-]*")
 _BARS = re.compile(r"^\s*\|(.*)\|\s*$")
