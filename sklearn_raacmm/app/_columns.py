@@ -277,9 +277,10 @@ class Columns:
         Comments are left out, and rows at the end without a number in any of these columns, or
         with means and other statistics of the columns, which a note then names.
         """
-        held, found = [], False
+        held, found, before = [], False, ""
         for number, cells in self._headed(self.source.rows()):
-            is_statistic = _STATISTICS.fullmatch(str(cells[0]).lower())
+            label, before = before, str(cells[0]).lower()  # a statistic has one row
+            is_statistic = before != label and _STATISTICS.fullmatch(before)
             has_number = not is_statistic and self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue
