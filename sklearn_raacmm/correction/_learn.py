@@ -42,6 +42,8 @@ _CONSTRAINTS = {
     "accept": ["array-like", str],
     "take": ["array-like", str],
 }
+# Known lengths that the report names.
+_LENGTHS_SAID = 3
 # Scores that are kept as they are.
 _KEPT = (
     "verdict",
@@ -221,8 +223,9 @@ def learn_correction(
         given |= {"features": features, "tip_diameter": tip_diameter}
         if isinstance(angles, Measurements):
             return Measurements.taken(angles, positions, **given)
-        checked = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        checked = within_turn(check_angles(angles, arm.joint_types, angle_unit), arm.joint_types)
         refuse_one_pose(checked)
+        given["joint_types"] = arm.joint_types
         no_labels = positions is None and points is None and not features
         return Measurements.of(
             checked, find_places(arm, checked) if no_labels else positions, **given
@@ -325,6 +328,7 @@ def _facts(data, calibration, scores):
         "written_by": f"sklearn_raacmm {__version__}",
         "findings": [finding.facts() for finding in scores.findings],
         "scale_sd": calibration.scale_sd,
+        "scale_set_by": _scale_of(data),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
@@ -336,3 +340,15 @@ def _facts(data, calibration, scores):
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],
     }
+
+
+def _scale_of(data):
+    """What set the common scale of all links, for people."""
+    if data.points is not None:
+        return "the points of a tracker"
+    said = [
+        f"{f'{a} to {b}' if a != b else f'diameter of {a}'}, {mm:.3f} mm (sd {sd:.3g} mm)"
+        for a, b, mm, sd in data.lengths
+    ]
+    more = [f"and {len(said) - _LENGTHS_SAID} more"] * (len(said) > _LENGTHS_SAID)
+    return "; ".join(said[:_LENGTHS_SAID] + more) or "the arm's table: no length was known"

@@ -13,7 +13,7 @@ positive and negative, in the metric of columns at poses from far to near.
 
 import numpy as np
 
-from sklearn_raacmm.arm import own_angles
+from sklearn_raacmm.arm import phases
 from sklearn_raacmm.error_model import Effect
 from sklearn_raacmm.export._steps import typical_rows
 
@@ -33,7 +33,7 @@ _ANGLES = 4096
 
 def axis_numbers(table, n_joints):
     """Which axis each column of a table turns about or goes along: turns first."""
-    shifts = np.isin(table["kind"], (Effect.SHIFT, Effect.LEAN))
+    shifts = np.isin(table["kind"], (Effect.SHIFT, Effect.LEAN, Effect.GROW))
     return 3 * (n_joints + 1) * shifts + 3 * table["frame"] + table["axis"]
 
 
@@ -91,7 +91,7 @@ def small_doubt(linear, fading, angles):
     parts = [_series(table, block, covariance) for block in blocks]
     means = np.array([mean for mean, _ in parts])
     series = np.reshape([row for _, row in parts], (len(blocks), 2 * _ORDERS))
-    of_blocks, angles = np.zeros(len(angles)), own_angles(linear.arm, angles)
+    of_blocks, angles = np.zeros(len(angles)), phases(linear.arm, angles)
     for block, joint, mean, row in zip(blocks, joints, means, series, strict=True):
         phase = np.outer(angles[:, joint], np.arange(1, _ORDERS + 1))
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)

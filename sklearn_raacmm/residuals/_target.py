@@ -228,7 +228,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     def _findings(self, X, y, codes, direction, unasked):
         """What residuals (n, 3) show of themselves, and of positions that nobody named."""
         weights, arm = np.ones(len(y)), self._arm()
-        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+        angles = None if arm is None else check_angles(X, arm.joint_types, "rad")
         offsets = codes is not None and are_deviations(y, codes, weights)
         yield from check_targets(y, weights, arm, angles, codes, offsets)
         if unasked and arm is None:
