@@ -500,8 +500,7 @@ class RBFNetRegressor(VersionedRegressor):
         return {name: value for name, value in super().__getstate__().items() if name != "_packed"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # A file from before this parameter: such networks saw the features.
-        super().__setstate__({"inputs": "raw"} | state)
+        super().__setstate__(state)
         if "networks_" in vars(self):
             if not all(isinstance(network, Network) for network in self.networks_):
                 raise ValueError("The file is damaged: networks_ holds something else.")
