@@ -6,9 +6,8 @@ Gao et al. (2020) learn the residuals of ten cones from three angles of the pose
 repeatability in each cone, the lengths of gauges of 300 and 500 mm, and poses in a place that was
 not learnt, before and after the correction. This is the same experiment on three simulated arms.
 
-**5 % is what you may get.** Where gravity bends the arm, three angles see much of its error. Of
-eccentric encoders they see next to nothing, and the correction may do harm: try it before you rely
-on it. The script takes a minute or two.
+**5 % is what you may get**: three angles see much of what gravity does, and of eccentric encoders
+next to nothing, where the correction may do harm. The script takes a minute or two.
 """
 
 import matplotlib.pyplot as plt
@@ -18,10 +17,11 @@ from sklearn.pipeline import make_pipeline
 
 from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegressor
 from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_point
-from sklearn_raacmm.display import LengthErrorDisplay, RepeatabilityDisplay, ResidualDisplay
+from sklearn_raacmm.display import RepeatabilityDisplay
 from sklearn_raacmm.metrics import single_point_repeatability
 
 KINDS = ["eccentricity", "typical", "gravity"]  # what the errors come from; figures of the last
+PLANE = ["theta3", "theta4", "theta_dis"]  # the angles that the network sees
 GAUGES = np.repeat([300.0, 500.0], 10)  # mm, ten placements of each
 
 
@@ -30,10 +30,9 @@ def measured_lengths(points, faces):
     found = []
     for first in range(0, faces.max(), 2):
         ends = [points[faces == face] for face in (first, first + 1)]
-        means = [end.mean(axis=0) for end in ends]
-        flat = np.concatenate([end - mean for end, mean in zip(ends, means, strict=True)])
+        flat = np.concatenate([end - end.mean(axis=0) for end in ends])
         normal = np.linalg.svd(flat)[2][2]
-        found.append(abs(normal @ (means[1] - means[0])))
+        found.append(abs(normal @ (ends[1].mean(axis=0) - ends[0].mean(axis=0))))
     return np.array(found)
 
 
@@ -44,11 +43,9 @@ for kind in KINDS:
     gauge = make_features(0, 0, 0, 10, blocks=GAUGES, machine=machine, random_state=2)
     network = make_pipeline(PoseFeatures(cone.arm), RBFNetRegressor(random_state=0))
     chain = CylindricalResidualTarget(network, azimuth=cone.arm.azimuth)
-    groups = {"groups": cone.groups}  # each cone is corrected by a network of others
-    correction = cross_val_predict(
-        chain, cone.data, cone.target, groups=cone.groups, cv=GroupKFold(5), params=groups
-    )
-    chain.fit(cone.data, cone.target, **groups)
+    words = {"groups": cone.groups, "cv": GroupKFold(5), "params": {"groups": cone.groups}}
+    correction = cross_val_predict(chain, cone.data, cone.target, **words)  # by other cones
+    chain.fit(cone.data, cone.target, groups=cone.groups)
     print(f"{kind}, before -> after, micrometres")
     for what, data, points, by in (
         ("2S, ten cones", cone, cone.points, correction),
@@ -66,10 +63,17 @@ for kind in KINDS:
 RepeatabilityDisplay.from_predictions(cone.points, correction, groups=cone.groups + 1)
 plt.show()
 
-LengthErrorDisplay(before=errors[0], after=errors[1], lengths=GAUGES).plot()
+figure, axes = plt.subplots(1, 2, sharey=True, layout="constrained")
+for ax, length in zip(axes, (300, 500), strict=True):
+    both = 1e3 * np.transpose(errors)[length == GAUGES]
+    ax.plot(np.arange(1, 11), both, "o", label=["before", "after"])
+    ax.set(title=f"{length} mm gauge", xlabel="placement", ylabel="length error (µm)")
+axes[0].legend()
 plt.show()
 
-ResidualDisplay.from_predictions(
-    new.data, new.target, chain.predict(new.data), arm=cone.arm, groups=new.groups
-)
+figure, axes = plt.subplots(1, 3, sharey=True, layout="constrained", figsize=(9, 3.5))
+both = [1e3 * np.linalg.norm(p - p.mean(axis=0), axis=1) for p in (points, points - by)]
+for ax, angle, name in zip(axes, chain.regressor_[0].transform(new.data).T, PLANE, strict=True):
+    ax.plot(np.rad2deg(angle), np.transpose(both), ".", label=["before", "after"])
+    ax.set(xlabel=f"{name} (degrees)", ylabel="deviation in the new place (µm)")
 plt.show()

@@ -16,7 +16,7 @@ import numpy as np
 
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
 from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, scale_of
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import within_turn
@@ -153,8 +153,10 @@ def open_beside(path, encoding):
 
 
 def in_rad(table):
-    """Angles of a table in rad, within one turn."""
-    return within_turn(np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles)
+    """Joints of a table in rad, within one turn; and in mm, what slides."""
+    types = table.joint_types or "R" * table.angles.shape[1]
+    factor = scale_of(types, np.pi / 180 if table.angle_unit == "deg" else 1.0)
+    return within_turn(table.angles * factor, types)
 
 
 def print_notes(notes):
@@ -176,6 +178,7 @@ def find_rows(options, arm, labelled=True, needed=True):
     labels = [getattr(options, name, None) for name in ("tool", "block", "station", "kind")]
     others = [*find_cause_columns(options).values(), *filter(None, labels)]
     given |= {"labelled": labelled, "needed": needed, "joint_names": arm.names, "others": others}
+    given["joint_types"] = arm.joint_types
     return Layout(options.table, arm.n_joints, **given)
 
 

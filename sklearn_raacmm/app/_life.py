@@ -28,7 +28,7 @@ from sklearn_raacmm.app._files import (
     print_notes,
 )
 from sklearn_raacmm.app._sources import TableError, check_installed
-from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.arm import check_angles, random_poses
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
@@ -129,7 +129,7 @@ def move(options):
     new = saved.move(probe)
     facts = _print_moves(saved, new)
     _print_lack(saved, new)
-    _print_doubts(new, np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints)))
+    _print_doubts(new, random_poses(new.arm, 200))
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
     facts = step_of("move", None, facts)
     _save(new, options, facts)
@@ -138,8 +138,8 @@ def move(options):
 
 def _print_lack(saved, new):
     """Say so where the new probe is known by less than the one before, for its size."""
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, saved.arm.n_joints))
-    X, models = saved.inputs(tried), (saved.model.linear_model_, new.model.linear_model_)
+    X = saved.inputs(random_poses(saved.arm, 200))
+    models = saved.model.linear_model_, new.model.linear_model_
     old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
         print("Learn with two probes: the first alone shows less of the last joints.")
@@ -306,7 +306,8 @@ def _read_today(options, arm):
     lengths = known_lengths(options)
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
-    check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit
+    # Warns of what seems another unit.
+    check_angles(table.angles, arm.joint_types, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
     return layout, today, (today.angles, today.positions, today.points, lengths)
 

@@ -5,14 +5,25 @@
 
 from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
+from sklearn_raacmm.arm._checks import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    check_angles,
+    in_unit,
+    scale_of,
+    slides_of,
+)
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     axis_vectors,
     carried,
+    joint_axes,
     own_angles,
     parameter_jacobian,
+    phases,
     points_of,
+    random_poses,
+    turn_mm,
 )
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
 from sklearn_raacmm.arm._urdf import read_far_axes
@@ -28,11 +39,18 @@ __all__ = [
     "carried",
     "check_angles",
     "check_arm",
+    "in_unit",
+    "joint_axes",
     "limits_of",
     "own_angles",
     "parameter_jacobian",
+    "phases",
     "points_of",
+    "random_poses",
     "read_far_axes",
+    "scale_of",
+    "slides_of",
     "solve",
+    "turn_mm",
     "usual_pose",
 ]

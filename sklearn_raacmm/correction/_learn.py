@@ -42,9 +42,9 @@ _CONSTRAINTS = {
     "accept": ["array-like", str],
     "take": ["array-like", str],
 }
-# Scores that are kept as they are.
 # Known lengths that the report names.
 _LENGTHS_SAID = 3
+# Scores that are kept as they are.
 _KEPT = (
     "verdict",
     "helps",
@@ -223,8 +223,9 @@ def learn_correction(
         given |= {"features": features, "tip_diameter": tip_diameter}
         if isinstance(angles, Measurements):
             return Measurements.taken(angles, positions, **given)
-        checked = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        checked = within_turn(check_angles(angles, arm.joint_types, angle_unit), arm.joint_types)
         refuse_one_pose(checked)
+        given["joint_types"] = arm.joint_types
         no_labels = positions is None and points is None and not features
         return Measurements.of(
             checked, find_places(arm, checked) if no_labels else positions, **given

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm, own_angles
+from sklearn_raacmm.arm import Arm, angles_for, check_arm, in_unit, phases
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
@@ -273,7 +273,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
-        offered = offered_harmonics(own_angles(arm, rows.X[:, : arm.n_joints]), self.orders)
+        offered = offered_harmonics(phases(arm, rows.X[:, : arm.n_joints]), self.orders, arm)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
@@ -609,7 +609,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 return shift, in_rad.fading(rows)[:, None] * turns_of(linear, rows)
 
         angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
-        return np.rad2deg(angles) if self.angle_unit == "deg" else angles
+        return in_unit(angles, self.arm_.joint_types, self.angle_unit)
 
     def fading(self, X: ArrayLike) -> Floats:
         """Share of the correction that `predict` returns at each pose.

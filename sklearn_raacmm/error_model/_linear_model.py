@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, own_angles
+from sklearn_raacmm.arm import Arm, own_angles, random_poses
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
@@ -25,6 +25,7 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
+from sklearn_raacmm.error_model._noise import Noise
 from sklearn_raacmm.utils import check_shapes, chunks, group_means
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -279,6 +280,12 @@ class LinearModel:
             root[:, :, 3:] = np.sqrt(self.noise_of_joints) / size * self.layout.levers(angles)
         return root
 
+    def whitening_roots(self, angles: np.ndarray, shown: np.ndarray | None = None) -> Any:
+        """Roots (n, 3, 3) that give rows the noise `noise_sd` in each coordinate: see `Noise`."""
+        noise = Noise(self.noise_of_joints, self.noise_of_rows, self.lever_mm)
+        noise = noise.scaled(1 / self.noise_variance)
+        return noise.roots(self.layout.levers(angles), shown)
+
     def noise_ratio(self, angles: np.ndarray) -> np.ndarray:
         """Standard deviation of each coordinate's noise at poses over `noise_sd`, (n, 3)."""
         ratio = np.ones((len(angles), 3))
@@ -530,7 +537,7 @@ def unseen_of_table(columns):
     """
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
     kinematic = np.flatnonzero([c.family == KINEMATICS for c in columns.others])
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    angles = random_poses(columns.arm, _POSES)
     own = columns.at(angles)[:, :, columns.n_waves + kinematic].reshape(3 * _POSES, -1)
     size = np.linalg.norm(own, axis=0)
     size[size == 0] = 1.0
@@ -550,7 +557,7 @@ def _n_motions(columns):
 def _fields_of_causes(columns):
     """The same for the columns that are neither harmonics nor extra; which fields they make."""
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    angles = random_poses(columns.arm, _POSES)
     of_place, amount = _fields(columns.points(angles), columns.up)
     own = columns.at(angles).reshape(len(of_place), -1)
     size = np.linalg.norm(own, axis=0)
