@@ -54,6 +54,15 @@ def findings_of_fit(fit, result, bare, poses):
         scatter = result.scatter_after_mm
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
+    for i in fit.still:
+        text = (
+            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows:"
+        )
+        advice = (
+            "What is learnt holds there. To learn more, measure with this joint elsewhere, too."
+        )
+        text = f"{text} it is taken as fixed, and its scale is not looked for."
+        yield Finding("slide-still", text, advice, joints=(i + 1,))
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
     for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
@@ -196,6 +205,7 @@ def _poses_alike(fit):
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
         return
     angles = random_poses(arm, _TRIED)
+    angles[:, fit.still] = fit.angles[0, fit.still]
     points, jac = table_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
