@@ -50,8 +50,8 @@ _QUESTIONS = (
     ("wrist_offset", "how far axes 4 and 5 pass each other, 0 if they cross"),
 )
 _ADVICE = """Shoulder to elbow and elbow to wrist decide the scale of the arm: take them from a
-drawing, to half a millimetre, or measure a known distance. The height of the shoulder only says
-where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
+drawing, to half a millimetre, or measure a known distance. The height of the shoulder matters
+by centimetres. Calibration finds all others, offsets too, to hundredths of a millimetre."""
 
 
 def arm(options):
@@ -165,7 +165,8 @@ def _arm_of_layout(options):
         "No data show what two questions decide. Turn joint 1 counter-clockwise, seen from above: "
         f"does its angle grow? Was the probe higher in row {high} than in row {low}? One yes and "
         "one no: it is the mirror image, take the other one of --mirrored and without it. If the "
-        "angle falls, add --up 0,0,-1."
+        f"angle falls, add --up 0,0,-1. Its shoulder is taken to be {found.d[0]:.0f} mm high: mend "
+        "d1 in the file if that is wrong by a decimetre."
     )
     return found.replace(name=Path(options.table).stem)
 

@@ -25,6 +25,7 @@ from sklearn_raacmm.app._files import (
     known_lengths,
     load_arm,
     load_correction,
+    parse_numbers,
     print_notes,
     read_causes,
     read_labels,
@@ -59,6 +60,8 @@ from sklearn_raacmm.utils import (
 OK, NO_HELP = 0, 3
 # Angle in rad by which an arm has to move; learning has the same.
 _STILL = 1e-3
+# Bars that a plan takes by itself, and their largest share of the reach.
+_BARS_MM, _BAR_OF_REACH = (100, 300, 500, 1000), 0.4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
 
 
@@ -183,20 +186,37 @@ def plan(options):
     check_installed("jinja2", "matplotlib")
     check_places([out / "plan.html", out / "plan.csv"], [options.arm])
     arm = load_arm(options.arm)
-    found = plan_poses(arm, options.cones, options.poses)
+    if options.limits:
+        given = parse_numbers(
+            "--limits", options.limits, 2 * arm.n_joints, "LOW,HIGH of each joint"
+        )
+        arm = arm.replace(limits=np.deg2rad(given).reshape(-1, 2))
+    if arm.limits is None:
+        print_notes(["The arm's file has no limits of the joints: --limits gives them in degrees."])
+    bar = options.bar
+    if bar is None:  # the longest usual one that fits
+        bar = max((mm for mm in _BARS_MM if mm <= _BAR_OF_REACH * arm.reach_mm), default=0)
+    found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean, bar_mm=bar or None)
     out.mkdir(parents=True, exist_ok=True)
+    seats = dict(zip(found.bar, ("bar left", "bar right"), strict=False))
+    cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
     names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
-    poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))
+    degrees = np.rad2deg(found.angles).tolist()
+    poses = [(cones[i - 1], row) for i, row in zip(found.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
-    lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
+    lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]
     figure = draw_svg("plan", draw_volume, arm, found.angles, found.positions)
-    page = render("_plan.html", arm=repr(arm), figure=figure, plan=found, names=names, poses=poses)
+    shown = {"cones": list(zip(cones, found.positions, strict=True)), "names": names}
+    page = render("_plan.html", arm=arm, bar=bar, figure=figure, plan=found, poses=poses, **shown)
     write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
     print(f"{size}: about {found.minutes:.0f} minutes.")
     print("What matters is that the cones are spread over the places where you will measure.")
+    if bar:
+        print(f"Two of the cones are the seats of a bar of {bar:g} mm, which sets the scale.")
     print(f"Written to {out}: plan.html, plan.csv")
-    return 0, {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
+    facts = {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
+    return OK, facts | {"bar": [cones[i - 1] for i in found.bar], "bar_mm": bar}
 
 
 def demo(options):

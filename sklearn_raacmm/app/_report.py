@@ -10,6 +10,7 @@ import datetime
 import io
 import platform
 import re
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -120,13 +121,14 @@ def write_report(
         },
         most_rows=_MOST_ROWS,
     )
+    text = with_history(text, [])
     if path is not None:
         write_whole({path: text})
     return text
 
 
-def render(name, **values):
-    """Page of a template in this folder."""
+@cache
+def _environment():
     import jinja2
 
     environment = jinja2.Environment(
@@ -134,20 +136,24 @@ def render(name, **values):
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
     )  # fmt: skip
     environment.filters |= {"um": lambda mm: f"{1000 * mm:.1f}", "number": _number}
-    return environment.get_template(name).render(values)
+    return environment
+
+
+def render(template, **values):
+    """Page of a template in this folder."""
+    return _environment().get_template(template).render(values)
 
 
 def with_history(page, history):
-    """A report, or a page without one, with its last step below the title and all at its end."""
+    """A report, or a page without one, with its last step below its title and all at its end."""
     page = page or f'<!DOCTYPE html>\n<meta charset="utf-8">\n{render("_style.html")}<body>\n'
     steps = [step for step in history if step["what"] != "learn"]
     for name, template in (("last step", "_last_step.html"), ("steps", "_history.html")):
         first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
         if first not in page:  # it is no report of ours
             page = page.replace("</body>", "") + f"\n{first}{last}"
-        text = render(template, steps=steps) if steps else ""
         before, rest = page.split(first, 1)
-        page = f"{before}{first}\n{text}{last}{rest.split(last, 1)[1]}"
+        page = f"{before}{first}\n{render(template, steps=steps)}{last}{rest.split(last, 1)[1]}"
     return page
 
 

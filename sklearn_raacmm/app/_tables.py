@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -189,13 +190,16 @@ class Layout(Columns):
         labels, by_tracker = table.positions, self.points_file or self.point_columns
         # A name for each row is the pose's, where places are found without labels.
         of_each = labels is not None and len(set(labels.tolist())) == len(labels) > 1
-        if of_each and (by_tracker or not self.needed):
+        places = _places_in(labels) if of_each and not by_tracker else None
+        if of_each and (by_tracker or places is not None or not self.needed):
             column: Any = self.position_column
             name = self.header[column]
             labelled = f"Labels of the positions: {name}."
-            self.notes[:] = [note for note in self.notes if note != labelled]
-            self.notes += [f"Column {name} names each row: it says nothing of positions."]
-            table = replace(table, positions=None)
+            said = f"Column {name} names each row: it says nothing of positions."
+            if places is not None:
+                said = f"Labels of the positions: {name}, without the last number."
+            self.notes[:] = [said if note == labelled else note for note in self.notes]
+            table = replace(table, positions=places)
         if self.labelled and table.positions is not None:
             _refuse_lonely_labels(self.path, table)
         return _with_points(self, table, self.points_file) if self.points_file else table
@@ -273,6 +277,19 @@ class Layout(Columns):
         return found
 
 
+def _places_in(labels):
+    """Labels without the last number, P1 of P1_1 and P1_2; None unless each then has some rows.
+
+    A Fanuc writes the number of a point before its name, 1:"P1".
+    """
+    own = [re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", label) for label in labels.tolist()]
+    for places in (own, [re.sub(r"[\W_]*\d+\W*$", "", label) for label in own]):
+        counts = Counter(places)
+        if len(counts) > 1 and min(counts.values()) > 1:
+            return np.array(places)
+    return None
+
+
 def _refuse_lonely_labels(path, table):
     labels, first, counts = np.unique(table.positions, return_index=True, return_counts=True)
     several = labels[counts > 1].tolist()
@@ -307,6 +324,11 @@ def read_points(path, wanted=None):
     row. Points without coordinates are left out.
     """
     columns = Columns(path, 3)
+    axes = [
+        i for i in range(columns.width) if {str(c).lower() for c in columns.cells(i)} == {*"xyz"}
+    ]
+    if axes and not wanted:
+        return *_points_by_coordinate(columns, axes[0]), columns.notes[1:]
     found = _columns_of_points(columns, wanted)
     rows = list(columns.rows(found))
     notes = []
@@ -322,6 +344,18 @@ def read_points(path, wanted=None):
             own = [text_of_label(cells[i]) for _, cells in rows]
             names = own if names is None or len(set(names)) < len(set(own)) == len(own) else names
     return names, points, notes + columns.notes[1:]
+
+
+def _points_by_coordinate(columns, axis):
+    """Names and points of a table that has a row for each coordinate, as reports have them."""
+    numbers = columns.columns_of_numbers()
+    value = ([i for i in numbers if MEASURED.search(columns.names[i])] or numbers)[0]
+    rows = list(columns.rows([value]))
+    names = [text_of_label(cells[axis - 1]) for _, cells in rows]
+    if [str(cells[axis]).lower() for _, cells in rows] != [*"xyz"] * (len(rows) // 3):
+        raise TableError(f"{columns.path}: a point needs its x, y and z in rows one after another.")
+    columns.notes.append(f"Coordinates of {columns.path}: {columns.header[value]}.")
+    return names[::3] if axis else None, columns.points(rows, [value]).reshape(-1, 3)
 
 
 def _columns_of_points(columns, wanted):

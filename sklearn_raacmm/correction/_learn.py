@@ -43,6 +43,8 @@ _CONSTRAINTS = {
     "take": ["array-like", str],
 }
 # Scores that are kept as they are.
+# Known lengths that the report names.
+_LENGTHS_SAID = 3
 _KEPT = (
     "verdict",
     "helps",
@@ -326,6 +328,7 @@ def _facts(data, calibration, scores):
         "written_by": f"sklearn_raacmm {__version__}",
         "findings": [finding.facts() for finding in scores.findings],
         "scale_sd": calibration.scale_sd,
+        "scale_set_by": _scale_of(data),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
@@ -337,3 +340,15 @@ def _facts(data, calibration, scores):
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],
     }
+
+
+def _scale_of(data):
+    """What set the common scale of all links, for people."""
+    if data.points is not None:
+        return "the points of a tracker"
+    said = [
+        f"{f'{a} to {b}' if a != b else f'diameter of {a}'}, {mm:.3f} mm (sd {sd:.3g} mm)"
+        for a, b, mm, sd in data.lengths
+    ]
+    more = [f"and {len(said) - _LENGTHS_SAID} more"] * (len(said) > _LENGTHS_SAID)
+    return "; ".join(said[:_LENGTHS_SAID] + more) or "the arm's table: no length was known"

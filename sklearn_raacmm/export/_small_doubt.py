@@ -38,22 +38,21 @@ def axis_numbers(table, n_joints):
 
 
 def poses_from_far_to_near(model, doubt, n=_POSES, seed=0):
-    """Poses (rows of X): random ones, and where each goes to have less doubt, input by input.
+    """Poses (rows of X): random ones, and where each goes to have less doubt, an input at a time.
 
     `doubt` is a function of rows. A fitted model does not keep its poses: they were where it has
-    little doubt.
+    little doubt. Each step draws all inputs anew and changes the one that lowers the doubt most.
     """
-    rows = typical_rows(model, n, seed)
-    known, found = doubt(rows), [rows]
-    for _ in range(_STEPS):
-        rows = rows.copy()
-        for i in range(rows.shape[1]):
-            seed += 1
-            moved = rows.copy()
-            moved[:, i] = typical_rows(model, n, seed)[:, i]
-            then = doubt(moved)
-            better = then < known
-            rows[better], known[better] = moved[better], then[better]
+    rows, *steps = typical_rows(model, n, seed, 1 + _STEPS)
+    known, found, of_row = doubt(rows), [rows], np.arange(n)
+    one_input = np.eye(rows.shape[1], dtype=bool)[:, None]
+    for drawn in steps:
+        moved = np.where(one_input, drawn, rows)
+        doubts = doubt(moved.reshape(-1, rows.shape[1])).reshape(-1, n)
+        best = doubts.argmin(axis=0)
+        least = doubts[best, of_row]
+        rows = np.where((least < known)[:, None], moved[best, of_row], rows)
+        known = np.minimum(known, least)
         found.append(rows)
     return np.concatenate(found)
 
