@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm
+from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm, without_first
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
@@ -53,4 +53,5 @@ __all__ = [
     "solve",
     "turn_mm",
     "usual_pose",
+    "without_first",
 ]
