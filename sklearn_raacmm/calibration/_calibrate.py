@@ -30,6 +30,7 @@ from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
 from sklearn_raacmm.measurements import Measurements, find_poses, within_turn
 from sklearn_raacmm.utils import (
     Finding,
+    are_findings_ignored,
     listed,
     one_blas_thread,
     one_warning,
@@ -254,8 +255,9 @@ def calibrate(
         sample_weight=of_poses.sample_weight[poses.pose],
         outliers=tuple(chain(*rows)),
     )
-    for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
-        finding.report()
+    if not are_findings_ignored():
+        for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
+            finding.report()
     return result
 
 

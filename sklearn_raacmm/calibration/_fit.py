@@ -565,7 +565,7 @@ def inverse_normal(jac):
     # The singular values of scaled columns: mm and rad differ by orders of magnitude.
     _, values, vectors = np.linalg.svd(np.linalg.qr(jac / size, mode="r"))
     values = np.r_[values, np.zeros(len(vectors) - len(values))]
-    known = values > 1e-12 * values.max()
+    known = values > 1e-12 * values.max(initial=0.0)
     root = vectors[known].T / values[known] / size[:, None]
     covariance = root @ root.T
     open_ = np.abs(vectors[~known]).max(axis=0, initial=0.0) > 1e-6

@@ -13,7 +13,6 @@ those of the earlier arms nothing.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from copy import copy
 from dataclasses import replace
 from datetime import date as calendar
 
@@ -22,32 +21,27 @@ from sklearn.base import clone
 
 from sklearn_raacmm.arm import random_poses, slides_of
 from sklearn_raacmm.correction._condition import condition, log_density, narrowed
+from sklearn_raacmm.correction._rows import (
+    Shown,
+    n_coordinates,
+    new_rows,
+    place_columns,
+    positions_of,
+    why_too_few,
+)
 from sklearn_raacmm.error_model import (
     LEAST_POSITIONS,
     NOTHING_SEEN,
-    ArmResidualRegressor,
-    check_poses,
     interval_scales,
     judge,
     order_price,
     smooth_shares,
 )
-from sklearn_raacmm.measurements import base_motions
-from sklearn_raacmm.utils import (
-    Finding,
-    centred,
-    encode_groups,
-    floats,
-    ignored_findings,
-    one_blas_thread,
-)
+from sklearn_raacmm.utils import Finding, centred, ignored_findings, one_blas_thread
 
 # Bounds of the logarithm of the noise, in units of the old model's: new poses are not less noisy.
 # They may lie where the model is less complete, or be of another arm, which a warning then says.
 LOG_NOISE = (0.0, 4.0)
-# How far base and tool may be from where they were registered, mm at the probe: six times what the
-# worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
-REGISTERED_PLACE_MM = 5.0
 # Noise that every measurement has, mm: without any, rounding would decide beside the millimetres
 # of base and tool.
 LEAST_NOISE_MM = 1e-4
@@ -83,142 +77,77 @@ _LOG_NOISE_OF_MAKE = (-4.0, 4.0)
 _CHOSEN = 0.5
 
 
-class NewPoses:
-    """New poses of a fitted model, checked; each fault gets one clear sentence.
-
-    `angles` (n, n_joints + n_extra) in rad, then the extra columns; `residuals` (n, 3) in mm,
-    without the correction; `weights` (n,); `codes` (n,), the position of each where positions have
-    unknown offsets, or None; `positions` (n,), where without groups each pose has its own.
-    """
-
-    def __init__(self, model, X, y, groups):
-        if not isinstance(model, ArmResidualRegressor):
-            raise TypeError(
-                f"{type(model).__name__} holds no linear model and cannot be updated or checked: "
-                "it has no posterior of causes. It can be registered, by "
-                "calibrate(..., correction=model)."
-            )
-        angles = check_poses(model, X)
-        y = floats("y", y, 3)
-        if len(y) != len(angles):
-            raise ValueError(f"X has {len(angles)} rows, but y has {len(y)}.")
-        if groups is None and model.linear_model_.offsets:
-            raise ValueError(
-                "The model has an unknown offset at every position: give groups, the position of "
-                "each new pose."
-            )
-        self.codes = None if groups is None else encode_groups(groups, len(y))[1]
-        self.positions = np.arange(len(y)) if self.codes is None else self.codes
-        self.angles, self.residuals = angles, y
-        self.weights = np.ones(len(y))
-
-    def at(self, rows):
-        """Some of the poses."""
-        some = copy(self)
-        for name, values in vars(self).items():
-            setattr(some, name, None if values is None else values[rows])
-        return some
-
-    @property
-    def n_coordinates(self):
-        """Coordinates of the poses that count, less three for each unknown offset."""
-        used = self.weights > 0
-        n_offsets = 0 if self.codes is None else len(np.unique(self.codes[used]))
-        return int(3 * (np.count_nonzero(used) - n_offsets))
-
-    @property
-    def too_few(self):
-        """Why nothing can be learnt from these poses, or an empty string."""
-        n_free = 9 if self.codes is None else 3  # of base and tool; cones show the tool's alone
-        if self.n_coordinates > n_free:
-            return ""
-        return (
-            f"{len(self.angles)} new poses give {self.n_coordinates} coordinates, fewer than would "
-            f"show more than the {n_free} freedoms of base and tool"
-        )
-
-
 def day(date):
     """A date as text; of None, today."""
     return calendar.today().isoformat() if date is None else str(date)
 
 
-def place_columns(arm, angles, with_base):
-    """What moves of the tool and shifts and turns of the base do to the probe, (n, 3, 3 or 9).
-
-    Each of the size that a registration may be wrong by.
-    """
-    angles = angles[:, : arm.n_joints]  # without extra columns
-    tool = REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
-    if not with_base:  # of a single-point test the base shows nothing
-        return tool
-    base = base_motions(arm.forward(angles), arm.reach_mm)
-    return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
-
-
-def changed_model(linear, poses, log_noise=LOG_NOISE, date=None, named=None):
-    """Linear model brought up to date with new poses: its posterior is the prior.
+def changed_model(linear, rows, log_noise=LOG_NOISE, date=None, named=None, positions=None):
+    """Linear model brought up to date with new rows: its posterior is the prior.
 
     `log_noise` bounds the logarithm of the noise in units of the old model's. Where changes are
     `named`, no others are there: see `_of_named`. Returned are the
     model, what `updates_` keeps of the change (`tau` says how much each part has changed), what the
-    loss left of the weight of each pose, (n,), and where the search ended, for `judged_fading`.
+    loss left of the weight of each row, (n,), and where the search ended, for `judged_fading`.
     """
     linear = as_prior(linear)
-    model, after = _conditioned(linear, poses, log_noise, named=named)
-    angles, codes = poses.angles, poses.codes
-    p = len(model.coef)
-    half = after.half[:p] + _fold(model, after, codes) @ after.half[p:]
+    model, half, after = _conditioned(linear, rows, log_noise, named=named)
     half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     errors, noise, std = after.left_out
     # Until new poses say otherwise errors exceed what is expected as those of the old model do.
     logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
     scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
     noise_scale, std_scale = scales
+    positions = positions_of(rows) if positions is None else positions
     model = replace(
         model.with_noise(after.noise_sd**2),
         half=half,
         seen=NOTHING_SEEN,
         noise_scale=noise_scale,
         std_scale=std_scale,
-        n_positions=float(len(np.unique(poses.positions))),
+        n_positions=float(len(np.unique(positions))),
     )
-    if codes is not None:  # what the same test shows at other positions in the same range
-        model = model.with_scale_of(linear).with_seen()
+    if rows.codes is not None:  # what the same test shows at other positions in the same range
+        model = (model if rows.lengths else model.with_scale_of(linear)).with_seen()
     entry = {
         "date": day(date),
-        "n_poses": len(angles),
+        "n_poses": len(rows.X),
         "tau": after.tau,
         "noise_sd_mm": after.noise_sd,
     }
-    return model, entry, after.row_weight, after.logs
+    return model, entry, after.row_weight[: len(rows.X)], after.logs
 
 
-def _conditioned(linear, poses, log_noise, start=None, means_only=False, named=None):
-    """Linear model with the mean and the fading that new poses ask for, and the `Posterior`."""
-    arm, angles, weights, codes = linear.arm, poses.angles, poses.weights, poses.codes
-    columns, place = linear.columns(angles), place_columns(arm, angles, codes is None)
+def _conditioned(linear, rows, log_noise, start=None, means_only=False, named=None):
+    """Linear model with the mean and the fading that new rows ask for, and the `Posterior`.
+
+    Between them a root of the covariance of its coefficients.
+    """
+    place, p = place_columns(linear.arm, rows.X, rows.codes is None), len(linear.coef)
     changes = changes_of(linear)
     if named is not None:
         changes = _of_named(linear, changes[0], named)
         if "probe" not in named:
             place = place[:, :, :0]
-    parts = columns, place, poses.residuals
-    columns, place, shown = (centred(part, codes, weights) for part in parts)
-    rows = columns, place, shown, weights, log_noise
-    after = condition(linear, changes, *rows, start, means_only)
-    seen_weights = weights * after.row_weight / after.noise_sd**2
-    p = len(linear.coef)
-    model = replace(
-        linear,
-        coef=after.mean[:p] + _fold(linear, after, codes) @ after.mean[p:],
-        informed_half=_informed(linear.fading_half, columns, place, seen_weights),
+    shown = Shown(linear, rows)
+    columns, place = shown(linear.columns(rows.X)), shown(place)
+    weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
+    given = columns, place, shown.y, weights, log_noise, start, means_only
+    after = condition(linear, changes, *given, shown.rank, shown.n_unknown)
+    # What new rows leave open of base, tool and change is no reason to let the whole correction
+    # fade: the change is shrunk to the old model for that already.
+    root = np.sqrt(weights * after.row_weight)[:, None, None] / after.noise_sd
+    seen, free = (np.concatenate(part * root) for part in (columns, place))
+    informed = narrowed(
+        linear.fading_half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0]
     )
-    return model, after
+    fold = _into_kinematics(linear, place.shape[2])
+    model = replace(linear, coef=after.mean[:p] + fold @ after.mean[p:], informed_half=informed)
+    return model, None if means_only else after.half[:p] + fold @ after.half[p:], after
 
 
-def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE, named=None):
-    """How much of a changed model is used, by new poses left out of the change.
+def judged_fading(linear, rows, fading, start, log_noise=LOG_NOISE, named=None, positions=None):
+    """How much of a changed model is used, by new rows left out of the change.
 
     A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
     poses. The share that is used follows at each fifth of them by a model that was changed without
@@ -226,37 +155,25 @@ def judged_fading(linear, poses, fading, start, log_noise=LOG_NOISE, named=None)
 
     Returns the fading, and its `Judgement`; None where fewer than four positions are known.
     """
-    positions, used = poses.positions, poses.weights > 0
+    positions, used = positions_of(rows) if positions is None else positions, rows.weights > 0
     labels = np.unique(positions[used])
     if len(labels) < LEAST_POSITIONS:
         return fading, None
     order = np.random.default_rng(0).permutation(len(labels))
     fold = (order % min(_N_FOLDS, len(labels)))[np.searchsorted(labels, positions) % len(labels)]
-    correction, doubt = np.zeros_like(poses.residuals), np.zeros(len(positions))
+    correction, doubt = np.zeros_like(rows.y), np.zeros(len(positions))
     linear = as_prior(linear)
     with ignored_findings():  # what there is to report is reported of all poses
         for number in range(fold.max() + 1):
             out = fold == number
-            rest = poses.at(~out)
-            model = linear
-            if not rest.too_few:
+            rest, model = rows.at(~out & used), linear
+            if not why_too_few(rest):
                 model = _conditioned(linear, rest, log_noise, start, True, named)[0]
-            correction[out], _, doubt[out] = model.predict_with_doubt(poses.angles[out])
+            correction[out], _, doubt[out] = model.predict_with_doubt(rows.X[out])
     fading = replace(fading, known_mm=float(doubt[used].max()))
     before = float(fading.found(doubt[used]).mean())
-    known = poses.weights, poses.codes, positions, before
-    return judge(poses.residuals, correction, doubt, fading, *known)
-
-
-def _informed(half, columns, place, weights):
-    """Root of the covariance that new poses leave of an old one.
-
-    What they leave open of base, tool and change is no part of it: the change is shrunk to the old
-    model for that already, so that it is no reason to let the whole correction fade.
-    """
-    root = np.sqrt(weights)[:, None, None]
-    seen, free = (np.concatenate(part * root) for part in (columns, place))
-    return narrowed(half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0])
+    known = rows.weights, rows.codes, positions, before, rows.centre
+    return judge(rows.y, correction, doubt, fading, *known)
 
 
 def harmonics_of(linear):
@@ -371,23 +288,17 @@ def doubts_of(linear, angles, codes=None):
     return {str(part[i]): float(shares[i]) for i in np.argsort(-shares, kind="stable")}
 
 
-def _fold(linear, after, codes):
-    """Of `_into_kinematics` what was free of base and tool."""
-    n_free = len(after.mean) - len(linear.coef)
-    return _into_kinematics(linear, codes is None)[:, :n_free]
-
-
-def _into_kinematics(linear, with_base):
-    """Coefficients (n_columns, 3 or 9) that do what a move of tool and base does."""
+def _into_kinematics(linear, n_free):
+    """Coefficients (n_columns, n_free) that do what a move of the tool, and of the base, does."""
     arm, terms = linear.arm, linear.terms
-    fold = np.zeros((len(linear.coef), 9 if with_base else 3))
-    if not terms.kinematics:
+    fold = np.zeros((len(linear.coef), n_free))
+    if not (terms.kinematics and n_free):
         return fold
     angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
     angles[:, : arm.n_joints] = random_poses(arm, 40)
     of = parts_of(linear) == "kinematics"
     columns = linear.columns(angles)[:, :, of]
-    place = place_columns(arm, angles, with_base)
+    place = place_columns(arm, angles, n_free > 3)
     rows = columns.shape[0] * columns.shape[1]
     fold[of] = np.linalg.lstsq(columns.reshape(rows, -1), place.reshape(rows, -1), rcond=1e-9)[0]
     return fold
@@ -410,17 +321,19 @@ def transferred_model(models, arm, X, y, groups=None):
     own = new.linear_model_
     # Its calibration holds what the extra columns do in the mean of its own rows.
     prior = as_prior(_pooled([model.linear_model_ for model in models], own.layout))
-    poses = NewPoses(new, X, y, groups)
-    if not own.offsets:
-        poses.codes = None
-    linear, entry, pose_weight, ended = changed_model(prior, poses, _LOG_NOISE_OF_MAKE)
-    poses.weights = poses.weights * pose_weight * new.pose_weight_
+    rows = new_rows(new, X, y, groups)
+    positions = positions_of(rows)
+    rows = rows if own.offsets else rows._replace(codes=None)
+    changed = changed_model(prior, rows, _LOG_NOISE_OF_MAKE, positions=positions)
+    linear, entry, pose_weight, ended = changed
+    rows = rows._replace(weights=pose_weight * new.pose_weight_)
     part, size = changes_of(prior)
     sd = np.array([entry["tau"][name] for name in part]) * size
-    known = prior, np.hstack([prior.half, np.diag(sd)]), poses, entry["noise_sd_mm"]
-    gain = _log_evidence(*known) - _evidence_of_fit(own, poses)
+    known = prior, np.hstack([prior.half, np.diag(sd)]), rows, entry["noise_sd_mm"]
+    gain = _log_evidence(*known) - _evidence_of_fit(own, rows)
     fading = replace(new.fading_, factor=_FADING, most=1.0, far=1.0)
-    fading, judgement = judged_fading(prior, poses, fading, ended, _LOG_NOISE_OF_MAKE)
+    judged = prior, rows, fading, ended, _LOG_NOISE_OF_MAKE
+    fading, judgement = judged_fading(*judged, positions=positions)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
         new.linear_model_ = replace(linear, offsets=own.offsets, informed_half=None)
@@ -513,8 +426,8 @@ def _pooled(linears, layout):
     return prior.with_seen() if len(prior.seen) else prior
 
 
-def _evidence_of_fit(linear, poses):
-    """Log evidence of a fit to the new poses alone, less the prices of its lines."""
+def _evidence_of_fit(linear, rows):
+    """Log evidence of a fit to the new rows alone, less the prices of its lines."""
     orders = linear.terms.harmonics[:, 1]
     sd = _prior_sds(linear)
     price, is_line = order_price(orders), np.ones(len(orders), bool)
@@ -524,16 +437,14 @@ def _evidence_of_fit(linear, poses):
         variance += is_line * linear.prior_sd["harmonics"] ** 2
         sd[: 2 * len(orders)] = np.repeat(np.sqrt(variance), 2)
     before = replace(linear, coef=np.zeros(len(sd)))
-    return _log_evidence(before, np.diag(sd), poses, linear.noise_sd) - price[is_line].sum()
+    return _log_evidence(before, np.diag(sd), rows, linear.noise_sd) - price[is_line].sum()
 
 
-def _log_evidence(linear, half, poses, noise_sd):
+def _log_evidence(linear, half, rows, noise_sd):
     """Log density of the residuals, without constants: base and tool are nearly free."""
-    angles, weights, codes = poses.angles, poses.weights, poses.codes
-    columns = linear.columns(angles)
-    place = place_columns(linear.arm, angles, with_base=codes is None)
-    left = centred(poses.residuals - columns @ linear.coef, codes, weights)
-    seen = centred(np.concatenate([columns @ half, place], axis=2), codes, weights)
-    root = np.sqrt(weights)
-    seen = (seen * root[:, None, None]).reshape(3 * len(left), -1)
-    return log_density((left * root[:, None]).ravel(), seen, noise_sd, poses.n_coordinates)
+    columns, whitened = linear.columns(rows.X), rows.whitening()
+    place = place_columns(linear.arm, rows.X, with_base=rows.codes is None)
+    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])
+    seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
+    seen = seen.reshape(left.size, -1)
+    return log_density(left.ravel(), seen, noise_sd, n_coordinates(rows))

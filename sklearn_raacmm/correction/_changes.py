@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import chi
 
 from sklearn_raacmm.arm import own_angles, phases, slides_of
-from sklearn_raacmm.correction._change import as_prior, changes_of, place_columns
-from sklearn_raacmm.measurements import medians_of
-from sklearn_raacmm.utils import centred, group_means
+from sklearn_raacmm.correction._change import as_prior, changes_of
+from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, place_columns, slipped_rows
+from sklearn_raacmm.utils import group_means
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
 _ORDERS = (1, 2)
@@ -32,14 +31,6 @@ _ORDERS = (1, 2)
 # Noise of the new rows, in units of the model's, and sizes of a change, root mean square over the
 # rows in units of the noise. Equally likely; finer or wider grids name the same changes.
 _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
-# Poses that the check names as slipped: this many on the average in a set without slips. If more
-# than the second share of all poses lie that far off, they are no slips. Both are chosen by hand.
-_FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
-# Poses farther off than this share of all, if errors were normal, count as though they were there:
-# those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
-# this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
-# (``benchmarks/bench_check.py changes --real``). With 0.9 fewer knocks were found.
-_USUAL = 0.95
 # Changes of which an update names so many, one after another, before whole families may change: a
 # choice. Names of those that its prior can hold; of others the families tell.
 _MOST_NAMED, _HELD = 3, ("probe", "offset of joint", "harmonics of joint")
@@ -88,8 +79,27 @@ def likeliest_change(
     return best, columns
 
 
-def named_changes(linear: Any, poses: Any) -> list[str] | None:
-    """Changes that poses of a single-point test name, one after another; None: all columns may.
+class Table:
+    """What each change does to rows that count, whitened: one table for checks and for updates.
+
+    `slipped` (n,) are the rows that do not count. Of the others are `left` (n, 3) what a correction
+    leaves, without tails, mm, and `causes` by their names, columns (n, 3, k); `residual` (m,), the
+    root `known` (m, r) of what the model expects and `seen`, the causes, are over the noise.
+    """
+
+    def __init__(self, linear: Any, rows: Any, correction: np.ndarray) -> None:
+        self.slipped, left = slipped_rows(linear, rows, rows.y - correction)
+        used = ~self.slipped & (rows.weights > 0)
+        self.rows, self.left, correction = rows.at(used), left[used], correction[used]
+        self.shown, self.causes = Shown(linear, self.rows), causes_of(self.rows)
+        self.columns = linear.columns(self.rows.X)
+        self.known = self.shown.flat(self.columns) @ linear.half
+        self.seen = {name: self.shown.flat(one, TAKEN_UP) for name, one in self.causes.items()}
+        self.residual = self.shown.left(self.left, correction).ravel() / linear.noise_sd
+
+
+def named_changes(linear: Any, rows: Any) -> list[str] | None:
+    """Changes that rows of a single-point test name, one after another; None: all columns may.
 
     The change of the highest evidence becomes a part of what the model expects, and the next is
     looked for beside it. That all columns have changed a little is one of them. An empty list:
@@ -97,24 +107,15 @@ def named_changes(linear: Any, poses: Any) -> list[str] | None:
     joints had changed, 20 poses named one, which left 8 and 16 % more
     (``benchmarks/bench_after_the_lab.py months``).
     """
-    if poses.codes is None:
+    if rows.codes is None:
         return None
     linear = widened(as_prior(linear))
-    slipped, left = slipped_rows(linear, poses, poses.residuals - linear.predict(poses.angles)[0])
-    used = np.flatnonzero(~slipped & (poses.weights > 0))
-    poses, left = poses.at(used), left[used]
-
-    def rows(columns):
-        return centred(columns, poses.codes).reshape(left.size, -1) / linear.noise_sd
-
-    columns, n_joints = linear.columns(poses.angles), linear.arm.n_joints
-    causes = causes_of(linear.arm, poses.angles[:, :n_joints], poses.codes)
-    causes = {name: rows(cause) for name, cause in causes.items()}
-    causes["arm"] = rows(columns * changes_of(linear)[1])
-    residual, known = rows(left[:, :, None])[:, 0], rows(columns @ linear.half)
+    table = Table(linear, rows, linear.predict(rows.X)[0])
+    causes, known, shown = table.seen, table.known, table.shown
+    causes["arm"] = shown.flat(table.columns * changes_of(linear)[1])
     names: list[str] = []
     while True:
-        name, change = likeliest_change(residual, known, causes, poses.n_coordinates)
+        name, change = likeliest_change(table.residual, known, causes, shown.n_coordinates)
         if change is None:
             return names
         if len(names) == _MOST_NAMED or not name.startswith(_HELD):
@@ -124,14 +125,14 @@ def named_changes(linear: Any, poses: Any) -> list[str] | None:
         del causes[name]
 
 
-def causes_of(arm: Any, angles: np.ndarray, codes: np.ndarray | None) -> dict[str, np.ndarray]:
-    """What each cause would do to the probe at some poses: columns (n, 3, k) by name.
+def causes_of(rows: Any) -> dict[str, np.ndarray]:
+    """What each cause would do to the probe in some rows: columns (n, 3, k) by name.
 
-    `angles` (n, n_joints) are in rad; `codes` (n,) are the positions of a single-point test, or
-    None. Zeros and waves are those of the joints themselves, as the model has them, where what the
+    Zeros and waves are those of the joints themselves, as the model has them, where what the
     encoders give is coupled.
     """
-    arm, angles = arm.replace(couplings=()), own_angles(arm, angles)
+    arm, codes = rows.arm.replace(couplings=()), rows.codes
+    angles = own_angles(rows.arm, rows.X[:, : arm.n_joints])
     jacobian, place = arm.jacobian(angles), place_columns(arm, angles, with_base=True)
     causes = {"probe": place[:, :, :3]}
     # Of a single-point test the base shows nothing, and within a position time is the order of
@@ -144,7 +145,8 @@ def causes_of(arm: Any, angles: np.ndarray, codes: np.ndarray | None) -> dict[st
         causes["drift"] = np.linspace(-1, 1, len(angles))[:, None, None] * place[:, :, 3:6]
     points = arm.forward(angles)
     if codes is not None:  # a position is one point: what it shows about it is no scale
-        points = group_means(points, codes)[codes]
+        held = np.reshape(rows.rank, (-1, 1)) == 3
+        points = np.where(held, group_means(points, codes)[codes], points)
     causes["scale"] = points[:, :, None]
     for j in range(arm.n_joints):
         causes[f"offset of joint {j + 1}"] = jacobian[:, :, [j]]
@@ -168,20 +170,3 @@ def widened(linear):
         half=wider * linear.half,
         seen=wider * linear.seen,
     )
-
-
-def slipped_rows(linear, poses, left):
-    """Rows too far off for their own expected spread, if they are few, and residuals without tails.
-
-    Where the distances of all are larger than expected, by a change of the arm, farther ones are
-    usual in proportion.
-    """
-    spread = linear.predict(poses.angles, return_std=True)[1]
-    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
-    middle = medians_of(left, poses.codes)
-    distance = np.linalg.norm(left - middle, axis=1) / sd
-    far = distance > chi.isf(_FALSE_NAMES / len(left), 3)
-    slipped = far & (far.sum() <= _MOST_SLIPS * len(left))
-    larger = max(np.median(distance) / chi.median(3), 1.0)
-    share = np.minimum(chi.ppf(_USUAL, 3) * larger / np.maximum(distance, 1e-300), 1.0)
-    return slipped, middle + share[:, None] * (left - middle)

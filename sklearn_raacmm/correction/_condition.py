@@ -15,6 +15,7 @@ from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
 
+from sklearn_raacmm.correction._rows import TAKEN_UP
 from sklearn_raacmm.utils import tukey_weights
 
 # Prior of tau: its median, and the standard deviation of its logarithm. A tenth is what wears; a
@@ -35,10 +36,9 @@ _SMALL_GAIN = 1e-6
 _ROUNDS, _SETTLED_WEIGHT = 4, 0.05
 # A row that the fit follows freely says nothing when it is left out.
 _LEAST_FREE = 1e-6
-# A direction of which nuisances leave less than this part of the cause itself cannot be told from
-# them, and is not tested: a hundredth of it would be called metres. Less than the second part of
-# the strongest direction is rounding, as is a nuisance that much smaller than the largest one.
-_TAKEN_UP, _UNSEEN, _ROUNDING = 1e-2, 1e-8, 1e-10
+# A direction of a cause that is less than this part of the strongest one is rounding, as is a
+# nuisance that much smaller than the largest one. That nuisances leave too little of is not tested.
+UNSEEN, _ROUNDING = 1e-8, 1e-10
 
 
 class Posterior(NamedTuple):
@@ -63,6 +63,8 @@ def condition(
     log_noise: tuple[float, float],
     start: np.ndarray | None = None,
     means_only: bool = False,
+    rank: Any = 3,
+    n_unknown: int = 0,
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
@@ -76,13 +78,16 @@ def condition(
     and it is found again: rows far from the prior alone show the change.
 
     The search begins at `start`, the `logs` of nearly the same rows, where there are some. Where
-    `means_only` are asked for, what standard deviations are made of is left out.
+    `means_only` are asked for, what standard deviations are made of is left out. Rows show `rank`
+    (n,) coordinates each, the others are 0; `n_unknown` of all coordinates were used up before.
     """
     part, size = changes
     p, y = len(prior.coef), y - columns @ prior.coef
     factor, logs, rounds = np.ones(len(y)), start, 0
     while True:
-        A, summed, n_data = rows_of(np.concatenate([columns, free], axis=2), y, weights * factor)
+        every, known = np.concatenate([columns, free], axis=2), weights * factor
+        A, summed = rows_of(every, y, known)
+        n_data = n_coordinates(known, rank, n_unknown)
         evidence = _Evidence(prior, changes, A, summed, n_data, log_noise)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
@@ -95,14 +100,17 @@ def condition(
         mean[:p] += prior.half @ (prior.half.T @ (A[:, :p].T @ dual))
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
-        before, factor = factor, tukey_weights(left, weights, least_scale=noise_sd)
+        before, factor = (
+            factor,
+            tukey_weights(left, weights, least_scale=noise_sd, n_coordinates=rank),
+        )
         rounds += 1
         if rounds == _ROUNDS or np.abs(factor - before).max() < _SETTLED_WEIGHT:
             break
     half = left_out = None
     if not means_only:
         half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
-        spread = np.concatenate([columns, free], axis=2).reshape(-1, len(mean)) @ half
+        spread = every.reshape(-1, len(mean)) @ half
         left_out = _left_out(left, spread.reshape(*y.shape, -1), weights * before, noise_sd)
     mean[:p] += prior.coef
     return Posterior(mean, half, tau, noise_sd, before, left_out, logs)
@@ -138,20 +146,24 @@ def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float)
 
 def rows_of(
     columns: np.ndarray, y: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Weighted rows of coordinates, no more than columns, and how many coordinates they sum up.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted rows of coordinates, no more than columns: of (n, c, p) and (n, c), (m, p) and (m,).
 
-    Of columns (n, c, p) and y (n, c): (m, p) and (m,).
+    What they have left is that of the rows that they sum up.
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
     A = (columns[kept] * root[:, :, None]).reshape(-1, columns.shape[2])
     y = (y[kept] * root).ravel()
-    n_data = len(y)
-    if n_data > A.shape[1] + 1:
+    if len(y) > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
         A, y = R[:, :-1], R[:, -1]
-    return A, y, n_data
+    return A, y
+
+
+def n_coordinates(weights: np.ndarray, rank: Any, n_unknown: int) -> int:
+    """Coordinates of rows with weight (n,), `rank` (n,) each, less those that were used up."""
+    return int(np.sum(rank * (weights > 0))) - n_unknown
 
 
 def log_evidence(
@@ -250,6 +262,8 @@ def _left_out(left, spread, weights, noise_sd):
 
     Its errors, and the standard deviations of measurement and prediction, (n_used, c) each.
 
+    Coordinates in which a row shows nothing have deviations of 0.
+
     With C the columns at one row times a root of the posterior's covariance, ``H = C C' / s^2`` is
     the part of its own noise that the fit follows. Without this row it would be off by
     ``(I - H)^-1`` times what the fit leaves, of the covariance ``s^2 (I - H)^-1`` (Cook and
@@ -263,32 +277,37 @@ def _left_out(left, spread, weights, noise_sd):
     inverse = axes / np.maximum(free, _LEAST_FREE)[:, None] @ axes.swapaxes(1, 2)
     errors = np.einsum("nij,nj->ni", inverse, left)
     total = variance[:, None] * np.einsum("nii->ni", inverse)
-    noise = np.broadcast_to(np.sqrt(variance)[:, None], total.shape)
+    noise = np.where(np.any(spread != 0, axis=2), np.sqrt(variance)[:, None], 0.0)
+    total = np.where(noise > 0, total, 0.0)
     return errors, noise, np.sqrt(np.maximum(total - noise**2, 0.0))
 
 
 class Whitened:
-    """Rows divided by a root of their covariance, without what nuisances do to them.
+    """Rows over a root of their covariance, without what nuisances do to them.
 
-    `root` (m, m) is the lower one, `nuisance` (m, k) are columns whose coefficients may be
-    anything; `freedom` are the rows less the nuisances that they show.
+    The covariance is ``I + G G'`` of the columns G, `known` (m, r), in a space of `n_rows`
+    dimensions, m or those that unknowns have left of m; `nuisance` (m, k) are columns whose
+    coefficients may be anything; `freedom` are the dimensions less the nuisances that they show.
     """
 
-    def __init__(self, root: np.ndarray, nuisance: np.ndarray) -> None:
-        self.root = root
+    def __init__(self, known: np.ndarray, nuisance: np.ndarray, n_rows: int) -> None:
+        self.axes, size, _ = np.linalg.svd(known, full_matrices=False)
+        self.less = 1 - 1 / np.sqrt(1 + np.square(size))
+        self.log_root: float = 0.5 * float(np.log1p(np.square(size)).sum())
         basis = self.scaled(nuisance)
         if basis.size:
             u, size, _ = np.linalg.svd(basis, full_matrices=False)
             basis = u[:, size > _ROUNDING * size.max()]
         self.basis = basis
-        self.freedom: int = len(root) - basis.shape[1]
+        self.freedom: int = n_rows - basis.shape[1]
 
     def scaled(self, values: np.ndarray) -> np.ndarray:
-        """Values divided by the root, the nuisances among them."""
-        return solve_triangular(self.root, values, lower=True, check_finite=False)
+        """Values over the root of the covariance, the nuisances among them."""
+        along = self.axes.T @ values
+        return values - self.axes @ (self.less * along.T).T
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Values divided by the root, less what the nuisances explain of them."""
+        """Values over the root, less what the nuisances explain of them."""
         values = self.scaled(values)
         return values - self.basis @ (self.basis.T @ values)
 
@@ -316,7 +335,7 @@ def score_tests(
         alone = np.linalg.norm(whiten.scaled(columns))
         u, size, _ = np.linalg.svd(whiten(columns), full_matrices=False)
         # What the nuisances take up all of is rounding.
-        seen = u[:, size > max(_TAKEN_UP * alone, _UNSEEN * size.max(initial=0.0))]
+        seen = u[:, size > max(TAKEN_UP * alone, UNSEEN * size.max(initial=0.0))]
         if seen.shape[1]:
             rows.append((name, np.square(seen.T @ left).sum(), seen.shape[1]))
     dtype = [("cause", "U24"), ("statistic", "f8"), ("freedom", "i4"), ("p_value", "f8")]
@@ -325,12 +344,3 @@ def score_tests(
     known, factor = np.repeat(known_from, [1, len(rows) - 1], axis=0).T
     tests["p_value"] = fisher.sf(tests["statistic"] / freedom / factor, freedom, known)
     return tests
-
-
-def explained(columns: np.ndarray, whiten: Whitened, residual: np.ndarray) -> np.ndarray:
-    """What a cause does to the rows beside the nuisances, by its most likely coefficients, (m,).
-
-    What a nuisance does as well is no part of it: it may be of any size.
-    """
-    seen = whiten(columns)
-    return whiten.root @ (seen @ np.linalg.lstsq(seen, whiten(residual), rcond=_UNSEEN)[0])

@@ -21,12 +21,20 @@ from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._change import doubts_of
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
+from sklearn_raacmm.correction._rows import for_centres, new_rows
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
-from sklearn_raacmm.measurements import Measurements, given_causes, taken_apart
+from sklearn_raacmm.measurements import Measurements, given_causes
 from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Finding, Floats, align, check_option, encode_groups
+from sklearn_raacmm.utils import (
+    Finding,
+    Floats,
+    align,
+    check_option,
+    encode_groups,
+    ignored_findings,
+)
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
@@ -326,12 +334,14 @@ class Correction:
         false_alarm_rate: float = 0.01,
         date: str | None = None,
         accept: str | Sequence[str] = (),
+        features: Iterable[Sequence[Any]] = (),
+        tip_diameter: float = 0.0,
     ) -> CorrectionCheck:
         """Say from a few poses of today whether the correction still holds.
 
         Parameters
         ----------
-        angles, positions, points, lengths, angle_unit, accept
+        angles, positions, points, lengths, angle_unit, accept, features, tip_diameter
             As in :meth:`register`, by which a new base is found.
         extra : dict of str to array-like of shape (n_samples,), default=None
             As in :meth:`correct`.
@@ -350,25 +360,19 @@ class Correction:
         TypeError, ValueError
             As :func:`check_correction`.
         """
-        angles, positions, points, lengths, extra, unit = taken_apart(
-            angles, positions, points, lengths, extra
-        )
-        angles = check_angles(angles, self.arm.joint_types, unit or angle_unit)
-        new_base = points is not None and (new_base or self.base is None)
-        known: Any = self
-        if new_base:
-            known = self.register(angles, positions, points, free=(), accept=accept)
-        if points is not None:
-            y = known.residuals(angles, points)
-        elif positions is not None:
-            y = position_residuals(self.arm.forward(angles), positions)
-        else:
-            raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
+        given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
+        given |= {"features": features, "tip_diameter": tip_diameter}
+        measured = self._measured(angles, positions, **given)
+        new_base = measured.points is not None and (new_base or self.base is None)
+        known = self.register(measured, free=(), accept=accept) if new_base else self
+        y, today = self._shown(measured, lambda: known.residuals(measured.angles, measured.points))
         model: Any = self.model  # of another kind is refused
-        return check_correction(
-            model, self.inputs(angles, extra), y, groups=positions, lengths=lengths,
+        found = check_correction(
+            model, self.inputs(measured.angles, measured.extra), y, **today,
             refitted=["base"] * new_base, false_alarm_rate=false_alarm_rate, date=date,
         )  # fmt: skip
+        slipped = np.isin(measured.poses.pose, found.slipped)
+        return replace(found, slipped=tuple(np.flatnonzero(slipped).tolist()))
 
     def register(
         self,
@@ -380,6 +384,8 @@ class Correction:
         angle_unit: str = "rad",
         free: Sequence[str] = ("probe",),
         accept: str | Sequence[str] = (),
+        features: Iterable[Sequence[Any]] = (),
+        tip_diameter: float = 0.0,
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
 
@@ -400,6 +406,8 @@ class Correction:
         free, accept : list of str
             What is found beside the base, and codes of findings that are none: see
             :func:`calibrate`.
+        features, tip_diameter
+            Positions that are touches of planes or spheres, as in :func:`calibrate`.
 
         Returns
         -------
@@ -412,29 +420,18 @@ class Correction:
         ValueError
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
-        angles, positions, points, lengths, _, unit = taken_apart(
-            angles, positions, points, lengths
-        )
-        angles = check_angles(angles, self.arm.joint_types, unit or angle_unit)
-        model: Any = copy(self.model)
+        given = {"points": points, "lengths": lengths, "angle_unit": angle_unit}
+        given |= {"features": features, "tip_diameter": tip_diameter}
+        measured = self._measured(angles, positions, **given)
+        X, model = self.inputs(measured.angles), copy(self.model)
+        places = np.arange(len(X)) if measured.points is not None else measured.index
         linear = getattr(model, "linear_model_", None)
-        codes = None if positions is None else encode_groups(positions, len(angles))[1]
-        places = np.arange(len(angles)) if codes is None else codes
-        correction: Any = None
-        doubt: Any = None
-        if linear is not None and len(np.unique(places)) >= LEAST_POSITIONS:
-            # These poses had no part in the fit: it fades beyond the largest doubt at them, and
-            # they say how much of it is used.
-            correction, _, doubt = linear.predict_with_doubt(self.inputs(angles))
+        judged = linear is not None and len(np.unique(places)) >= LEAST_POSITIONS
+        if judged:  # these poses had no part in the fit: it fades beyond the largest doubt at them
+            doubt = linear.predict_with_doubt(X)[2]
             model.fading_ = replace(model.fading_, known_mm=float(doubt.max()))
-        found = calibrate(
-            self.arm, angles, positions, points=points, lengths=lengths,
-            correction=self._of_angles(model), free=list(free), accept=accept,
-        )  # fmt: skip
-        if doubt is not None:
-            y, weights = found.residuals(angles, points, positions), found.sample_weight
-            of_poses = weights, codes, places, float(model.fading_.found(doubt).mean())
-            model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
+        of_angles = self._of_angles(model)
+        found = calibrate(self.arm, measured, correction=of_angles, free=list(free), accept=accept)
         turns = np.char.startswith(found.names, "base_r")
         open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
@@ -447,7 +444,16 @@ class Correction:
             base = found.base_rotation, found.base_translation
         if hasattr(model, "with_arm"):
             model = model.with_arm(found.arm)
-        return replace(self, arm=found.arm, model=model, base=base, calibration=found)
+        new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
+        if judged:  # and they say how much of it is used
+            first = measured.poses.first
+            y, today = new._shown(measured, lambda: found.residuals_mm[first])
+            rows = new_rows(model, X, y, **today)
+            correction, _, doubt = model.linear_model_.predict_with_doubt(X)
+            before = float(model.fading_.found(doubt).mean())
+            of_poses = found.sample_weight[first], rows.codes, places, before, rows.centre
+            model.fading_ = judge(rows.y, correction, doubt, model.fading_, *of_poses)[0]
+        return new
 
     def update(
         self,
@@ -460,6 +466,8 @@ class Correction:
         extra: dict[str, Any] | None = None,
         date: str | None = None,
         accept: str | Sequence[str] = (),
+        features: Iterable[Sequence[Any]] = (),
+        tip_diameter: float = 0.0,
     ) -> Self:
         """Bring the model up to date with new poses; a tracker's base is found by them, too.
 
@@ -469,7 +477,7 @@ class Correction:
 
         Parameters
         ----------
-        angles, positions, points, lengths, angle_unit
+        angles, positions, points, lengths, angle_unit, features, tip_diameter
             As in :meth:`register`.
         extra : dict of str to array-like of shape (n_samples,), default=None
             As in :meth:`correct`.
@@ -485,30 +493,29 @@ class Correction:
         TypeError, ValueError
             As :meth:`register` and :func:`update_correction`.
         """
-        angles, positions, points, lengths, extra, unit = taken_apart(
-            angles, positions, points, lengths, extra
-        )
-        angles = check_angles(angles, self.arm.joint_types, unit or angle_unit)
-        given: Any = (angles, positions, points, lengths)
-        X = self.inputs(angles, extra)
-        model: Any = copy(self.model)
-        y, seen = self.arm.forward(angles), None if points is None else np.asarray(points)
-        if seen is None:
-            labels: Any = positions
-            y = position_residuals(y, labels)
-        else:
-            turn, shift = align(seen, y - self.model.predict(X))
-            y = y - seen @ turn.T - shift
-        how: Any = {"groups": positions, "date": date}
-        unchanged = nothing_changed(model, X, y, positions, date)
-        if unchanged or not probe_is_new(model, X, y, positions):
+        given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
+        given |= {"features": features, "tip_diameter": tip_diameter}
+        measured = self._measured(angles, positions, **given)
+        X, model = self.inputs(measured.angles, measured.extra), copy(self.model)
+
+        def aligned():  # the base is where the corrected points say
+            shown = self.arm.forward(measured.angles)
+            turn, shift = align(measured.points, shown - self.model.predict(X))
+            return shown - measured.points @ turn.T - shift
+
+        y, today = self._shown(measured, aligned)
+        rows = new_rows(model, X, y, **today)
+        unchanged = nothing_changed(model, rows, date)
+        if unchanged or not probe_is_new(model, rows):
             if not unchanged:
-                model = update_correction(model, X, y, accept=accept, **how)
-            new: Any = replace(self, model=model).register(*given, free=(), accept=accept)
+                model = update_correction(model, X, y, accept=accept, date=date, **today)
+            new: Any = replace(self, model=model).register(measured, free=(), accept=accept)
             return replace(new, model=model)
-        new = self.register(*given, accept=accept)
-        y = new.calibration.residuals(angles, points, positions)
-        return replace(new, model=update_correction(new.model, X, y, accept=accept, **how))
+        new = self.register(measured, accept=accept)
+        found = new.calibration.residuals_mm[measured.poses.first]
+        y, today = new._shown(measured, lambda: found)
+        updated = update_correction(new.model, X, y, accept=accept, date=date, **today)
+        return replace(new, model=updated)
 
     def move(self, probe: ArrayLike) -> Self:
         """The same with another probe, whose vector is known.
@@ -672,6 +679,29 @@ class Correction:
             )
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
+
+    def _measured(self, angles, positions, **given):
+        """Today's `Measurements`, of one tool and one station, checked."""
+        measured = Measurements.taken(angles, positions, joint_types=self.arm.joint_types, **given)
+        check_angles(measured.angles, self.arm.joint_types, "rad")
+        if measured.tools is not None or measured.stations is not None:
+            raise ValueError("tools and stations are for calibrate and learn_correction.")
+        if measured.points is None and measured.index is None:
+            raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
+        return measured
+
+    def _shown(self, measured, by_tracker):
+        """Residuals (n, 3) of today's poses, and what else a model takes of them.
+
+        Without the correction, in the base frame: against points `by_tracker`, or about positions.
+        """
+        if measured.points is not None:
+            return by_tracker(), {}
+        points = self.arm.forward(measured.angles)
+        with ignored_findings():  # of a correction that is not in use
+            corrected = points - self.model.predict(self.inputs(measured.angles, measured.extra))
+        today = for_centres(measured, corrected)
+        return position_residuals(points, today["groups"], features=today["features"]), today
 
     def _scale_beside(self, linear):
         """Standard deviation of the common scale beside that of a linear model, or of none."""

@@ -10,17 +10,18 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky
 
 from sklearn_raacmm.arm import parameter_jacobian
-from sklearn_raacmm.correction._change import (
-    LEAST_NOISE_MM,
-    LOG_NOISE,
-    as_prior,
-    changes_of,
-    place_columns,
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, LOG_NOISE, as_prior, changes_of
+from sklearn_raacmm.correction._changes import widened
+from sklearn_raacmm.correction._condition import (
+    Whitened,
+    condition,
+    log_evidence,
+    n_coordinates,
+    rows_of,
 )
-from sklearn_raacmm.correction._condition import Whitened, condition, log_evidence, rows_of
+from sklearn_raacmm.correction._rows import Shown, place_columns
 from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.measurements import (
     FAR,
@@ -31,7 +32,7 @@ from sklearn_raacmm.measurements import (
     medians_of,
     of_own_points,
 )
-from sklearn_raacmm.utils import Finding, centred
+from sklearn_raacmm.utils import Finding
 
 # Rows that are looked at, evenly from all, and how many there have to be: for speed.
 _ROWS, _LEAST_ROWS = 120, 12
@@ -56,7 +57,7 @@ _ALL_OF_IT, _SAME_MAKE = 10.0, (0.1, 0.3, 1.0)
 _IN_USE = 0.1
 
 
-def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
+def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
     """Yield the most likely explanation of new poses, if it is likelier than that nothing is wrong.
 
     With r what an explanation leaves of the residuals beside the model, A the model's columns and B
@@ -69,36 +70,41 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     the arm's own points are of these rows and this table: the arm alone can be another one.
     """
     linear, n_joints = as_prior(model.linear_model_), model.linear_model_.arm.n_joints
-    of_rows, _, doubt = model.linear_model_.predict_with_doubt(poses.angles)
+    numbers = np.flatnonzero(rows.rank + np.zeros(len(rows.X)) == 3)
+    rows = rows.at(numbers)  # touches of a surface are not of one point
+    if not len(numbers):
+        return
+    rows = rows._replace(shown=None, unknowns=None, forms=(), lengths=())
+    of_rows, _, doubt = model.linear_model_.predict_with_doubt(rows.X)
     as_given = False
-    if poses.codes is not None:
-        own = poses.residuals, poses.codes, linear.arm, poses.angles[:, :n_joints]
+    if rows.codes is not None:
+        own = rows.y, rows.codes, linear.arm, rows.X[:, :n_joints]
         expected = model.fading_.share(doubt)[:, None] * of_rows
-        as_given, found = of_own_points(*own, np.arange(len(of_rows)), known=expected)
+        as_given, found = of_own_points(*own, numbers, known=expected)
         if found:
             yield from found
             return
     doubt = max(linear.std_scale, 1.0) * doubt
     used = np.flatnonzero(replace(model.fading_, most=1.0).share(doubt) >= _KNOWN_SHARE)
-    if poses.codes is not None:  # a pose alone at its position shows nothing
-        of_used = poses.codes[used]
+    if rows.codes is not None:  # a pose alone at its position shows nothing
+        of_used = rows.codes[used]
         used = used[np.bincount(of_used)[of_used] > 1]
     if len(used) < _LEAST_ROWS:
         return
-    poses = poses.at(used)
-    expected = linear.predict(poses.angles)[0]
-    given = poses.residuals - expected
+    rows, used = rows.at(used), numbers[used]
+    expected = linear.predict(rows.X)[0]
+    given = rows.y - expected
     if _rms(given) < LEAST_NOISE_MM:  # rounding explains it
         return
 
     @cache  # most explanations share it
-    def spread_of(rows, table):
-        return _Spread(linear, poses.at(np.frombuffer(rows, dtype=int)), table)
+    def spread_of(some, table):
+        return _Spread(linear, rows.at(np.frombuffer(some, dtype=int)), table)
 
     every = explanations(
-        poses.residuals, expected, poses.angles, n_joints, poses.codes,
+        rows.y, expected, rows.X, n_joints, rows.codes,
         lambda angles: linear.predict(angles)[0], expected,
-        base_motions(linear.arm.forward(poses.angles[:, :n_joints]), linear.arm.reach_mm),
+        base_motions(linear.arm.forward(rows.X[:, :n_joints]), linear.arm.reach_mm),
     )  # fmt: skip
     few = linear.n_positions < LEAST_POSITIONS  # of which no table is known elsewhere
     tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
@@ -106,7 +112,7 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     gains = [_gain(one, given, expected, spread_of) for one in fair]
     likely = likeliest(zip(gains, fair, strict=True))
     if not likely:
-        nats = float("-inf") if few else _evidences(linear, poses)[1]
+        nats = float("-inf") if few else _evidences(linear, rows)[1]
         if nats > PRICE:
             said = (
                 f"That the new residuals, {_rms(given):.3g} mm about the model, are of another arm "
@@ -129,12 +135,12 @@ def what_is_wrong(model: Any, poses: Any) -> Iterator[Finding]:
     )
 
 
-def gain_of_change(model: Any, poses: Any) -> float:
+def gain_of_change(model: Any, rows: Any) -> float:
     """Log evidence that the arm or its probe has changed, less that of noise of any size, nats."""
-    return -_evidences(as_prior(model.linear_model_), poses)[0]
+    return -_evidences(as_prior(model.linear_model_), rows)[0]
 
 
-def _evidences(linear, poses):
+def _evidences(linear, rows):
     """Log evidence that nothing has changed, and of another arm, less that of a change, in nats.
 
     The noise is found in each: rows that scatter are no change. Nothing changed: ``r ~ N(B b, A S
@@ -142,28 +148,27 @@ def _evidences(linear, poses):
     part, and the tool free or known; another arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one
     tau for all parts, T what another table does.
     """
-    arm, codes = linear.arm, poses.codes
-    columns, place = linear.columns(poses.angles), place_columns(arm, poses.angles, codes is None)
-    parts = columns, place, _table_columns(arm, poses.angles), poses.residuals
-    columns, place, table, shown = (centred(part, codes, poses.weights) for part in parts)
+    shown, tracked = Shown(linear, rows), rows.codes is None
+    columns, place = shown(linear.columns(rows.X)), shown(place_columns(rows.arm, rows.X, tracked))
     part, size = changes_of(linear)
     size = np.where(part == "kinematics", _IN_USE, 1.0) * size
-    after = condition(linear, (part, size), columns, place, shown, poses.weights, LOG_NOISE)
-    weights, every = (
-        poses.weights * after.row_weight,
-        np.concatenate([columns, place, table], axis=2),
-    )
-    rows, left, n = rows_of(every, shown - columns @ linear.coef, weights)
-    p, q = len(size), columns.shape[2] + place.shape[2]
+    weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
+    given = columns, place, shown.y, weights, LOG_NOISE
+    counted = shown.rank, shown.n_unknown
+    after = condition(linear, (part, size), *given, None, True, *counted)
+    weights = weights * after.row_weight
+    every = np.concatenate([columns, place, shown(_table_columns(rows.arm, rows.X))], axis=2)
+    flat, left = rows_of(every, shown.y - columns @ linear.coef, weights)
+    n, p, q = n_coordinates(weights, *counted), len(size), columns.shape[2] + place.shape[2]
 
     def of(changes, columns, prior=linear, y=left):
         return log_evidence(prior, changes, columns, y, n, LOG_NOISE)
 
-    known = np.delete(rows[:, :q], np.s_[p : p + 3], axis=1)  # the tool
-    change = max(of((part, size), known), of((part, size), rows[:, :q]))
-    whole, unknown = replace(linear, half=np.zeros((p, 0))), left + rows[:, :p] @ linear.coef
+    known = np.delete(flat[:, :q], np.s_[p : p + 3], axis=1)  # the tool
+    change = max(of((part, size), known), of((part, size), flat[:, :q]))
+    whole, unknown = replace(linear, half=np.zeros((p, 0))), left + flat[:, :p] @ linear.coef
     together = np.full(p, "all"), _ALL_OF_IT * size
-    tables = (np.hstack([rows[:, :q], share * rows[:, q:]]) for share in _SAME_MAKE)
+    tables = (np.hstack([flat[:, :q], share * flat[:, q:]]) for share in _SAME_MAKE)
     another = max(of(together, columns, whole, unknown) for columns in tables)
     return of((part[:0], size[:0]), known) - change, another - change
 
@@ -186,7 +191,7 @@ def _gain(one, given, expected, spread_of):
     taus = _ANOTHER if one.code == "another-arm" else _TAUS
     noise = 0.0
     if one.code == "rows-unrelated":  # they scatter by what the model expects of these, too
-        size = np.square(spread.whiten(expected[rows].ravel())).sum()
+        size = np.square(spread.of(expected[rows])).sum()
         noise = 0.5 * np.log1p(size / spread.freedom)
     explained = spread.log_likelihood(one.left[some], taus, noise)
     explained += spread.freedom * np.log(one.factor)
@@ -200,40 +205,41 @@ def _gain(one, given, expected, spread_of):
 class _Spread:
     """Covariance of the residuals of some poses about the model, along its own axes."""
 
-    def __init__(self, linear, poses, table):
-        n = poses.residuals.size
-        self.codes = poses.codes
-        columns = linear.columns(poses.angles).reshape(n, -1)
-        known = max(linear.std_scale, 1.0) * (columns @ linear.half)
-        noise = max(linear.noise_scale, 1.0) ** 2 * linear.noise_variance
-        covariance = known @ known.T + noise * np.eye(n)
+    def __init__(self, linear, rows, table):
+        linear = widened(linear)
+        shown, columns = Shown(linear, rows), linear.columns(rows.X)
+        known = shown.flat(columns @ linear.half)
         if table:
-            other = table * _table_columns(linear.arm, poses.angles)
-            covariance += other.reshape(n, -1) @ other.reshape(n, -1).T
-        nuisance = place_columns(linear.arm, poses.angles, self.codes is None).reshape(n, -1)
-        if self.codes is not None:
-            offsets = np.kron(self.codes[:, None] == np.unique(self.codes), np.eye(3))
-            nuisance = np.hstack([nuisance, offsets])
-        root = cholesky(covariance, lower=True, check_finite=False)
-        self.whiten = Whitened(root, nuisance)
+            known = np.hstack([known, shown.flat(table * _table_columns(linear.arm, rows.X))])
+        place = shown.flat(place_columns(linear.arm, rows.X, rows.codes is None))
+        self.shown, self.whiten = shown, Whitened(known, place, shown.n_coordinates)
         self.freedom = self.whiten.freedom
-        changes = self.whiten(columns * changes_of(linear)[1])
+        changes = self.whiten(shown.flat(columns * changes_of(linear)[1]))
         size, self.axes = np.linalg.eigh(changes @ changes.T)
         self.size = np.maximum(size, 0.0)
         # Of the restricted likelihood: nuisances that are seen better cost more.
-        seen = np.linalg.svd(self.whiten.scaled(nuisance), compute_uv=False)
+        seen = np.linalg.svd(self.whiten.scaled(place), compute_uv=False)
         seen = seen[seen > 1e-8 * seen.max()]
-        self.log_volume = -np.log(root.diagonal()).sum() - np.log(seen).sum()
+        self.log_volume = -self.whiten.log_root - np.log(seen).sum()
+        self.log_volume += np.linalg.slogdet(shown.whitened.root)[1].sum()
+        if shown.whitened.precision is not None:
+            of_places = shown.whitened.precision
+            self.log_volume -= 0.5 * np.log(of_places[of_places > 0]).sum()
+
+    def of(self, left):
+        """Residuals (n, 3) over the root of their covariance."""
+        return self.whiten(self.shown(left[:, :, None]).ravel() / self.shown.noise_sd)
 
     def log_likelihood(self, left, taus=_TAUS, noise=0.0):
         """Highest log likelihood of residuals (n, 3) over changes of the arm and the noise.
 
         None counts as farther from the middle of its position than some medians.
         """
-        middle = medians_of(left, self.codes)
+        middle = medians_of(left, self.shown.rows.codes)
         distance = np.linalg.norm(left - middle, axis=1)
         share = np.minimum(1.0, FAR * np.median(distance) / np.maximum(distance, 1e-300))
-        left = self.whiten((middle + share[:, None] * (left - middle)).ravel())
+        left = middle + share[:, None] * (left - middle)
+        left = self.of(left)
         along = np.square(self.axes.T @ left)
         rest = max(left @ left - along.sum(), 0.0)
         wider = 1 + np.square(taus)[:, None] * self.size

@@ -42,9 +42,9 @@ _CONSTRAINTS = {
     "accept": ["array-like", str],
     "take": ["array-like", str],
 }
-# Scores that are kept as they are.
 # Known lengths that the report names.
 _LENGTHS_SAID = 3
+# Scores that are kept as they are.
 _KEPT = (
     "verdict",
     "helps",

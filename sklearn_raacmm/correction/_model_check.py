@@ -15,17 +15,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import cholesky
 from scipy.stats import f as fisher
 
-from sklearn_raacmm.correction._change import NewPoses, day, place_columns
-from sklearn_raacmm.correction._changes import causes_of, likeliest_change, slipped_rows, widened
-from sklearn_raacmm.correction._condition import Whitened, explained, score_tests
+from sklearn_raacmm.correction._change import day
+from sklearn_raacmm.correction._changes import NOISE, Table, likeliest_change, widened
+from sklearn_raacmm.correction._condition import UNSEEN, Whitened, score_tests
+from sklearn_raacmm.correction._rows import new_rows, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
-from sklearn_raacmm.measurements import check_length
 from sklearn_raacmm.utils import (
-    centred,
-    encode_groups,
     listed,
     one_blas_thread,
     one_warning,
@@ -163,6 +160,7 @@ def check_correction(
     refitted: str | Sequence[str] = (),
     false_alarm_rate: float = 0.01,
     date: str | None = None,
+    features: Iterable[Sequence[Any]] = (),
 ) -> CorrectionCheck:
     """Say from a few poses of today whether a fitted correction still holds.
 
@@ -179,6 +177,9 @@ def check_correction(
         What has been fitted to these same poses: that has taken up a part of any change.
     false_alarm_rate : float, default=0.01
         How often a correction that holds may be called into question.
+    features : iterable of (label, kind) or (label, kind, size, standard deviation), default=()
+        As in :meth:`ArmResidualRegressor.fit`: what was touched under labels of `groups`. Known
+        sizes show a change of scale as lengths do.
 
     Returns
     -------
@@ -220,46 +221,59 @@ def check_correction(
     >>> check_correction(model, today, knock + rng.normal(scale=0.01, size=(30, 3))).suspect
     'offset of joint 2'
     """
-    today = NewPoses(model, X, y, groups)
-    lengths = listed("lengths", lengths)
-    if lengths and groups is None:
-        raise ValueError("lengths are between positions: give groups, the position of each pose.")
-    labels = encode_groups(groups)[0].tolist() if lengths else []
-    lengths = [check_length(entry, labels) for entry in lengths]
-    poses = _Poses(model, X, today, lengths)
-    root, nuisance = poses.root_of_covariance(), poses.nuisance(refitted)
-    whiten = Whitened(root, nuisance)
+    refitted = listed("refitted", refitted)
+    if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
+        raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
+    rows = new_rows(model, X, y, groups, lengths, features)
+    linear, correction = widened(model.linear_model_), model.predict(X)
+    table = Table(linear, rows, correction)
+    rows, shown, known, seen = table.rows, table.shown, table.known, table.seen
+    place = place_columns(linear.arm, rows.X, with_base=True)
+    place = place[:, :, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
+    nuisance, residual, correction = shown.flat(place), table.residual, correction[~table.slipped]
+    whiten = Whitened(known, nuisance, shown.n_coordinates)
     if whiten.freedom < 3:
+        n = int(shown.rank.sum())
         raise ValueError(
-            f"{len(poses.tamed)} poses have {len(root)} coordinates for "
-            f"{len(root) - whiten.freedom} freedoms of positions, base and probe: nothing is left "
+            f"{len(rows.X)} poses have {n} coordinates for "
+            f"{n - whiten.freedom} freedoms of positions, base and probe: nothing is left "
             "to check the correction with."
         )
-    causes, residual = poses.causes(), np.r_[poses.tamed.ravel(), poses.length_errors]
-    n, n_positions = poses.tamed.size, min(poses.linear.n_positions, _MANY_POSITIONS)
+    n_positions = min(linear.n_positions, _MANY_POSITIONS)
     freedom, of_arms = _ERRORS_OF_POSITION * n_positions, n_positions + _POSITIONS_OF_ARMS
     factor = (n_positions + _POSITIONS_OF_ARMS * _FACTOR_OF_ARMS) / of_arms
-    already, left = poses.rows(-poses.correction[:, :, None]), whiten(residual)
-    seen = whiten(already)[:, 0]
-    if seen @ left > 0.5 * (seen @ seen):  # likelier by all of the correction than by none
-        causes["corrected already"] = already
-    tests = score_tests(causes, whiten, residual, [(freedom, 1.0), (of_arms, factor)])
+    already = shown.flat(-correction[:, :, None])
+    left, whole = whiten(residual), whiten(already)[:, 0]
+    if whole @ left > 0.5 * (whole @ whole):  # likelier by all of the correction than by none
+        seen["corrected already"] = already
+        table.causes["corrected already"] = -correction[:, :, None]
+    tests = score_tests(seen, whiten, residual, [(freedom, 1.0), (of_arms, factor)])
     # Of 560 knocks of 10 arc seconds equal shares found 487, these 497 (arms with other seeds than
     # those of ``benchmarks/bench_check.py kinds``): misfit looks like causes of many numbers.
     shares = np.r_[1.0, 1 / tests["freedom"][1:], 1.0]
     shares /= shares.sum()
     rate = false_alarm_rate * shares[-1]
-    mean, chart = _chart(poses.tamed, root[:n, :n], nuisance[:n], freedom, rate)
+    mean, chart = _chart(linear, table, place, freedom, rate)
     tests = np.append(tests, np.array(mean, dtype=tests.dtype))
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
-    holds = p_value >= false_alarm_rate
-    suspect = "nothing" if holds else poses.likeliest(causes, nuisance, residual)
-    usual_mm, size_mm = poses.usual_mm(), 0.0
-    if suspect in causes:
-        size_mm = poses.size_mm(explained(causes[suspect], whiten, residual)[:n])
-    elif suspect == "noise":  # as much as all exceed what is expected of them
-        more = np.square(poses.size_mm(poses.tamed)) - usual_mm**2
-        size_mm = float(np.sqrt(max(more, 0.0)))
+    holds, suspect, size_mm = p_value >= false_alarm_rate, "nothing", 0.0
+    # Of what the rows can show.
+    spread = linear.predict(rows.X, return_std=True)[1]
+    usual = rows.rank / 3 * (np.square(spread).sum(axis=1) + 3 * linear.noise_variance)
+    usual_mm = float(np.sqrt(usual.mean()))
+    if not holds:
+        beside = Whitened(np.zeros((len(residual), 1)), nuisance, shown.n_coordinates)
+        rest = {name: beside(cause) for name, cause in seen.items()}
+        given = beside(residual), beside(known), rest, beside.freedom
+        suspect = likeliest_change(*given)[0]
+    if suspect in seen:
+        # By its most likely size; what base and probe do as well is no part of it.
+        cause = seen[suspect]
+        size = np.linalg.lstsq(whiten(cause), whiten(residual), rcond=UNSEEN)[0]
+        taken = np.linalg.lstsq(whiten.scaled(nuisance), whiten.scaled(cause), rcond=UNSEEN)[0]
+        size_mm = _rms(shown, (table.causes[suspect] - place @ taken) @ size)
+    elif suspect == NOISE:  # as much as all exceed what is expected of them
+        size_mm = float(np.sqrt(max(np.square(_rms(shown, table.left)) - usual_mm**2, 0.0)))
     matters = size_mm > _WORTH * usual_mm
     advice = _ADVICE.get(suspect, _ADVICE["arm"])
     if not (holds or matters):
@@ -267,113 +281,45 @@ def check_correction(
             f"It is real and small, {size_mm:.2g} mm beside the {usual_mm:.2g} mm that the "
             f"correction leaves: nothing needs to be done. {advice}"
         )
-    record = {"date": day(date), "n_poses": len(poses.tamed)}
+    record = {"date": day(date), "n_poses": len(rows.X)}
     record |= {**chart, "p_value": p_value, "suspect": suspect}
+    far = tuple(np.flatnonzero(table.slipped).tolist())
     return CorrectionCheck(
-        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, poses.slipped, record
+        holds, p_value, suspect, advice, size_mm, usual_mm, matters, tests, far, record
     )
 
 
-class _Poses:
-    """Poses of today that count: rows of coordinates, and one for each known length.
-
-    `tamed` (n, 3) are the residuals less the `correction`, without tails, mm; `slipped` are the
-    rows that do not count. `lengths` (l, 3 n) is what the coordinates do to the lengths whose two
-    ends have poses, mm per mm; `length_errors` and `length_sd` are (l,) in mm.
-    """
-
-    def __init__(self, model, X, today, lengths):
-        self.linear = linear = widened(model.linear_model_)
-        correction = model.predict(X)
-        slipped, tamed = slipped_rows(linear, today, today.residuals - correction)
-        self.slipped = tuple(np.flatnonzero(slipped).tolist())
-        kept = ~slipped
-        self.tamed, self.correction, poses = tamed[kept], correction[kept], today.at(kept)
-        self.poses, self.codes = poses, poses.codes
-        self.angles = poses.angles[:, : linear.arm.n_joints]  # without extra columns
-        self.place = place_columns(linear.arm, self.angles, with_base=True)
-        points = linear.arm.forward(self.angles) - self.correction
-        known = [entry for entry in lengths if np.isin(entry[:2], self.codes).all()]
-        # Shares of the poses in the mean of one end less the mean of the other.
-        ends = [[self.codes == end for end in entry[:2]] for entry in known]
-        shares = [last / last.sum() - first / first.sum() for first, last in ends]
-        shares = np.array(shares).reshape(-1, len(points))
-        line = shares @ points
-        size = np.linalg.norm(line, axis=1)
-        rows = shares[:, :, None] * (line / size[:, None])[:, None, :]
-        self.lengths = rows.reshape(len(known), points.size)
-        stated, self.length_sd = np.array([e[2:] for e in known], dtype=float).reshape(-1, 2).T
-        self.length_errors = size - stated
-
-    def rows(self, columns):
-        """Columns (n, 3, k) or (3 n, k) as rows of coordinates and lengths, (m, k)."""
-        flat = columns.reshape(self.tamed.size, -1)
-        return np.concatenate([flat, self.lengths @ flat])
-
-    def covariances(self):
-        """Root of what the model leaves open (m, r), and the covariance of the noise (m, m)."""
-        half = self.rows(self.linear.columns(self.poses.angles)) @ self.linear.half
-        noise = self.rows(self.linear.noise_sd * np.eye(self.tamed.size))
-        of_lengths = np.r_[np.zeros(self.tamed.size), np.square(self.length_sd)]
-        return half, noise @ noise.T + np.diag(of_lengths)
-
-    def root_of_covariance(self):
-        """Lower root of the covariance of what a correction that holds leaves, (m, m)."""
-        half, noise = self.covariances()
-        return cholesky(half @ half.T + noise, lower=True, check_finite=False)
-
-    def likeliest(self, causes, nuisance, residual):
-        """Name of the likeliest of the causes, or "noise"."""
-        half, noise = self.covariances()
-        whiten = Whitened(cholesky(noise, lower=True, check_finite=False), nuisance)
-        seen = {name: whiten(columns) for name, columns in causes.items()}
-        return likeliest_change(whiten(residual), whiten(half), seen, whiten.freedom)[0]
-
-    def usual_mm(self):
-        """Root mean square of what a correction that holds leaves of what the poses can show."""
-        spread = self.linear.predict(self.poses.angles, return_std=True)[1]
-        noise = 3 * self.linear.noise_variance
-        return float(np.sqrt(np.mean(np.square(spread).sum(axis=1) + noise)))
-
-    def size_mm(self, change):
-        """Root mean square of a change (3 n,); of positions with offsets about their means."""
-        change = centred(change.reshape(-1, 3), self.codes)
-        return float(np.sqrt(np.mean(np.square(change).sum(axis=1))))
-
-    def nuisance(self, refitted):
-        """Columns (m, k) of what is not known of these poses, so that it shows no change."""
-        refitted = listed("refitted", refitted)
-        if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
-            raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
-        of = np.repeat(["probe" in refitted, "base" in refitted], [3, 6])
-        place = self.rows(self.place[:, :, of])
-        if self.codes is None:
-            return place
-        # The offset of a position is that of its residuals, not of where it is.
-        offsets = np.kron(self.codes[:, None] == np.unique(self.codes), np.eye(3))
-        return np.hstack([place, np.pad(offsets, ((0, len(place) - len(offsets)), (0, 0)))])
-
-    def causes(self):
-        """What each cause would do to the poses: (m, k) columns by name."""
-        causes = causes_of(self.linear.arm, self.angles, self.codes)
-        return {name: self.rows(columns) for name, columns in causes.items()}
+def _rms(shown, vectors):
+    """Root mean square of vectors (n, 3) about their position, along what the rows show."""
+    return float(np.sqrt(np.mean(np.square(_about(shown, vectors)).sum(axis=1))))
 
 
-def _chart(tamed, root, nuisance, freedom, rate):
+def _about(shown, columns):
+    """Columns (n, 3, ...) about their positions in mm, along what the rows show."""
+    return shown.rows.along(shown.whitened.centred(columns))
+
+
+def _chart(linear, table, place, freedom, rate):
     """The test of the mean distance, and mean and range with the limits of that same test.
 
     The square of a mean or a range of distances is about a multiple of a chi-squared variable,
-    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself.
+    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. `place`
+    (n, 3, k) has been fitted.
     """
-    basis = np.linalg.qr(nuisance)[0]
-    record, tests = {}, []
+    shown, tamed, half = table.shown, table.left, table.columns @ linear.half
+    basis = np.linalg.qr(_about(shown, place).reshape(tamed.size, place.shape[2]))[0]
+    record, tests, rng = {}, [], np.random.default_rng(0)
+    noise = linear.noise_sd * linear.noise_root(shown.rows.X)
 
-    def distances(values):  # (3 n, k)
+    def distances(values):  # (n, 3, k)
+        values = _about(shown, values).reshape(tamed.size, -1)
         values = values - basis @ (basis.T @ values)
         return np.linalg.norm(values.reshape(*tamed.shape, -1), axis=1)
 
-    found = distances(tamed.reshape(-1, 1))
-    drawn = distances(root @ np.random.default_rng(0).normal(size=(len(root), _DRAWS)))
+    found = distances(tamed[:, :, None])
+    draws = half @ rng.normal(size=(half.shape[2], _DRAWS))
+    draws += noise @ rng.normal(size=(len(noise), noise.shape[2], _DRAWS))
+    drawn = distances(draws)
     for name, of in (("mean", np.mean), ("range", np.ptp)):
         square, value = np.square(of(drawn, axis=0)), float(of(found, axis=0)[0])
         k, unit = 2 * np.square(square.mean()) / square.var(), square.mean()

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from datetime import date as calendar
 from typing import Any
@@ -13,20 +13,25 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.correction._change import (
     LEAST_NOISE_MM,
-    REGISTERED_PLACE_MM,
-    NewPoses,
+    as_prior,
     changed_model,
     day,
     judged_fading,
-    place_columns,
 )
 from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
-from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor
+from sklearn_raacmm.correction._rows import (
+    REGISTERED_PLACE_MM,
+    Shown,
+    n_coordinates,
+    new_rows,
+    place_columns,
+    why_too_few,
+)
+from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor, Rows
 from sklearn_raacmm.measurements import EQUAL
 from sklearn_raacmm.utils import (
     Finding,
-    centred,
     ignored_findings,
     one_blas_thread,
     one_warning,
@@ -54,6 +59,8 @@ def update_correction(
     groups: ArrayLike | None = None,
     date: str | None = None,
     accept: str | Sequence[str] = (),
+    lengths: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[Any]] = (),
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
@@ -83,6 +90,10 @@ def update_correction(
     accept : str or list of str, default=()
         Codes of findings, such as "corrected-already", with which the model is handed over all the
         same.
+    lengths : iterable of (label, label, length, standard deviation), default=()
+        Known distances between two positions of `groups`, mm, as in :func:`calibrate`.
+    features : iterable of (label, kind) or (label, kind, size, standard deviation), default=()
+        As in :meth:`ArmResidualRegressor.fit`: what was touched under labels of `groups`.
 
     Returns
     -------
@@ -134,22 +145,25 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    poses = NewPoses(model, X, y, groups)
-    linear: Any = model.linear_model_
-    updated: Any = deepcopy(model)
-    if poses.too_few:
-        said = f"{poses.too_few}: the model is kept as it was."
+    return updated_model(model, new_rows(model, X, y, groups, lengths, features), date)
+
+
+def updated_model(model: Any, rows: Rows, date: Any) -> Any:
+    """The same for rows that have been checked."""
+    linear, updated = model.linear_model_, deepcopy(model)
+    if few := why_too_few(rows):
+        said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
-    for finding in what_is_wrong(model, poses):
+    for finding in what_is_wrong(model, rows):
         finding.report()
     with ignored_findings():  # of a share of 0
-        left = poses.residuals - model.predict(X)
+        left = rows.y - _predicted(model, rows)
     if np.abs(left).max() <= ROUNDED * linear.arm.reach_mm:
-        _as_it_was(updated, poses, left, date)
+        _as_it_was(updated, rows, date)
         return updated
-    named = named_changes(linear, poses)
-    changed = changed_model(linear, poses, date=date, named=named)
+    named = named_changes(linear, rows)
+    changed = changed_model(linear, rows, date=date, named=named)
     updated.linear_model_, entry, pose_weight, ended = changed
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
@@ -162,30 +176,35 @@ def update_correction(
         )
         size_mm = entry["noise_sd_mm"]
         Finding("strange-poses", said, advice, "repair", size_mm=size_mm).report()
-    poses.weights = poses.weights * pose_weight
-    updated.fading_, judgement = judged_fading(linear, poses, model.fading_, ended, named=named)
+    rows = rows._replace(weights=rows.weights * pose_weight)
+    updated.fading_, judgement = judged_fading(linear, rows, model.fading_, ended, named=named)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
 
 
-def nothing_changed(model: Any, X: Any, y: Any, groups: Any, date: Any) -> bool:
-    """Whether residuals, with the probe as it was, show nothing but noise; `updates_` then says so.
+def _predicted(model, rows):
+    """What a model in use says of checked rows, whose angles are in rad."""
+    mean, _, doubt = model.linear_model_.predict_with_doubt(rows.X)
+    return model.fading_.share(doubt)[:, None] * mean
+
+
+def nothing_changed(model: Any, rows: Rows, date: Any) -> bool:
+    """Whether rows, with the probe as it was, show nothing but noise; `updates_` then says so.
 
     Noise of any size is an explanation like a change, and taken where none is clearly likelier: by
     up to 6 nats a change is in 96 simulated updates whose angles are noisy.
     """
-    poses = NewPoses(model, X, y, groups)
-    if poses.too_few or gain_of_change(model, poses) > EQUAL:
+    if why_too_few(rows) or gain_of_change(model, rows) > EQUAL:
         return False
-    _as_it_was(model, poses, poses.residuals - model.predict(X), date)
+    _as_it_was(model, rows, date)
     return True
 
 
-def _as_it_was(model, poses, left, date):
-    """Note in `updates_` that poses showed noise alone: what the model leaves of them, (n, 3)."""
-    left = centred(left, poses.codes)
-    noise_mm = float(np.sqrt(np.square(left).sum() / poses.n_coordinates))
+def _as_it_was(model, rows, date):
+    """Note in `updates_` that rows showed noise alone."""
+    left = rows.along(rows.whitening().centred(rows.y - _predicted(model, rows)))
+    noise_mm = float(np.sqrt(np.square(left).sum() / n_coordinates(rows)))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)
     said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
@@ -193,8 +212,8 @@ def _as_it_was(model, poses, left, date):
     Finding("nothing-changed", said, weight="note").report()
 
 
-def probe_is_new(model: Any, X: Any, y: Any, groups: Any) -> bool:
-    """Whether residuals show another probe than the one that the model was moved to.
+def probe_is_new(model: Any, rows: Rows) -> bool:
+    """Whether rows show another probe than the one that the model was moved to.
 
     One that is off by d mm is likelier a new one, ``N(0, 100^2)`` of each coordinate, than the
     same one knocked or worn, ``N(0, 1)``: from 5.3 mm on.
@@ -202,11 +221,10 @@ def probe_is_new(model: Any, X: Any, y: Any, groups: Any) -> bool:
     linear = model.linear_model_
     if not linear.terms.kinematics:  # no column of the model could hold where the probe is
         return True
-    poses = NewPoses(model, X, y, groups)
-    place = place_columns(linear.arm, poses.angles, with_base=poses.codes is None)
-    left = centred(poses.residuals - linear.predict(poses.angles)[0], poses.codes)
-    rows = centred(place, poses.codes).reshape(left.size, -1)
-    off = np.linalg.lstsq(rows, left.ravel(), rcond=1e-9)[0][:3]
+    shown, expected = Shown(as_prior(linear), rows), linear.predict(rows.X)[0]
+    place = shown(place_columns(linear.arm, rows.X, with_base=rows.codes is None))
+    left = shown.left(rows.y - expected, expected)
+    off = np.linalg.lstsq(place.reshape(left.size, -1), left.ravel(), rcond=1e-9)[0][:3]
     off = REGISTERED_PLACE_MM / _KNOCKED_PROBE_MM * off
     wider = _ANOTHER_PROBE_MM / _KNOCKED_PROBE_MM
     return bool(0.5 * (off @ off) * (1 - wider**-2) > 3 * np.log(wider))

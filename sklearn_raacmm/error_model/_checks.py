@@ -23,8 +23,8 @@ from sklearn_raacmm.measurements import (
 )
 from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
+    CENTRED,
     Finding,
-    are_deviations,
     check_data,
     check_features,
     check_weights,
@@ -33,6 +33,7 @@ from sklearn_raacmm.utils import (
     listed,
     numbered_by_rows,
     row_numbers,
+    share_of_means,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -85,18 +86,20 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
                 "are not False."
             )
         points = points_of(arm, X[:, : arm.n_joints], probes)
-        y, touched = _touched(features, labels, positions, points, y, weights)
+        y, touched = touched_rows(features, labels, positions, points, y, weights)
         codes = positions
+        deviations = True
+    elif positions is None:
+        if estimator.offsets is True:
+            raise ValueError("offsets=True needs groups: the position of each sample.")
+        codes, touched, deviations = None, {}, False
     else:
-        has_offsets = _have_offsets(estimator.offsets, y, weights, positions)
+        # Deviations from anything but the mean keep a constant for each position, and are none the
+        # less asked what deviations are asked.
+        is_auto, share = estimator.offsets == "auto", share_of_means(y, positions, weights)
+        has_offsets = share < _NO_MEANS if is_auto else estimator.offsets
         codes, touched = positions if has_offsets else None, {}
-    # Deviations from anything but the mean keep a constant for each position, and are none the less
-    # asked what deviations are asked.
-    deviations = codes is not None or (
-        positions is not None
-        and estimator.offsets == "auto"
-        and are_deviations(y, positions, weights)
-    )
+        deviations = has_offsets or (is_auto and share < CENTRED)
     angles = X[:, : arm.n_joints]
     held = np.ones(len(y), bool) if not features else touched.pop("held")
     if held.any():  # touches of a surface are not of one point
@@ -110,7 +113,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     return Rows(arm, X, y, weights, codes, tuple(lengths), **touched), positions
 
 
-def _touched(features, labels, codes, points, y, weights):
+def touched_rows(features, labels, codes, points, y, weights) -> Any:
     """Residuals (n, 3), those of touches from the arm's own points, and what `Rows` need of these.
 
     And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.
@@ -176,17 +179,6 @@ def _check_lengths(lengths, codes, labels, kinematics):
         advice = "Keep it, give known lengths, or do not measure lengths with this model."
         Finding("distances-not-held", said, advice).report()
     return [check_length(entry, labels.tolist()) for entry in lengths]
-
-
-def _have_offsets(offsets, y, weights, positions):
-    """Whether offsets of the positions are to be fitted."""
-    if positions is None:
-        if offsets is True:
-            raise ValueError("offsets=True needs groups: the position of each sample.")
-        return False
-    if offsets != "auto":
-        return offsets
-    return are_deviations(y, positions, weights, _NO_MEANS)
 
 
 def poses_of(rows, extra):

@@ -228,21 +228,23 @@ def without_motions(sums, columns):
     """
     if not columns.terms.kinematics:
         return sums
-    keep = beside_motions(columns.alone)
-    return sums._replace(
-        gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
-    )
+    motions = motions_of(columns.alone)
+
+    def beside(products):
+        return products - motions @ (motions.T @ products)
+
+    gram = beside(beside(sums.gram).T)
+    return sums._replace(gram=gram, moment=beside(sums.moment), cross=beside(sums.cross))
 
 
 @lru_cache(maxsize=64)
-def beside_motions(columns):
-    """Projection (m, m) of coefficients to what is no motion of the base and no scale."""
+def motions_of(columns):
+    """Orthonormal coefficients (m, k) that move the base, or scale the arm."""
     # What comes before the first joint in the modified convention moves the arm, too.
     before = ["a1", "alpha1", "beta1"] * (columns.arm.convention == "modified")
     moving = [columns.names.index(name) for name in [*BASE_MOTIONS, *before]]
     unit = np.eye(len(columns.names))
-    motions = np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
-    return unit - motions @ motions.T
+    return np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
 
 
 def length_equations(rows, columns):
@@ -265,27 +267,38 @@ def length_equations(rows, columns):
         )
         moved = moved + group_sums(sums, rows.codes[part], None, len(used))
     means = whitened.unit @ moved
-    q = points.shape[1]
-    measured, slopes = np.zeros(len(length)), np.zeros((2, len(length), q))
-    for i, (one, other) in enumerate(ends.T.tolist()):
-        forms = [rows.forms[end] if rows.forms else None for end in (one, other)]
-        touched = [form is not None for form in forms]
-        forms = [
-            form or Form(points[end, :3]) for form, end in zip(forms, (one, other), strict=True)
-        ]
-        if one == other:
-            forms[1] = forms[0]
-        measured[i], *along = known_length(*forms)
-        slopes[:, i] = [slope[:q] for slope in along]
-        # Forms are about y; a point is where the arm says that it is.
-        measured[i] += sum(
-            on * (slope[:q] @ found[end])
-            for on, slope, end in zip(touched, along, (one, other), strict=True)
-        )
+    measured, slopes = known_lengths(rows.forms, ends, points, found)
     moved = sum(np.einsum("lq,lqp->lp", slopes[i], means[ends[i]]) for i in (0, 1))
     unit = whitened.unit
     share: Any = sum(np.einsum("lq,lqk->lk", slopes[i], unit[ends[i]]) ** 2 for i in (0, 1))
     return Extra(moved, measured - length, np.square(sd), share.sum(axis=1))
+
+
+def known_lengths(forms, ends, points, found) -> Any:
+    """What lengths (l,) measure, mm, and their slopes by the unknowns of both ends, (2, l, q).
+
+    Of what was touched, `points` (g, q) are the unknowns of the arm's points, and `found` those of
+    the residuals, about which the `forms` of surfaces are; `ends` (2, l) number them.
+    """
+    q = points.shape[1]
+    measured, slopes = np.zeros(ends.shape[1]), np.zeros((*ends.shape, q))
+    for i, (one, other) in enumerate(ends.T.tolist()):
+        of_surfaces = [forms[end] if forms else None for end in (one, other)]
+        of_ends = [
+            form or Form(points[end, :3])
+            for form, end in zip(of_surfaces, (one, other), strict=True)
+        ]
+        if one == other:
+            of_ends[1] = of_ends[0]
+        measured[i], *along = known_length(*of_ends)
+        slopes[:, i] = [slope[:q] for slope in along]
+        # Forms are about y; a point is where the arm says that it is.
+        measured[i] += sum(
+            slope[:q] @ found[end]
+            for form, slope, end in zip(of_surfaces, along, (one, other), strict=True)
+            if form is not None
+        )
+    return measured, slopes
 
 
 def _parts_of_positions(codes):

@@ -28,7 +28,7 @@ from sklearn_raacmm.measurements._features import (
     with_forms,
 )
 from sklearn_raacmm.measurements._lengths import check_length
-from sklearn_raacmm.measurements._measurements import Measurements, given_causes, taken_apart
+from sklearn_raacmm.measurements._measurements import Measurements, given_causes
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
     angle_faults,
@@ -70,7 +70,6 @@ __all__ = [
     "of_own_points",
     "order_explained_by",
     "probe_offsets",
-    "taken_apart",
     "touch_findings",
     "touch_weights",
     "with_forms",

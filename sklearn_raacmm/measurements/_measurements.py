@@ -268,19 +268,6 @@ def _touched(features, named, lengths, tip_diameter):
     return {"features": kinds, "lengths": every, "offsets": offsets, "stated": tuple(features)}
 
 
-def taken_apart(angles: Any, groups: Any, points: Any, lengths: Any, extra: Any = None) -> Any:
-    """Angles in rad, groups, points, lengths, causes and unit, of measurements or as given."""
-    if not isinstance(angles, Measurements):
-        return angles, groups, points, lengths, extra, None
-    given = {"points": points, "lengths": lengths, "extra": extra}
-    one, labels = Measurements.taken(angles, groups, **given), angles.labels
-    if one.features or one.tools is not None or one.stations is not None:
-        raise ValueError("features, tools and stations are for calibrate and learn_correction.")
-    known = [(labels[i].item(), labels[j].item(), *of) for i, j, *of in one.lengths]
-    groups = None if one.index is None else labels[one.index]
-    return one.angles, groups, one.points, known, one.extra, "rad"
-
-
 def given_causes(extra: Any, n_rows: int) -> dict[str, np.ndarray]:
     """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
     if extra is not None and not isinstance(extra, Mapping):

@@ -26,7 +26,8 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 
 # Of the call that runs: "collected", where findings go instead of being warned of; "accepted",
 # codes; "refuses", whether it refuses what has to be repaired, which no part of a call does;
-# "row_numbers", in the user's file, where rows are not counted from 0.
+# "ignored", where nobody will read them; "row_numbers", in the user's file, where rows are not
+# counted from 0.
 _STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
@@ -239,9 +240,14 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
 @contextmanager
 def ignored_findings() -> Iterator[None]:
     """Leave out findings and warnings of parts of the data: those of all rows are shown."""
-    with collected_findings(), warnings.catch_warnings():
+    with _Within(collected=[], ignored=True), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
+
+
+def are_findings_ignored() -> bool:
+    """Whether nobody will read what is found here, so that it need not be looked for."""
+    return bool(_STATE.get().get("ignored"))
 
 
 def stage(name: str) -> Callable[[Function], Function]:

@@ -159,18 +159,18 @@ def test_log_density_is_that_of_scipy(k):
 
 @pytest.fixture(scope="module")
 def drawn():
-    """Root of a covariance, nuisances, causes, and draws of what is left if nothing is wrong."""
+    """Columns that the model leaves open, nuisances, causes, and draws if nothing is wrong."""
     rng = np.random.default_rng(0)
-    root = np.tril(rng.normal(size=(M, M))) + 4 * np.eye(M)
+    known = 3 * rng.normal(size=(M, 8))
     nuisance = rng.normal(size=(M, 4))
     causes = {"one": rng.normal(size=(M, 1)), "three": rng.normal(size=(M, 3))}
-    left = root @ rng.normal(size=(M, 1500)) + nuisance @ rng.normal(0, 100, (4, 1500))
-    return root, nuisance, causes, left
+    left = known @ rng.normal(size=(8, 1500)) + rng.normal(size=(M, 1500))
+    return known, nuisance, causes, left + nuisance @ rng.normal(0, 100, (4, 1500))
 
 
 def test_statistics_are_chi_squared_whatever_the_nuisances_are(drawn):
-    root, nuisance, causes, left = drawn
-    whiten = Whitened(root, nuisance)
+    known, nuisance, causes, left = drawn
+    whiten = Whitened(known, nuisance, M)
     tests = [score_tests(causes, whiten, one, MANY) for one in left.T]
     assert tests[0]["cause"].tolist() == ["noise", "one", "three"]
     assert tests[0]["freedom"].tolist() == [M - 4, 1, 3]
@@ -184,8 +184,8 @@ def test_statistics_are_chi_squared_whatever_the_nuisances_are(drawn):
 
 
 def test_a_cause_that_is_there_is_found_as_often_as_the_textbook_says(drawn):
-    root, nuisance, causes, left = drawn
-    whiten = Whitened(root, nuisance)
+    known, nuisance, causes, left = drawn
+    whiten = Whitened(known, nuisance, M)
     size = 3 / np.linalg.norm(whiten(causes["one"]))
     moved = left + size * causes["one"]
     found = [score_tests(causes, whiten, one, MANY)["p_value"][1] < 0.01 for one in moved.T]
@@ -195,29 +195,40 @@ def test_a_cause_that_is_there_is_found_as_often_as_the_textbook_says(drawn):
 
 def test_the_statistic_is_what_least_squares_explains(drawn):
     """The fall of the sum of squares when the cause is fitted beside the nuisances."""
-    root, nuisance, causes, left = drawn
+    known, nuisance, causes, left = drawn
+    root = np.linalg.cholesky(np.eye(M) + known @ known.T)
     y = np.linalg.solve(root, left[:, 0])
     sums = []
     for columns in (nuisance, np.hstack([nuisance, causes["three"]])):
         A = np.linalg.solve(root, columns)
         sums.append(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2))
-    tests = score_tests(causes, Whitened(root, nuisance), left[:, 0], MANY)
+    tests = score_tests(causes, Whitened(known, nuisance, M), left[:, 0], MANY)
     assert tests["statistic"][0] == pytest.approx(sums[0])
     assert tests["statistic"][2] == pytest.approx(sums[0] - sums[1])
 
 
 def test_what_the_nuisances_take_up_is_not_tested(drawn):
-    root, nuisance, causes, left = drawn
+    known, nuisance, causes, left = drawn
     hidden = {"hidden": nuisance[:, :1] - nuisance[:, 2:3], "nothing": np.zeros((M, 1))}
     half = {"half": np.hstack([nuisance[:, :1], causes["one"]])}
-    tests = score_tests(hidden | half, Whitened(root, nuisance), left[:, 0], MANY)
+    tests = score_tests(hidden | half, Whitened(known, nuisance, M), left[:, 0], MANY)
     assert tests["cause"].tolist() == ["noise", "half"]
     assert tests["freedom"].tolist() == [M - 4, 1]
 
 
+def test_the_root_is_that_of_the_covariance(drawn):
+    known, _, _, left = drawn
+    whiten = Whitened(known, np.empty((M, 0)), M)
+    covariance = np.eye(M) + known @ known.T
+    assert_allclose(
+        whiten(left).T @ whiten(left), left.T @ np.linalg.solve(covariance, left), atol=1e-6
+    )
+    assert whiten.log_root == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1])
+
+
 def test_repeated_nuisances_are_counted_once(drawn):
-    root, nuisance, _, left = drawn
-    twice = Whitened(root, np.hstack([nuisance, nuisance[:, ::-1]]))
+    known, nuisance, _, left = drawn
+    twice = Whitened(known, np.hstack([nuisance, nuisance[:, ::-1]]), M)
     assert twice.freedom == M - 4
-    assert_allclose(twice(left), Whitened(root, nuisance)(left), atol=1e-8)
-    assert Whitened(root, np.empty((M, 0))).freedom == M
+    assert_allclose(twice(left), Whitened(known, nuisance, M)(left), atol=1e-8)
+    assert Whitened(known, np.empty((M, 0)), M).freedom == M

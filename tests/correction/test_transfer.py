@@ -102,7 +102,7 @@ def credulous(monkeypatch):
     monkeypatch.setattr("sklearn_raacmm.correction._change.LEAST_GAIN_NATS", -np.inf)
     monkeypatch.setattr(
         "sklearn_raacmm.correction._change.judged_fading",
-        lambda _, poses, fading, *others: (fading, None),
+        lambda _, rows, fading, *others, **more: (fading, None),
     )
 
 

@@ -51,10 +51,9 @@ def test_a_correction_is_registered_checked_and_updated_by_it():
     for verb in ("register", "update"):
         one, other = (getattr(learned, verb)(*given) for given in ((measured,), today))
         assert_array_equal(one.model.predict(test.data), other.model.predict(test.data))
-    touched = make_features(2, 0, 0, 10, random_state=1)
-    touches = Measurements.of(touched.data, touched.groups, features=touched.features)
-    with pytest.raises(ValueError, match="features, tools and stations are for"):
-        learned.register(touches)
+    tools = Measurements.of(new.data, new.groups, tools=np.arange(len(new.data)) % 2)
+    with pytest.raises(ValueError, match="tools and stations are for"):
+        learned.register(tools)
 
 
 def test_rows_in_which_the_arm_stood_still_are_one():

@@ -1,0 +1,238 @@
+"""New rows of a fitted model: checked, and whitened by its noise."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import cholesky, solve_triangular
+from scipy.stats import chi
+
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.error_model import (
+    ArmResidualRegressor,
+    Rows,
+    check_poses,
+    known_lengths,
+    touched_rows,
+)
+from sklearn_raacmm.measurements import (
+    Measurements,
+    base_motions,
+    check_length,
+    known_length,
+    medians_of,
+    with_forms,
+)
+from sklearn_raacmm.utils import encode_groups, floats, listed
+
+# How far base and tool may be from where they were registered, mm at the probe: six times what the
+# worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
+REGISTERED_PLACE_MM = 5.0
+# Poses that the check names as slipped: this many on the average in a set without slips. If more
+# than the second share of all poses lie that far off, they are no slips. Both are chosen by hand.
+_FALSE_NAMES, _MOST_SLIPS = 0.01, 0.1
+# Poses farther off than this share of all, if errors were normal, count as though they were there:
+# those of a real arm have longer tails, of which a single pose must not raise an alarm. Without
+# this 4 % of 400 checks of the UR10 raised one at a rate of 1 %, with it 2.5 %
+# (``benchmarks/bench_check.py changes --real``). With 0.9 fewer knocks were found.
+_USUAL = 0.95
+# Part of a column that is rounding. Part that unknowns leave of a cause that cannot be told from
+# them: a hundredth of it would be called metres.
+_ROUNDING, TAKEN_UP = 1e-9, 1e-2
+
+
+def new_rows(
+    model: Any,
+    X: ArrayLike,
+    y: ArrayLike,
+    groups: ArrayLike | None = None,
+    lengths: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[Any]] = (),
+) -> Rows:
+    """New poses of a fitted model as the rows of a fit; each fault gets one clear sentence.
+
+    Without groups no position has an unknown offset. Touches of surfaces are about the forms of the
+    corrected points, to which `y` has nothing to say.
+    """
+    if not isinstance(model, ArmResidualRegressor):
+        raise TypeError(
+            f"{type(model).__name__} holds no linear model and cannot be updated or checked: "
+            "it has no posterior of causes. It can be registered, by "
+            "calibrate(..., correction=model)."
+        )
+    X, linear = check_poses(model, X), model.linear_model_
+    y, arm = floats("y", y, 3), linear.arm
+    lengths, features = listed("lengths", lengths), listed("features", features)
+    if len(y) != len(X):
+        raise ValueError(f"X has {len(X)} rows, but y has {len(y)}.")
+    if groups is None and linear.offsets:
+        raise ValueError(
+            "The model has an unknown offset at every position: give groups, the position of "
+            "each new pose."
+        )
+    weights = np.ones(len(y))
+    if groups is None:
+        if lengths or features:
+            what = "lengths are between" if lengths else "features are labels of"
+            raise ValueError(f"{what} positions: give groups, the position of each pose.")
+        return Rows(arm, X, y, weights, None)
+    labels, codes = encode_groups(groups, len(y))
+    known = [check_length(entry, labels.tolist()) for entry in lengths]
+    of_touches: dict[str, Any] = {}
+    if features:
+        expected = linear.predict(X)[0]
+        points = arm.forward(X[:, : arm.n_joints]) - expected
+        touches = touched_rows(features, labels, codes, points, y - expected, weights)
+        y, of_touches = touches[0] + expected, touches[1]
+        of_touches.pop("held")
+        known += of_touches.pop("sizes")
+    return Rows(arm, X, y, weights, codes, tuple(known), **of_touches)
+
+
+def for_centres(measured: Measurements, points: np.ndarray) -> dict[str, Any]:
+    """Groups, lengths and features as a model takes them: those of the centre of the probe.
+
+    Of lengths that may be longer for the probe's own ball, those that fit the points (n, 3) best.
+    """
+    labels, lengths, sizes = measured.labels.tolist(), [], {}
+    kinds = measured.features or [("cone", None)] * len(labels)
+    forms = with_forms(kinds, measured.index, points)[1] if measured.lengths else []
+    for (i, j, mm, sd), longer in zip(measured.lengths, measured.offsets, strict=True):
+        off = known_length(forms[i], forms[j])[0] - mm
+        centres = mm + float(longer[np.argmin(np.abs(off - longer))]), sd
+        if i == j:
+            sizes[i] = centres
+        else:
+            lengths.append((labels[i], labels[j], *centres))
+    features = [
+        (labels[i], kind, *sizes.get(i, ())) for i, (kind, _) in enumerate(kinds) if kind != "cone"
+    ]
+    groups = measured.labels[measured.index]
+    return {"groups": groups, "lengths": lengths, "features": features}
+
+
+def n_coordinates(rows: Rows) -> int:
+    """Coordinates of the rows with weight, less the unknowns of what was touched, and lengths."""
+    counted = rows._replace(weights=(rows.weights > 0).astype(float), root=rows.shown)
+    return round(counted.whitening().n_observations) + len(rows.lengths)
+
+
+def why_too_few(rows: Rows) -> str:
+    """Why nothing can be learnt from these rows, or an empty string."""
+    n, n_free = n_coordinates(rows), 9 if rows.codes is None else 3
+    if n > n_free:  # of base and tool; cones show the tool's alone
+        return ""
+    return (
+        f"{len(rows.X)} new poses give {n} coordinates, fewer than would "
+        f"show more than the {n_free} freedoms of base and tool"
+    )
+
+
+def positions_of(rows: Rows) -> np.ndarray:
+    """Numbers (n,) of what is left out together: positions, or each row where there are none."""
+    return np.arange(len(rows.X)) if rows.codes is None else rows.codes
+
+
+def place_columns(arm: Arm, angles: np.ndarray, with_base: bool) -> np.ndarray:
+    """What moves of the tool and shifts and turns of the base do to the probe, (n, 3, 3 or 9).
+
+    Each of the size that a registration may be wrong by. Of positions with offsets the base shows
+    nothing.
+    """
+    angles = angles[:, : arm.n_joints]  # without extra columns
+    tool = REGISTERED_PLACE_MM * arm.frames(angles)[:, -1, :3, :3]
+    if not with_base:
+        return tool
+    base = base_motions(arm.forward(angles), arm.reach_mm)
+    return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
+
+
+class Shown:
+    """What rows show of columns in mm, beside the unknowns of what was touched: see `Whitening`.
+
+    Every coordinate has the same noise, that of the model, and known lengths are rows of one
+    coordinate behind the others. `y` (n + l, 3) is what the rows say before any correction, mm;
+    `rank` (n + l,) how many coordinates each has; `n_coordinates` are all less the unknowns.
+    """
+
+    def __init__(self, linear: Any, rows: Rows) -> None:
+        self.rows = rows = rows._replace(root=linear.whitening_roots(rows.X, rows.shown))
+        self.whitened = rows._replace(weights=np.ones(len(rows.X))).whitening()
+        self.noise_sd, n_lengths = linear.noise_sd, len(rows.lengths)
+        self.rank = np.r_[rows.rank + np.zeros(len(rows.X)), np.ones(n_lengths)]
+        self.n_unknown = round(self.rank[: len(rows.X)].sum() - self.whitened.n_observations)
+        self.n_coordinates = int(self.rank.sum()) - self.n_unknown
+        self.expected, self.errors = np.zeros((len(rows.X), 3)), np.zeros(n_lengths)
+        if rows.lengths:
+            self.expected = linear.predict(rows.X)[0]
+            points = rows.arm.forward(rows.X[:, : rows.arm.n_joints]) - self.expected
+            given = np.stack([points, rows.y - self.expected], axis=2)
+            unknowns = np.moveaxis(self.whitened.unknowns(given), 2, 0)
+            *ends, length, sd = map(np.array, zip(*rows.lengths, strict=True))
+            measured, slopes = known_lengths(rows.forms, np.array(ends), *unknowns)
+            self.errors = measured - length
+            unit, n = self.whitened.unit, np.arange(n_lengths)
+            # What each length has of the unknowns of every feature, (l, features, q).
+            self.of_unknowns = np.zeros((n_lengths, *unit.shape[:2]))
+            for end, slope in zip(ends, slopes, strict=True):
+                self.of_unknowns[n, end] += slope
+            own = np.einsum("lgq,gqk->lgk", self.of_unknowns, unit).reshape(n_lengths, -1)
+            covariance = own @ own.T + np.diag(np.square(sd) / self.noise_sd**2)
+            self.of_lengths = cholesky(covariance, lower=True, check_finite=False)
+        self.y = self.left(rows.y, np.zeros((len(rows.X), 3)))
+
+    def __call__(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (n, 3, k) in mm as whitened rows, (n + l, 3, k)."""
+        found = self.whitened.deviations(columns)
+        if not len(self.errors):
+            return found
+        return np.concatenate([found, self._of_lengths(self._moved(columns))])
+
+    def left(self, left: np.ndarray, correction: np.ndarray) -> np.ndarray:
+        """What a correction (n, 3) leaves of rows, `left`, and of lengths, whitened (n + l, 3)."""
+        found = self.whitened.deviations(left[:, :, None])
+        if len(self.errors):
+            errors = self.errors[:, None] + self._moved((self.expected - correction)[:, :, None])
+            found = np.concatenate([found, self._of_lengths(errors)])
+        return found[:, :, 0]
+
+    def flat(self, columns: np.ndarray, least: float = _ROUNDING) -> np.ndarray:
+        """Columns (n, 3, k) as whitened coordinates over their noise, (3 (n + l), k).
+
+        Those of which unknowns leave less than the `least` part are 0.
+        """
+        found = self(columns).reshape(3 * len(self.rank), columns.shape[2]) / self.noise_sd
+        alone = np.linalg.norm(columns, axis=(0, 1)) / self.noise_sd
+        return np.where(np.linalg.norm(found, axis=0) > least * alone, found, 0.0)
+
+    def _moved(self, columns):
+        """What columns (n, 3, k) do to the known lengths, (l, k) in mm."""
+        return np.einsum("lgq,gqk->lk", self.of_unknowns, self.whitened.unknowns(columns))
+
+    def _of_lengths(self, values):
+        """Values (l, k) of known lengths as whitened rows (l, 3, k)."""
+        found = np.zeros((len(values), 3, values.shape[1]))
+        found[:, 2] = solve_triangular(self.of_lengths, values, lower=True, check_finite=False)
+        return found
+
+
+def slipped_rows(linear: Any, rows: Rows, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows too far off for their own expected spread, if they are few, and residuals without tails.
+
+    Where the distances of all are larger than expected, by a change of the arm, farther ones are
+    usual in proportion.
+    """
+    spread, rank = linear.predict(rows.X, return_std=True)[1], rows.rank
+    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
+    # Touches of a surface are about their form already.
+    middle = np.where(np.reshape(rank, (-1, 1)) == 3, medians_of(left, rows.codes), 0.0)
+    distance = np.linalg.norm(rows.along(left - middle), axis=1) / sd
+    far = distance > chi.isf(_FALSE_NAMES / len(left), rank)
+    slipped = far & (far.sum() <= _MOST_SLIPS * len(left))
+    larger = max(np.median(distance / chi.median(rank)), 1.0)
+    share = np.minimum(chi.ppf(_USUAL, rank) * larger / np.maximum(distance, 1e-300), 1.0)
+    return slipped, middle + share[:, None] * (left - middle)
