@@ -43,7 +43,7 @@ from sklearn_raacmm.app._terminal import (
     print_verdict,
     say,
 )
-from sklearn_raacmm.arm import without_first
+from sklearn_raacmm.arm import in_unit, scale_of, without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -213,7 +213,8 @@ def plan(options):
         given = parse_numbers(
             "--limits", options.limits, 2 * arm.n_joints, "LOW,HIGH of each joint"
         )
-        arm = arm.replace(limits=np.deg2rad(given).reshape(-1, 2))
+        factor = scale_of(arm.joint_types, np.pi / 180)[:, None]
+        arm = arm.replace(limits=factor * np.reshape(given, (-1, 2)))
     if arm.limits is None:
         print_notes(["The arm's file has no limits of the joints: --limits gives them in degrees."])
     bar = options.bar
@@ -223,8 +224,9 @@ def plan(options):
     out.mkdir(parents=True, exist_ok=True)
     seats = dict(zip(found.bar, ("bar left", "bar right"), strict=False))
     cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
-    names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
-    degrees = np.rad2deg(found.angles).tolist()
+    units = ["mm" if kind == "P" else "deg" for kind in arm.joint_types]
+    names = [f"q{i} [{unit}]" for i, unit in enumerate(units, start=1)]
+    degrees = in_unit(found.angles, arm.joint_types, "deg").tolist()
     poses = [(cones[i - 1], row) for i, row in zip(found.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
     lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]

@@ -23,6 +23,7 @@ from sklearn_raacmm.arm._kinematics import (
     phases,
     points_of,
     random_poses,
+    spans_of,
     turn_mm,
 )
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
@@ -51,6 +52,7 @@ __all__ = [
     "scale_of",
     "slides_of",
     "solve",
+    "spans_of",
     "turn_mm",
     "usual_pose",
     "without_first",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import random_poses
+from sklearn_raacmm.arm import phases, random_poses
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
@@ -77,7 +77,8 @@ def findings_of_fit(fit, result, bare, poses):
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
-        yield from moved_positions(left[held], fit.angles[held], groups[held], poses.first[held])
+        turns = phases(fit.nominal_arm, fit.angles)[held]
+        yield from moved_positions(left[held], turns, groups[held], poses.first[held])
     yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)
 
