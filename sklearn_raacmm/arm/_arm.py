@@ -91,8 +91,8 @@ class Arm:
     joint_types : str or sequence of str, default=None
         A letter for each joint, such as "PRRRRRR" for a robot on a rail: "R" turns about the z axis
         of its row, "P" slides along it. Of a joint that slides `d` is where it stands at 0,
-        ``joint_signs_i * mm_i`` is added to it, and ``theta_offset`` is a fixed angle. None: all
-        joints turn.
+        ``joint_signs_i * mm_i`` is added to it, and ``theta_offset`` is a fixed angle. What the
+        arm's model learns of it are the six errors of a linear axis (ISO 230-1). None: all turn.
 
     Attributes
     ----------
