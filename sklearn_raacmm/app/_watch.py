@@ -14,6 +14,7 @@ import numpy as np
 from sklearn_raacmm.app._files import correction_files, find_rows, in_rad, load_arm, load_correction
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
+from sklearn_raacmm.arm import phases
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.metrics import single_point_repeatability
@@ -115,7 +116,7 @@ class _Seen:
                 self._next_rows = _GROWTH * self.n_rows
                 self.arm = calibrate(self._nominal, self._angles, self._codes).arm
         self._judge(self.arm.forward(self._angles) - change, labels, table.rows)
-        bins = np.floor(np.rad2deg(self._angles) / _BIN_DEG).astype(int)
+        bins = np.floor(np.rad2deg(phases(self.arm, self._angles)) / _BIN_DEG).astype(int)
         self.joints = [np.unique(column).tolist() for column in bins.T]
 
     def _judge(self, points, labels, rows):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm, phases
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_places
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
@@ -277,7 +277,8 @@ def _say_what_moved(data, calibration, model, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        own = (part[held] for part in (left, data.angles, data.positions, data.rows))
+        turns = phases(calibration.arm, data.angles)
+        own = (part[held] for part in (left, turns, data.positions, data.rows))
         for finding in moved_positions(*own):
             finding.report()
     left = data.residuals(calibration, rows) - expected[rows]
