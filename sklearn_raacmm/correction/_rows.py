@@ -47,8 +47,8 @@ _ROUNDING, TAKEN_UP = 1e-9, 1e-2
 
 def new_rows(
     model: Any,
-    X: ArrayLike,
-    y: ArrayLike,
+    X: Any,
+    y: Any,
     groups: ArrayLike | None = None,
     lengths: Iterable[Sequence[Any]] = (),
     features: Iterable[Sequence[Any]] = (),
