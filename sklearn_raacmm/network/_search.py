@@ -27,7 +27,6 @@ from sklearn_raacmm.network._likelihood import (
     left_out,
     log_likelihood,
     minimise,
-    objective,
     of_noise,
     used_share,
 )
@@ -288,7 +287,7 @@ def _coarse(task, kernel, data, start=None):
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
     if start is not None:
         starts.append(_revived(task, task.pack(start)))
-    values = [objective(task, theta, data, kernel)[0] for theta in starts]
+    values = [judge(task, kernel, theta, data, leave_out=False).value for theta in starts]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
