@@ -95,8 +95,7 @@ def _rows_of_table(arm, angles):
     theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
     links = [part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))]
-    # A search in a string costs less than a list for one pose.
-    for i in slides_of(arm.joint_types) if "P" in arm.joint_types else ():
+    for i in slides_of(arm.joint_types):
         theta[i] = arm.theta_offset[i]
         d = arm.d[i] + arm.joint_signs[i] * angles[:, i]
         links[1][i] = float(d[0]) if len(d) == 1 else d

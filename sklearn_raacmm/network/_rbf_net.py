@@ -86,7 +86,7 @@ class RBFNetRegressor(VersionedRegressor):
         that is more probable.
 
     max_centers : int, default=None
-        Most centres found. None: 2000, or all of up to 10 000 rows.
+        Most centres that a fit takes. None: 2000, or all of up to 10 000 rows.
 
     shared : bool or "scaled", default=False
         Whether outputs share a network, by the trace of the error reduction in units of `y`, where
