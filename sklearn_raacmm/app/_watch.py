@@ -151,8 +151,8 @@ class _Seen:
 
     def work(self, pool):
         """Try a correction of the finished cones, or check one, where the share allows it."""
-        done = self.job is not None and self.job.done()
-        if done:
+        done = bool(self.job and self.job.done())
+        if self.job and done:
             self.enough, self.said, self._cost_s = self.job.result()
             self.job = None
         finished = len(self.cones) - 1
