@@ -229,7 +229,9 @@ class Columns:
         headed = self._headed((number, cells) for number, cells, *_ in rows)
         self.first = [one for one in headed if one[0] in of_data]
         self.names, units = zip(*map(split_unit, self.header), strict=True)
-        self.units = tuple(unit or self._unit_of_cells(i) for i, unit in enumerate(units))
+        of_cells = [{*map(unit_in, self.cells(i))} for i in range(len(units))]
+        behind = [_UNIT_OF_WORD.get(u := min(one), u) if len(one) == 1 else "" for one in of_cells]
+        self.units = tuple(unit or other for unit, other in zip(units, behind, strict=True))
         above = (
             ", ".join(map(str, bare))
             for number, _, bare, is_comment in rows
@@ -240,11 +242,6 @@ class Columns:
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
-
-    def _unit_of_cells(self, column):
-        """Unit that stands behind each number of a column, or ""."""
-        found = {unit_in(cell) for cell in self.cells(column)}
-        return _UNIT_OF_WORD.get(unit := min(found), unit) if len(found) == 1 else ""
 
     def _headed(self, rows):
         """Yield rows, each with the heading above it as a further cell if they have headings."""
@@ -280,9 +277,10 @@ class Columns:
         Comments are left out, and rows at the end without a number in any of these columns, or
         with means and other statistics of the columns, which a note then names.
         """
-        held, found = [], False
+        held, found, before = [], False, ""
         for number, cells in self._headed(self.source.rows()):
-            is_statistic = _STATISTICS.fullmatch(str(cells[0]).lower())
+            label, before = before, str(cells[0]).lower()  # a statistic has one row
+            is_statistic = before != label and _STATISTICS.fullmatch(before)
             has_number = not is_statistic and self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue

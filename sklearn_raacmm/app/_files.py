@@ -44,8 +44,12 @@ _OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "
 
 def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
-    path = Path(source)
-    if path.suffix.lower() in (".urdf", ".yaml", ".yml") or _is_xml(path):
+    path, head = Path(source), b""
+    if path.is_file():
+        with open(path, "rb") as file:
+            head = file.read(200).lstrip(b"\xef\xbb\xbf \r\n\t")
+    # XML is a URDF whatever its name, or what somebody takes for one.
+    if path.suffix.lower() in (".urdf", ".yaml", ".yml") or head.startswith(b"<"):
         return Arm.from_urdf(path, base=base, tip=tip)
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")
@@ -60,14 +64,6 @@ def load_arm(source, base=None, tip=None):
         return Arm.from_name(str(source))
     except ValueError as error:
         raise TableError(f"there is no file {source}, and as a {error}") from None
-
-
-def _is_xml(path):
-    """Whether a file holds XML, whatever its name: a URDF, or what somebody takes for one."""
-    if not path.is_file():
-        return False
-    with open(path, "rb") as file:
-        return file.read(200).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
 
 
 def load_correction(folder) -> Any:

@@ -87,7 +87,8 @@ _LOOKED_AT = 300
 _BRACKETS = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 _SPLIT = re.compile(r"\s*[,;]\s*|\s+")
 _IS_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-_PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})(?:\s*[=:]\s*|\s+){_VALUE}(?![\w.])")
+_PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s*[=:]\s*{_VALUE}(?![\w.])")
+_SPACED_PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s+{_VALUE}(?![\w.])")
 # A list in a cell of a table, in quotation marks where its numbers are parted by commas.
 _LIST_IN_CELL = re.compile(r"""(?m)(?:^|[,;\t])\s*"\s*[\[(]""")
 # External axes that may stand behind the joints in a list, at most.
@@ -175,6 +176,10 @@ def _lists(head, read, n_numbers):
     for line, _, _, lists in found:
         if (own := [len(one) for one in lists]) != sizes:
             raise ValueError(f"row {line} has lists of {own} numbers, others of {sizes}.")
+    own = _of_joints(sizes, n_numbers)[0]
+    further = zip(*(one[3][own][n_numbers:] for one in found), strict=True)
+    if any(len({*numbers}) > 1 for numbers in further):  # they are no axes that stand still
+        return None
     words = [one[2] for one in found]
     words = [one[0] if len({*one}) == 1 else "" for one in zip(*words, strict=True)]
     header = ["name", *_names_of_lists(sizes, words, n_numbers)]
@@ -235,16 +240,21 @@ def _parted(cell):
 def _pairs(head, read, n_numbers):
     """Lines of names with their numbers, such as X= 1.5 Y= 2 Z= 3, behind or under a name."""
     some = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
-    keys = Counter(tuple(key for key, _ in _PAIR.findall(line)) for line in some)
-    keys = {names: count for names, count in keys.items() if len(set(names)) >= n_numbers}
-    if not keys or 3 * sum(keys.values()) < len(some):
+    # Behind blanks stand numbers of many things: they are those of names where there are no others.
+    bare = [line for line in some if not re.search(r"\d", _SPACED_PAIR.sub("", line))]
+    for pair, lines in ((_PAIR, some), (_SPACED_PAIR, bare)):
+        keys = Counter(tuple(key for key, _ in pair.findall(line)) for line in lines)
+        keys = {names: count for names, count in keys.items() if len(set(names)) >= n_numbers}
+        if keys and 3 * sum(keys.values()) >= len(some):
+            break
+    else:
         return None
     rows, heading = [], ""
     names = list(dict.fromkeys(name for line in keys for name in line))
     for number, line in enumerate(read().splitlines(), 1):
-        pairs = dict(_PAIR.findall(line))
+        pairs = dict(pair.findall(line))
         is_row = len(pairs) >= n_numbers
-        before = _PAIR.split(line, maxsplit=1)[0] if is_row else line
+        before = pair.split(line, maxsplit=1)[0] if is_row else line
         if before.strip() and not _COMMENT.match(before):
             heading = before.strip(" \t:;,=([{")
         if is_row:

@@ -55,10 +55,10 @@ _SCRIPTS = (
     ("cp949", "도축관절각위치점좌표번호"),
 )
 # Hard blanks, minus signs and primes are those of word processors, wide brackets of Asian ones.
-_PLAIN = {"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"}
-_PLAIN = str.maketrans(_PLAIN | {"\u2019": "'", "\u2032": "'", "\u2033": '"'})
+_PLAIN = str.maketrans("\xa0\u2212\uff08\uff09\u2019\u2032\u2033", " -()''\"")
 # A line under the header of a table in Markdown, whose rows may begin and end with bars.
 _RULE = re.compile(r"[\s|:+-]*--[\s|:+-]*")
+_BARS = re.compile(r"^\s*\|(.*)\|\s*$")
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 # A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
@@ -120,7 +120,7 @@ class Dialect:
         """Yield (line number from 1, cells) of lines of text."""
         lines = (line.translate(_PLAIN) for line in lines)
         if self.separator == "|":
-            lines = ("\n" if _RULE.fullmatch(line) else _without_bars(line) for line in lines)
+            lines = ("\n" if _RULE.fullmatch(line) else _BARS.sub(r"\1", line) for line in lines)
         if self.separator is None:
             # MATLAB ends the rows of a matrix by semicolons.
             yield from enumerate((line.rstrip("\r\n ;]").split() for line in lines), 1)
@@ -181,12 +181,6 @@ class Dialect:
             f"Columns parted by {_SEPARATORS[self.separator]}, decimal "
             f"{_DECIMALS[self.decimal]}s, {self.encoding}"
         )
-
-
-def _without_bars(line):
-    """A row of Markdown without the bars at both of its ends."""
-    bare = line.strip()
-    return bare[1:-1] if len(bare) > 1 and bare[0] == bare[-1] == "|" else line
 
 
 def unit_in(cell):

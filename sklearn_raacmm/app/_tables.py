@@ -213,9 +213,10 @@ class Layout(Columns):
             while block := list(islice(rows, n_rows)):
                 yield self._table(block), [cells for _, cells in block]
             return
-        number = self.header_row + 1
+        number, separator = self.header_row + 1, str(self.source.separator)
         while block := list(islice(lines, n_rows)):
-            yield self._plain_table(block, number), block
+            rows = [(i, line.split(separator)) for i, line in enumerate(block, number)]
+            yield self._table(rows), block
             number += len(block)
 
     def plain_lines(self):
@@ -244,16 +245,6 @@ class Layout(Columns):
             for line in islice(file, self.header_row, None):
                 yield line.rstrip("\r\n")
 
-    def _plain_table(self, lines, number):
-        """The table of some of these lines, of which the first has this number."""
-        separator = str(self.source.separator)
-        cells = separator.join(lines).split(separator)
-        angles = [list(map(float, cells[i :: self.width])) for i in self.angle_columns]
-        angles = self.factor * np.array(angles).T / self.turns
-        others = self._others(lambda i: cells[i :: self.width])
-        numbers = np.arange(number, number + len(lines))
-        return Table(angles, self.angle_unit, None, None, numbers, self.notes, others, self.types)
-
     def _table(self, rows):
         """The table of some rows."""
         positions = points = None
@@ -262,19 +253,14 @@ class Layout(Columns):
         if self.point_columns:
             points = self.points(rows, self.point_columns)
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
-        others = self._others(lambda i: [cells[i] for _, cells in rows])
+        others: dict[str, Any] = {}
+        for name, i in self.others.items():
+            given = [cells[i] for _, cells in rows]
+            values = self.source.numbers(given)
+            others[name] = np.array(list(map(str, given))) if np.isnan(values).any() else values
         numbers = np.array([number for number, _ in rows])
         read = positions, points, numbers, self.notes, others, self.types
         return Table(angles, self.angle_unit, *read)
-
-    def _others(self, column):
-        """Further columns: numbers, or text where one cell is no number."""
-        found = {}
-        for name, i in self.others.items():
-            cells = column(i)
-            values = self.source.numbers(cells)
-            found[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
-        return found
 
 
 def _places_in(labels):
@@ -291,12 +277,11 @@ def _places_in(labels):
 
 
 def _refuse_lonely_labels(path, table):
-    labels, first, counts = np.unique(table.positions, return_index=True, return_counts=True)
-    several = labels[counts > 1].tolist()
-    lonely = counts == 1
-    for label, row in zip(labels[lonely].tolist(), table.rows[first[lonely]], strict=True):
-        near = get_close_matches(label, several, 1)
+    counts = Counter(table.positions.tolist())
+    for label in sorted(label for label, count in counts.items() if count == 1):
+        near = get_close_matches(label, [one for one, count in counts.items() if count > 1], 1)
         hint = f" Was {near[0]!r} meant?" if near else ""
+        row = table.rows[table.positions == label][0]
         raise TableError(f"{path}: row {row}: the position {label!r} is in this row only.{hint}")
 
 

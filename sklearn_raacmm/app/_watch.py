@@ -7,6 +7,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic, process_time, sleep, strftime, thread_time
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +98,8 @@ class _Seen:
         self.n_rows, self.cones, self.wrong, self.strip, self.joints = 0, [], [], [], []
         self.said, self.enough, self.least_poses = "Waiting for the first rows.", False, _POSES
         self._next_rows, self._judged, self._cost_s = _FIRST_ROWS, 0, _FIRST_COST_S
-        self._start, self.job = (monotonic(), process_time()), None
+        self._start = monotonic(), process_time()
+        self.job: Any = None
 
     def take(self, table):
         """Judge all rows of the table as it is now."""

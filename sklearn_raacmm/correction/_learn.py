@@ -119,10 +119,10 @@ def learn_correction(
         :class:`ArmResidualRegressor` has for them, such as "direction 2" of
         :func:`directions_of`.
     like : list of ArmResidualRegressor, default=()
-        Models of earlier arms of the make: the mean and the spread of their coefficients are the
-        prior of this one's, if the evidence is for it against a model that is
-        fitted to these rows alone (by 4 nats with fewer than four positions), and positions left
-        out say how much is used; ``learned.model.updates_`` keeps `gain_nats`. One that
+        Models of earlier arms of the make. The mean and the spread of their coefficients become the
+        prior of the new model where the evidence prefers that to a fit of these rows alone (by
+        4 nats with fewer than four positions). Positions left out say how much of it is used;
+        ``learned.model.updates_`` keeps `gain_nats`. One that
         does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
         then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral, Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state, check_scalar
@@ -113,12 +113,11 @@ def plan_poses(
     check_scalar(n_positions, "n_positions", Integral, min_val=1 if bar_mm is None else 2)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
     rng = check_random_state(random_state)
-    reached: list[tuple[np.ndarray, np.ndarray]] = []
-    n_bar = 0
+    reached: list[Any] = []
     if bar_mm is not None:
         check_scalar(bar_mm, "bar_mm", Real, min_val=0, include_boundaries="neither")
         reached = _bar(arm, float(bar_mm), n_poses, lean_deg, rng)
-        n_bar = 2
+    n_bar = len(reached)
     for _ in range(_PLACES * n_positions):
         place = _place(arm, rng)
         poses = _poses_at(arm, place, n_poses, lean_deg, rng)

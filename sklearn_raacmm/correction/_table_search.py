@@ -205,8 +205,8 @@ def search_table(
         price = one.price + np.log(moved + scatter)
         return price, TableChange(one.change, scatter, given, *parts, axes=one.axes)
 
-    tried = {one.change: one for one in tried}.values()
-    found = [calibrated(one, _options(arm, one, angle_unit)) for one in tried]
+    different = {one.change: one for one in tried}.values()
+    found = [calibrated(one, _options(arm, one, angle_unit)) for one in different]
     least, limit = min(one.scatter_mm for _, one in found), _COINCIDE * arm.reach_mm
     limit = min(_WORTH_SAYING * given, limit)
     rarer = _rarer_changes(arm, (raw, positions, points, angle_unit), others or {})

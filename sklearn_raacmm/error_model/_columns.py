@@ -29,7 +29,6 @@ from sklearn_raacmm.arm import (
     scale_of,
     slides_of,
 )
-from sklearn_raacmm.utils import chunks, group_sums
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own; then that of harmonics that are taken for
@@ -407,14 +406,6 @@ class Columns:
         for start, end, vector, waves in self.factored(rows, out[:, :, plan.rest :]).runs:
             np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
         return out
-
-    def means(self, rows: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> Any:
-        """Weighted mean of the columns over each position, (n_positions, 3, n_columns)."""
-        total = np.bincount(codes, weights)
-        sums: Any = 0.0
-        for part in chunks(len(rows), _CHUNK):
-            sums = sums + group_sums(self.at(rows[part]), codes[part], weights[part], len(total))
-        return sums / total[:, None, None]
 
     def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> "FactoredColumns":
         """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""

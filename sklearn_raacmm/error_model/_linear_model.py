@@ -25,7 +25,6 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
-from sklearn_raacmm.error_model._noise import Noise
 from sklearn_raacmm.utils import check_shapes, chunks, group_means
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -280,12 +279,6 @@ class LinearModel:
             root[:, :, 3:] = np.sqrt(self.noise_of_joints) / size * self.layout.levers(angles)
         return root
 
-    def whitening_roots(self, angles: np.ndarray, shown: np.ndarray | None = None) -> Any:
-        """Roots (n, 3, 3) that give rows the noise `noise_sd` in each coordinate: see `Noise`."""
-        noise = Noise(self.noise_of_joints, self.noise_of_rows, self.lever_mm)
-        noise = noise.scaled(1 / self.noise_variance)
-        return noise.roots(self.layout.levers(angles), shown)
-
     def noise_ratio(self, angles: np.ndarray) -> np.ndarray:
         """Standard deviation of each coordinate's noise at poses over `noise_sd`, (n, 3)."""
         ratio = np.ones((len(angles), 3))
@@ -349,11 +342,11 @@ class LinearModel:
         calibration has them (an inner constraint, as geodesists have it in free networks). Kept at
         other poses instead, lengths of simulated gauges are too short by 5 to 19 um.
         """
-        layout, coef = self.layout, self.coef
+        coef = self.coef
         if keep_scale:
-            points = group_means(layout.points(X), codes, weights)
-            scale_of = self._scale_of(points, layout.means(X, codes, weights))
-            coef = coef - layout.scale * (scale_of @ coef)
+            found = self.layout.points(X), self.predict(X)[0]
+            points, moved = (group_means(values, codes, weights) for values in found)
+            coef = coef - self.layout.scale * self._scale_of(points, moved[:, :, None])
         return replace(self, coef=coef).with_seen()
 
     def with_seen(self) -> Self:
@@ -372,8 +365,9 @@ class LinearModel:
         if self.terms.kinematics:
             scale_of, i = self._scale_of(points, columns), _n_motions(self.layout.alone)
             seen[i] = scale_of @ self.half / (scale_of @ of_place[:, i])
-        left = columns @ self.half - there @ seen
-        return replace(self, seen=seen + np.linalg.lstsq(there, left, rcond=_LEAST_SHOWN)[0])
+        inverse = np.linalg.pinv(there, rcond=_LEAST_SHOWN)
+        left = (inverse @ columns) @ self.half - (inverse @ there) @ seen
+        return replace(self, seen=seen + left)
 
     def with_scale_sd(self, scale_sd: float) -> Self:
         """Model that knows the common scale of all distances to this standard deviation.
@@ -404,7 +398,7 @@ class LinearModel:
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if not self.terms.kinematics or not size > 0:
-            return np.zeros(len(self.coef))
+            return np.zeros(columns.shape[-1])
         return spread.ravel() @ columns.reshape(spread.size, -1) / size
 
     def joint_covariance(

@@ -16,6 +16,7 @@ from scipy.io import savemat
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.app import TableError, _commands, main, read_table
+from sklearn_raacmm.app._tables import read_points
 
 RAD = np.array([
     [0.10, -1.20, 1.30, -0.40, 0.50, 0.60], [0.20, -1.10, 1.20, -0.30, 0.40, 0.50],
@@ -634,6 +635,36 @@ def test_an_external_axis_that_moves_is_named(tmp_path):
         table = read_table(tmp_path / "log.csv", 6, points=write_points(tmp_path / "points.txt"))
         said = "Column E1 varies by 1500: an external axis moves the base"
         assert (said in " ".join(table.notes)) == moves
+
+
+def test_what_looks_like_a_kind_and_is_none(tmp_path):
+    """Words before numbers, longer lists beside the joints, and a place called as a statistic."""
+    path = tmp_path / "log.txt"
+    path.write_text(
+        joined(
+            [
+                ["a", "b", "c", "X", "Y", "Z"],
+                *([f"point {i}", f"set {i + 1}", f"day {i + 2}", *p] for i, p in enumerate(POINTS)),
+            ]
+        )
+    )
+    np.testing.assert_allclose(read_points(path)[1], POINTS)
+    frames = np.arange(48.0).reshape(4, 12)
+    path.write_text(
+        joined(
+            [
+                ["station", *Q, "frame"],
+                *(
+                    [lab, *q, f"[{' '.join(map(str, f))}]"]
+                    for lab, q, f in zip(LABELS, DEG, frames, strict=True)
+                ),
+            ],
+            ";",
+        )
+    )
+    np.testing.assert_allclose(read_table(path, 6).angles, DEG)
+    path.write_text(as_table(Q).replace("A,", "Range,").replace("B,", "total,"))
+    assert read_table(path, 6).positions.tolist() == ["Range"] * 2 + ["total"] * 2
 
 
 def test_a_line_for_each_joint(tmp_path):
