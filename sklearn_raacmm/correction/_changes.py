@@ -33,7 +33,8 @@ _ORDERS = (1, 2)
 _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
 # Changes of which an update names so many, one after another, before whole families may change: a
 # choice. Names of those that its prior can hold; of others the families tell.
-_MOST_NAMED, _HELD = 3, ("probe", "offset of joint", "harmonics of joint")
+_MOST_NAMED = 3
+_HELD = ("probe", "offset of joint", "scale of joint", "harmonics of joint")
 _OF_PLACE = ("probe", "base", "base turned")
 # What a change is called where the noise explains more than any.
 NOISE = "noise"
