@@ -43,10 +43,12 @@ from sklearn_raacmm.app._terminal import (
     print_verdict,
     say,
 )
+from sklearn_raacmm.arm import in_unit, scale_of, without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import (
+    Finding,
     FindingError,
     FindingWarning,
     check_places,
@@ -60,9 +62,29 @@ from sklearn_raacmm.utils import (
 OK, NO_HELP = 0, 3
 # Angle in rad by which an arm has to move; learning has the same.
 _STILL = 1e-3
+# What slides by less stands still, as for a calibration, mm.
+_STILL_MM = 0.01
 # Bars that a plan takes by itself, and their largest share of the reach.
 _BARS_MM, _BAR_OF_REACH = (100, 300, 500, 1000), 0.4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
+
+
+def _without_still_slides(options, arm, layout, table):
+    """Arm, layout and table without rails under the arm that stand still in all rows."""
+    while arm.joint_types.startswith("P") and len(arm.joint_types.strip("P")) > 1:
+        at = table.angles[:, 0]
+        if np.ptp(at) > _STILL_MM:
+            break
+        name = layout.header[layout.angle_columns[0]]
+        text = f"{name}, along which joint 1 slides, stands still at {at[0]:.6g} mm in all rows:"
+        text = f"{text} this is learnt of the arm behind that joint, in the base that it carries."
+        Finding("slide-still", text, joints=(1,)).report()
+        arm = without_first(arm)
+        if options.angles:
+            options.angles = options.angles[1:]
+        layout = find_rows(options, arm, needed=False)
+        table = layout.read()
+    return arm, layout, table
 
 
 def learn(options):
@@ -79,6 +101,7 @@ def learn(options):
     arm = load_arm(options.arm, options.base, options.tip)
     layout = find_rows(options, arm, needed=False)
     table = layout.read()
+    arm, layout, table = _without_still_slides(options, arm, layout, table)
     print_notes(table.notes)
     if layout.source.what.startswith("Fanuc") and not arm.couplings:
         arm = arm.replace(couplings=[(3, 2, 1)])
@@ -190,7 +213,8 @@ def plan(options):
         given = parse_numbers(
             "--limits", options.limits, 2 * arm.n_joints, "LOW,HIGH of each joint"
         )
-        arm = arm.replace(limits=np.deg2rad(given).reshape(-1, 2))
+        factor = scale_of(arm.joint_types, np.pi / 180)[:, None]
+        arm = arm.replace(limits=factor * np.reshape(given, (-1, 2)))
     if arm.limits is None:
         print_notes(["The arm's file has no limits of the joints: --limits gives them in degrees."])
     bar = options.bar
@@ -200,8 +224,9 @@ def plan(options):
     out.mkdir(parents=True, exist_ok=True)
     seats = dict(zip(found.bar, ("bar left", "bar right"), strict=False))
     cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
-    names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
-    degrees = np.rad2deg(found.angles).tolist()
+    units = ["mm" if kind == "P" else "deg" for kind in arm.joint_types]
+    names = [f"q{i} [{unit}]" for i, unit in enumerate(units, start=1)]
+    degrees = in_unit(found.angles, arm.joint_types, "deg").tolist()
     poses = [(cones[i - 1], row) for i, row in zip(found.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
     lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]

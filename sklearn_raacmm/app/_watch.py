@@ -7,12 +7,14 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic, process_time, sleep, strftime, thread_time
+from typing import Any
 
 import numpy as np
 
 from sklearn_raacmm.app._files import correction_files, find_rows, in_rad, load_arm, load_correction
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
+from sklearn_raacmm.arm import phases
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.metrics import single_point_repeatability
@@ -96,7 +98,8 @@ class _Seen:
         self.n_rows, self.cones, self.wrong, self.strip, self.joints = 0, [], [], [], []
         self.said, self.enough, self.least_poses = "Waiting for the first rows.", False, _POSES
         self._next_rows, self._judged, self._cost_s = _FIRST_ROWS, 0, _FIRST_COST_S
-        self._start, self.job = (monotonic(), process_time()), None
+        self._start = monotonic(), process_time()
+        self.job: Any = None
 
     def take(self, table):
         """Judge all rows of the table as it is now."""
@@ -113,7 +116,7 @@ class _Seen:
                 self._next_rows = _GROWTH * self.n_rows
                 self.arm = calibrate(self._nominal, self._angles, self._codes).arm
         self._judge(self.arm.forward(self._angles) - change, labels, table.rows)
-        bins = np.floor(np.rad2deg(self._angles) / _BIN_DEG).astype(int)
+        bins = np.floor(np.rad2deg(phases(self.arm, self._angles)) / _BIN_DEG).astype(int)
         self.joints = [np.unique(column).tolist() for column in bins.T]
 
     def _judge(self, points, labels, rows):

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm
+from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm, without_first
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
@@ -23,6 +23,7 @@ from sklearn_raacmm.arm._kinematics import (
     phases,
     points_of,
     random_poses,
+    spans_of,
     turn_mm,
 )
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
@@ -51,6 +52,8 @@ __all__ = [
     "scale_of",
     "slides_of",
     "solve",
+    "spans_of",
     "turn_mm",
     "usual_pose",
+    "without_first",
 ]

@@ -29,6 +29,8 @@ from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
+# Cosines smaller than this are rounding.
+_ROUNDING = 1e-12
 # Arms of fewer joints have no wrist where the default poses suppose it.
 _FEW_JOINTS = 5
 
@@ -89,8 +91,8 @@ class Arm:
     joint_types : str or sequence of str, default=None
         A letter for each joint, such as "PRRRRRR" for a robot on a rail: "R" turns about the z axis
         of its row, "P" slides along it. Of a joint that slides `d` is where it stands at 0,
-        ``joint_signs_i * mm_i`` is added to it, and ``theta_offset`` is a fixed angle. None: all
-        joints turn.
+        ``joint_signs_i * mm_i`` is added to it, and ``theta_offset`` is a fixed angle. What the
+        arm's model learns of it are the six errors of a linear axis (ISO 230-1). None: all turn.
 
     Attributes
     ----------
@@ -717,3 +719,21 @@ def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm
     if n_columns != arm.n_joints + len(extra):
         raise ValueError(f"X has {n_columns} columns, but {needed}.")
     return arm
+
+
+def without_first(arm: Arm) -> Arm:
+    """The arm behind its first joint, in the base that this joint carries."""
+    n, turn = arm.n_joints - 1, arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, :3]
+    up = turn.T @ arm.up
+    fields: dict[str, Any] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
+    for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
+        fields[name] = getattr(arm, name)[1:]
+    fields["limits"] = None if arm.limits is None else arm.limits[1:]
+    if fields["limits"] is not None and not np.isfinite(fields["limits"]).any():
+        fields["limits"] = None
+    fields["couplings"] = [(i - 1, j - 1, factor) for i, j, factor in arm.couplings]
+    joints, frames = (tuple(np.subtract(pair, 1)) for pair in (arm.pose_joints, arm.pose_frames))
+    pose: dict[str, Any] = {"pose_joints": joints, "pose_frames": frames}
+    if min(joints) < 1 or min(frames) < 0:
+        pose = usual_pose(n, False, arm.convention)
+    return arm.replace(**fields, **pose)

@@ -95,8 +95,7 @@ def _rows_of_table(arm, angles):
     theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
     links = [part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))]
-    # A search in a string costs less than a list for one pose.
-    for i in slides_of(arm.joint_types) if "P" in arm.joint_types else ():
+    for i in slides_of(arm.joint_types):
         theta[i] = arm.theta_offset[i]
         d = arm.d[i] + arm.joint_signs[i] * angles[:, i]
         links[1][i] = float(d[0]) if len(d) == 1 else d
@@ -144,6 +143,8 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
 def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin, a, d, cos_alpha, sin_alpha = _rows_of_table(arm, angles)
+    if len(angles) == 1:
+        cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()  # as in `carried`
     out = np.zeros((len(a) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
     x, y, z, origin = out[0]
@@ -195,12 +196,13 @@ def axis_vectors(
     """
     frames = frame_columns(arm, angles)
     probe = probe_from_frames(arm, frames, probes)
-    axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
-    lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
+    # Not `np.moveaxis`: of one row its checks cost as much as the arrays.
+    axes = frames[:, :3].transpose(2, 0, 1, 3)  # (3, n_frames, 3, n)
+    lever = (probe - frames[:, 3]).swapaxes(0, 1)[:, :, None]
     n_axes = 3 * len(frames)
     vectors = np.empty((len(angles), 3, 2 * n_axes))
-    vectors[:, :, :n_axes] = np.moveaxis(cross(axes, lever).reshape(3, n_axes, -1), 2, 0)
-    vectors[:, :, n_axes:] = np.moveaxis(axes.reshape(3, n_axes, -1), 2, 0)
+    vectors[:, :, :n_axes] = cross(axes, lever).reshape(3, n_axes, -1).transpose(2, 0, 1)
+    vectors[:, :, n_axes:] = axes.reshape(3, n_axes, -1).transpose(2, 0, 1)
     places = np.concatenate([frames[:, 3], probe[None]]).transpose(2, 1, 0)
     return vectors, places
 

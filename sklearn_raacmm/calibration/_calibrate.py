@@ -136,8 +136,7 @@ def calibrate(
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
-        long and short lengths apart, and for the axes along which joints slide. Their scales, which
-        change with `d`, have 300 ppm.
+        long and short lengths, and slides, apart.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     accept : str or list of str, default=()

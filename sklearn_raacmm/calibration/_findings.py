@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import random_poses
+from sklearn_raacmm.arm import phases, random_poses
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
@@ -54,6 +54,15 @@ def findings_of_fit(fit, result, bare, poses):
         scatter = result.scatter_after_mm
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
+    for i in fit.still:
+        text = (
+            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows:"
+        )
+        advice = (
+            "What is learnt holds there. To learn more, measure with this joint elsewhere, too."
+        )
+        text = f"{text} it is taken as fixed, and its scale is not looked for."
+        yield Finding("slide-still", text, advice, joints=(i + 1,))
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
     for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
@@ -68,7 +77,8 @@ def findings_of_fit(fit, result, bare, poses):
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
-        yield from moved_positions(left[held], fit.angles[held], groups[held], poses.first[held])
+        turns = phases(fit.nominal_arm, fit.angles)[held]
+        yield from moved_positions(left[held], turns, groups[held], poses.first[held])
     yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)
 
@@ -196,6 +206,7 @@ def _poses_alike(fit):
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
         return
     angles = random_poses(arm, _TRIED)
+    angles[:, fit.still] = fit.angles[0, fit.still]
     points, jac = table_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale

@@ -52,6 +52,8 @@ _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 _LEAST_PIVOT = 1e-8
 # Steps of one iteration at the start, of a base: rad and mm.
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
+# What slides by less stands still: a brake gives way by as much.
+_STILL_MM = 0.01
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -80,6 +82,9 @@ class Fit:
         self.problem: Any = problem
         self.correction: Any = correction
         self.loss, self.free, self.priors = loss, free, priors
+        # Joints that slide, but stand still in all rows.
+        ways = np.ptp(self.angles, axis=0) if len(self.angles) else np.zeros(arm.n_joints)
+        self.still = [i for i in slides_of(arm.joint_types) if ways[i] < _STILL_MM]
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -131,7 +136,8 @@ class Fit:
             kind[of_slides] = np.where(lengths, "slide_mm", "slide_rad")[of_slides]
             self.names += [f"scale{i + 1}" for i in slides]
             kind = np.r_[kind, ["slide_scale"] * len(slides)]
-            is_free = np.r_[is_free, np.full(len(slides), "d" in free)]
+            scales = [i not in self.still and "d" in free for i in slides]
+            is_free = np.r_[is_free, np.array(scales, dtype=bool)]
         n_probes = 3 * len(tools)
         self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
         self.kind = np.r_[kind, ["probe_mm"] * n_probes]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm, phases
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_places
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
@@ -119,10 +119,10 @@ def learn_correction(
         :class:`ArmResidualRegressor` has for them, such as "direction 2" of
         :func:`directions_of`.
     like : list of ArmResidualRegressor, default=()
-        Models of earlier arms of the make: the mean and the spread of their coefficients are the
-        prior of this one's, if the evidence is for it against a model that is
-        fitted to these rows alone (by 4 nats with fewer than four positions), and positions left
-        out say how much is used; ``learned.model.updates_`` keeps `gain_nats`. One that
+        Models of earlier arms of the make. The mean and the spread of their coefficients become the
+        prior of the new model where the evidence prefers that to a fit of these rows alone (by
+        4 nats with fewer than four positions). Positions left out say how much of it is used;
+        ``learned.model.updates_`` keeps `gain_nats`. One that
         does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
         then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
@@ -277,7 +277,8 @@ def _say_what_moved(data, calibration, model, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        own = (part[held] for part in (left, data.angles, data.positions, data.rows))
+        turns = phases(calibration.arm, data.angles)
+        own = (part[held] for part in (left, turns, data.positions, data.rows))
         for finding in moved_positions(*own):
             finding.report()
     left = data.residuals(calibration, rows) - expected[rows]

@@ -4,12 +4,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral, Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.arm import Arm, check_arm, limits_of, solve
+from sklearn_raacmm.arm import (
+    Arm,
+    check_arm,
+    limits_of,
+    phases,
+    points_of,
+    random_poses,
+    solve,
+    spans_of,
+)
+from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import Floats
 
 # Places tried for each cone, and starts of the search for poses for each pose that is wanted.
@@ -102,15 +112,14 @@ def plan_poses(
     check_arm(arm)
     check_scalar(n_positions, "n_positions", Integral, min_val=1 if bar_mm is None else 2)
     check_scalar(n_poses, "n_poses", Integral, min_val=2)
-    rng, reach = check_random_state(random_state), arm.reach_mm
-    reached: list[tuple[np.ndarray, np.ndarray]] = []
-    n_bar = 0
+    rng = check_random_state(random_state)
+    reached: list[Any] = []
     if bar_mm is not None:
         check_scalar(bar_mm, "bar_mm", Real, min_val=0, include_boundaries="neither")
         reached = _bar(arm, float(bar_mm), n_poses, lean_deg, rng)
-        n_bar = 2
+    n_bar = len(reached)
     for _ in range(_PLACES * n_positions):
-        place = _place(rng, reach)
+        place = _place(arm, rng)
         poses = _poses_at(arm, place, n_poses, lean_deg, rng)
         if poses is not None:
             reached.append((place, poses))
@@ -136,7 +145,7 @@ def plan_poses(
 def _bar(arm, length, n_poses, lean_deg, rng):
     """Place and poses of both seats of a bar that lies level."""
     for _ in range(_BARS):
-        middle, turn = _place(rng, arm.reach_mm), rng.uniform(0, np.pi)
+        middle, turn = _place(arm, rng), rng.uniform(0, np.pi)
         half = 0.5 * length * np.array([np.cos(turn), np.sin(turn), 0.0])
         places = [middle - half, middle + half]
         away = np.linalg.norm(places, axis=1) / arm.reach_mm
@@ -151,8 +160,11 @@ def _bar(arm, length, n_poses, lean_deg, rng):
     )
 
 
-def _place(rng, reach):
+def _place(arm, rng):
     """A place for a cone, (3,) in mm."""
+    if "P" in arm.joint_types:  # not round about the base: where some pose is
+        return points_of(arm, random_poses(arm, 1, rng))[0]
+    reach = arm.reach_mm
     azimuth, share = rng.uniform(-np.pi, np.pi), rng.uniform(_NEAREST, _FARTHEST)
     height = rng.uniform(0, _HIGHEST) * reach
     radius = np.sqrt(max((share * reach) ** 2 - height**2, (_NEAREST * reach) ** 2))
@@ -163,7 +175,8 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
     """Poses that reach a place, as different as may be, or None where there are too few."""
     low, high = limits_of(arm)
     size = (_STARTS * n_poses, arm.n_joints)
-    start = rng.uniform(np.maximum(low, -np.pi), np.minimum(high, np.pi), size)
+    first, last = spans_of(arm)
+    start = rng.uniform(np.maximum(low, first), np.minimum(high, last), size)
     aim = np.broadcast_to(place, (len(start), 3))
     found, _ = solve(arm, aim, start)
     found = found[~np.isnan(found[:, 0])]
@@ -172,8 +185,9 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
     if len(found) < n_poses:
         return None
     if np.isinf([low, high]).all():  # whole turns may be taken off
-        found = np.remainder(found + np.pi, 2 * np.pi) - np.pi
-    return found[_spread(np.hstack([np.cos(found), np.sin(found)]), n_poses)]
+        found = within_turn(found, arm.joint_types)
+    phase = phases(arm, found)
+    return found[_spread(np.hstack([np.cos(phase), np.sin(phase)]), n_poses)]
 
 
 def _stands(arm, angles, place, lean_deg):

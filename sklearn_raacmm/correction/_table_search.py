@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, carried, check_angles, check_arm, points_of
+from sklearn_raacmm.arm import Arm, carried, check_angles, check_arm, points_of, scale_of
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._zeros import trial, with_found_zeros
 from sklearn_raacmm.measurements import LEAST_ROWS
@@ -170,7 +170,8 @@ def search_table(
     raw = np.asarray(angles, dtype=float)
     points = None if points is None else np.asarray(points, dtype=float)
     rows, codes, few_points = _few_rows(len(raw), positions, points)
-    candidates = _candidates(arm, angle_unit, np.abs(raw).max(), points is not None)
+    largest = np.abs(raw * scale_of(arm.joint_types, 1.0, 0.0)).max()
+    candidates = _candidates(arm, angle_unit, largest, points is not None)
     few = raw[rows]
     ranked = [(_quick_scatter(one, few, codes, few_points), one) for one in candidates]
     ranked.sort(key=lambda entry: (entry[0], entry[1][:2]))
@@ -431,11 +432,14 @@ def _candidates(arm, unit, largest, has_points):
     n, straight = arm.n_joints, [*range(arm.n_joints)]
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
     joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], {})]
-    for i, j in combinations(range(n), 2):
+    types = arm.joint_types
+    joints *= types == types[::-1]  # rad and mm are not exchanged, nor added
+    for i, j in ((i, j) for i, j in combinations(range(n), 2) if types[i] == types[j]):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
         joints.append(([f"joints {i + 1} and {j + 1} exchanged"], 1, columns, {}))
     # Zeros of the first joint and the last are free: base and probe go with them.
-    single = [{j: degrees} for j in straight[1:-1] for degrees in (90, 180, 270)]
+    turning = [j for j in straight[1:-1] if types[j] == "R"]
+    single = [{j: degrees} for j in turning for degrees in (90, 180, 270)]
     pairs = [{**a, **b} for a, b in combinations(single, 2) if a.keys() != b.keys()]
     for signs in product((1.0, -1.0), repeat=n):  # the first are those given
         which = [str(i + 1) for i in range(n) if signs[i] < 0]
@@ -446,7 +450,8 @@ def _candidates(arm, unit, largest, has_points):
             offset = _turned(arm, np.array([turned.get(j, 0) for j in straight]))
             changed = {"joint_signs": arm.joint_signs * signs, "theta_offset": offset}
             joints.append((words, len(which) + _ZERO * len(turned), straight, changed))
-    for (i, j), factor, sign in product(permutations(range(n), 2), (1, -1), (1, -1)):
+    alike = [(i, j) for i, j in permutations(range(n), 2) if types[i] == types[j]]
+    for (i, j), factor, sign in product(alike, (1, -1), (1, -1)):
         text = f"{'-' * (sign < 0)}J{i + 1} {'- +'[1 + sign * factor]} J{j + 1}"
         words = [f"joint {i + 1} at {text}"]
         signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
@@ -474,7 +479,8 @@ def _candidates(arm, unit, largest, has_points):
 def _quick_scatter(one, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
     angles = angles[:, one.columns]
-    angles = np.deg2rad(angles) if one.angle_unit == "deg" else angles
+    if one.angle_unit == "deg":
+        angles = angles * scale_of(one.given.joint_types, np.pi / 180)
     arm = trial(one.given, **one.changed)
     if points is None:
         # Points are linear in the probe: origin + turn @ probe.

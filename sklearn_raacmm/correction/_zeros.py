@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian
+from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian, slides_of
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.measurements import base_motions, check_length
 from sklearn_raacmm.utils import align, centred, encode_groups, group_means, listed
@@ -42,7 +42,7 @@ def with_found_zeros(
     """
     order = np.arange(len(angles)) if codes is None else np.argsort(codes, kind="stable")
     few = order[np.linspace(0, len(order) - 1, min(len(order), _ROWS)).astype(int)]
-    angles, free = angles[few], np.arange(1, arm.n_joints - 1)
+    angles, free = angles[few], np.setdiff1d(range(1, arm.n_joints - 1), slides_of(arm.joint_types))
     codes = None if codes is None else np.unique(codes[few], return_inverse=True)[1]
     points = None if points is None else points[few]
     columns = np.r_[3 * arm.n_joints + free, 4 * arm.n_joints + np.arange(3)]

@@ -18,7 +18,6 @@ from sklearn_raacmm.error_model._columns import (
     FAMILIES_OF_EXTRA,
     KINEMATICS,
     Columns,
-    Terms,
     columns_of,
 )
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
@@ -420,18 +419,9 @@ def _beside_field(rows, columns, structures, sums, state, factor):
     problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
     few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
-    some = sums_of_pairs(sums, pairs)
-    if rows.codes is not None:
-        # With offsets, rows of the Gram matrix of all candidates cost more than a matrix of these.
-        rows = rows.weighted(factor)
-        waves = columns_of(rows.arm, Terms(few.terms.harmonics, False, False, False))
-        of_extra = rows.arm.n_joints + np.arange(len(few.terms.extra))
-
-        def waves_at(X):
-            return waves.at(np.delete(X, of_extra, axis=1))
-
-        gram = less_constants(*explicit_gram(rows, waves_at)[:2])
-        some = some._replace(rows=sums_of_gram(gram, len(pairs), sums.n_observations).rows)
+    # With offsets, rows of the Gram matrix of all candidates cost more than sums of these.
+    again = rows.codes is not None
+    some = rows.weighted(factor).sums(few) if again else sums_of_pairs(sums, pairs)
     alone = state._replace(lines=lines, pairs=lines)
     return beside_field(problem, state, Problem(some, of_field), alone)
 

@@ -267,11 +267,13 @@ def leave_out(fitted, positions, between=False):
 
 def _at_rows(model, rows):
     """What `leave_out` returns, at some rows by a model that has not seen them."""
-    mean, std, doubt = model.predict_with_doubt(rows.X, return_std=rows.codes is None)
     if rows.codes is None:
+        mean, std, doubt = model.predict_with_doubt(rows.X, return_std=True)
         return mean, doubt, std
-    dots = rows.along(rows.whitening().centred(model.columns(rows.X)) @ model.half)
-    return mean, doubt, np.sqrt(np.einsum("ncr,ncr->nc", dots, dots))
+    columns = model.columns(rows.X)
+    dots = rows.along(rows.whitening().centred(columns) @ model.half)
+    doubts = np.linalg.norm(columns @ model.gauge_free_half, axis=2)
+    return columns @ model.coef, np.linalg.norm(doubts, axis=1), np.linalg.norm(dots, axis=2)
 
 
 def _blocks(points, positions, weights, between=False):

@@ -349,11 +349,11 @@ class LinearModel:
         calibration has them (an inner constraint, as geodesists have it in free networks). Kept at
         other poses instead, lengths of simulated gauges are too short by 5 to 19 um.
         """
-        layout, coef = self.layout, self.coef
+        coef = self.coef
         if keep_scale:
-            points = group_means(layout.points(X), codes, weights)
-            scale_of = self._scale_of(points, layout.means(X, codes, weights))
-            coef = coef - layout.scale * (scale_of @ coef)
+            found = self.layout.points(X), self.predict(X)[0]
+            points, moved = (group_means(values, codes, weights) for values in found)
+            coef = coef - self.layout.scale * self._scale_of(points, moved[:, :, None])
         return replace(self, coef=coef).with_seen()
 
     def with_seen(self) -> Self:
@@ -372,8 +372,9 @@ class LinearModel:
         if self.terms.kinematics:
             scale_of, i = self._scale_of(points, columns), _n_motions(self.layout.alone)
             seen[i] = scale_of @ self.half / (scale_of @ of_place[:, i])
-        left = columns @ self.half - there @ seen
-        return replace(self, seen=seen + np.linalg.lstsq(there, left, rcond=_LEAST_SHOWN)[0])
+        inverse = np.linalg.pinv(there, rcond=_LEAST_SHOWN)
+        left = (inverse @ columns) @ self.half - (inverse @ there) @ seen
+        return replace(self, seen=seen + left)
 
     def with_scale_sd(self, scale_sd: float) -> Self:
         """Model that knows the common scale of all distances to this standard deviation.
@@ -404,7 +405,7 @@ class LinearModel:
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if not self.terms.kinematics or not size > 0:
-            return np.zeros(len(self.coef))
+            return np.zeros(columns.shape[-1])
         return spread.ravel() @ columns.reshape(spread.size, -1) / size
 
     def joint_covariance(

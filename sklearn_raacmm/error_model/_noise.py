@@ -94,12 +94,12 @@ def joint_noise(
     scale /= np.average(rank + np.zeros(n), weights=weights)
     if not (scale > 0 and seen.any()):
         return even
-    # Of each noise the covariance that one of it has at each row, the last index; symmetric, so
-    # that a product of nine numbers is a trace.
+    # Of each noise the covariance that one of it has at each row, which is the last index; it is
+    # symmetric, so that a product of nine numbers is a trace.
     shapes = np.empty((n_joints + 1, 3, 3, n))
     np.einsum("nij,nkj->jikn", levers, levers, out=shapes[:-1])
-    beside = np.moveaxis(np.broadcast_to(beside, (n, 3, 3)), 0, 2)
-    shapes[-1] = np.eye(3)[:, :, None] - beside
+    others = np.moveaxis(np.broadcast_to(beside, (n, 3, 3)), 0, 2)
+    shapes[-1] = np.eye(3)[:, :, None] - others
     flat, left = shapes.reshape(n_joints + 1, -1), left.T / np.sqrt(scale)
     one, other = np.array([1, 2, 0]), np.array([2, 0, 1])
     free = 1 - np.minimum(taken, _MOST_TAKEN)
@@ -108,7 +108,7 @@ def joint_noise(
     v[:-1][~seen] = v[:-1][seen].mean()
     share = v * size
     for _ in range(_STEPS):
-        covariance = (v @ flat).reshape(3, 3, n) + beside
+        covariance = (v @ flat).reshape(3, 3, n) + others
         precision = covariance[one][:, one] * covariance[other][:, other]
         precision -= covariance[one][:, other] * covariance[other][:, one]  # its cofactors
         precision /= (covariance[0] * precision[0]).sum(axis=0)

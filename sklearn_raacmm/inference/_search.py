@@ -86,11 +86,8 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
         return None
     variance = np.append(state.variance[:-1], size)
     found = search(problem, problem.state(state.lines, True, variance, state.noise_variance))
-    before = problem.with_variances(state)
-    is_better = (
-        net_evidence(problem, found) >= net_evidence(problem, before) + structures.field_price
-    )
-    return found if is_better else state
+    least = net_evidence(problem, problem.with_variances(state)) + structures.field_price
+    return found if net_evidence(problem, found) >= least else state
 
 
 def net_evidence(problem: Problem, state: State) -> float:

@@ -35,8 +35,8 @@ MACHINES = {
         f"rail along {name}": [(P, (0.2, 0.1, 0.4), rpy, axis), *ELBOW]
         for name, rpy, axis in (
             ("x", (0, 0, 0), X), ("y", (0, 0, 0), Y),
-            ("-z turned", (1.5707963267948966, 0, 0), DOWN),
-            ("skew", (0.3, -0.2, 0.1), SKEW), ("x turned", (0, 0, 1.1), X),
+            ("-z turned", (1.5707963267948966, 0, 0), DOWN), ("x turned", (0, 0, 1.1), X),
+            ("skew", (0.3, -0.2, 0.1), SKEW),
         )
     },
     **{
