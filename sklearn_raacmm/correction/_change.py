@@ -127,7 +127,7 @@ def _conditioned(linear, rows, log_noise, start=None, means_only=False, named=No
     changes = changes_of(linear)
     if named is not None:
         changes = _of_named(linear, changes[0], named)
-        if "probe" not in named:
+        if "probe" not in named and rows.codes is not None:
             place = place[:, :, :0]
     shown = Shown(linear, rows)
     columns, place = shown(linear.columns(rows.X)), shown(place)

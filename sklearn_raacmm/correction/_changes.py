@@ -34,6 +34,7 @@ _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
 # Changes of which an update names so many, one after another, before whole families may change: a
 # choice. Names of those that its prior can hold; of others the families tell.
 _MOST_NAMED, _HELD = 3, ("probe", "offset of joint", "harmonics of joint")
+_OF_PLACE = ("probe", "base", "base turned")
 # What a change is called where the noise explains more than any.
 NOISE = "noise"
 
@@ -99,19 +100,20 @@ class Table:
 
 
 def named_changes(linear: Any, rows: Any) -> list[str] | None:
-    """Changes that rows of a single-point test name, one after another; None: all columns may.
+    """Changes that new rows name, one after another; None: all columns may.
 
     The change of the highest evidence becomes a part of what the model expects, and the next is
     looked for beside it. That all columns have changed a little is one of them. An empty list:
-    nothing but noise is there. Before a tracker it is always None: of two robots all of whose
-    joints had changed, 20 poses named one, which left 8 and 16 % more
-    (``benchmarks/bench_after_the_lab.py months``).
+    nothing but noise is there. Before a tracker base and tool may be off beside any change
+    (``benchmarks/bench_after_the_lab.py knocks``).
     """
-    if rows.codes is None:
-        return None
     linear = widened(as_prior(linear))
     table = Table(linear, rows, linear.predict(rows.X)[0])
     causes, known, shown = table.seen, table.known, table.shown
+    if rows.codes is None:  # base and tool may be off beside any change
+        place = place_columns(rows.arm, table.rows.X, with_base=True)
+        known = np.hstack([known, shown.flat(place)])
+        causes = {name: one for name, one in causes.items() if name not in _OF_PLACE}
     causes["arm"] = shown.flat(table.columns * changes_of(linear)[1])
     names: list[str] = []
     while True:

@@ -423,9 +423,10 @@ class Correction:
         given = {"points": points, "lengths": lengths, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
         measured = self._measured(angles, positions, **given)
-        X, model = self.inputs(measured.angles), copy(self.model)
+        X = self.inputs(measured.angles)
+        model: Any = copy(self.model)
         places = np.arange(len(X)) if measured.points is not None else measured.index
-        linear = getattr(model, "linear_model_", None)
+        linear: Any = getattr(model, "linear_model_", None)
         judged = linear is not None and len(np.unique(places)) >= LEAST_POSITIONS
         if judged:  # these poses had no part in the fit: it fades beyond the largest doubt at them
             doubt = linear.predict_with_doubt(X)[2]
@@ -496,7 +497,8 @@ class Correction:
         given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
         measured = self._measured(angles, positions, **given)
-        X, model = self.inputs(measured.angles, measured.extra), copy(self.model)
+        X = self.inputs(measured.angles, measured.extra)
+        model: Any = copy(self.model)
 
         def aligned():  # the base is where the corrected points say
             shown = self.arm.forward(measured.angles)
@@ -514,7 +516,8 @@ class Correction:
         new = self.register(measured, accept=accept)
         found = new.calibration.residuals_mm[measured.poses.first]
         y, today = new._shown(measured, lambda: found)
-        updated = update_correction(new.model, X, y, accept=accept, date=date, **today)
+        model = new.model
+        updated = update_correction(model, X, y, accept=accept, date=date, **today)
         return replace(new, model=updated)
 
     def move(self, probe: ArrayLike) -> Self:

@@ -309,7 +309,6 @@ def _chart(linear, table, place, freedom, rate):
     shown, tamed, half = table.shown, table.left, table.columns @ linear.half
     basis = np.linalg.qr(_about(shown, place).reshape(tamed.size, place.shape[2]))[0]
     record, tests, rng = {}, [], np.random.default_rng(0)
-    noise = linear.noise_sd * linear.noise_root(shown.rows.X)
 
     def distances(values):  # (n, 3, k)
         values = _about(shown, values).reshape(tamed.size, -1)
@@ -318,7 +317,7 @@ def _chart(linear, table, place, freedom, rate):
 
     found = distances(tamed[:, :, None])
     draws = half @ rng.normal(size=(half.shape[2], _DRAWS))
-    draws += noise @ rng.normal(size=(len(noise), noise.shape[2], _DRAWS))
+    draws += linear.noise_sd * rng.normal(size=draws.shape)
     drawn = distances(draws)
     for name, of in (("mean", np.mean), ("range", np.ptp)):
         square, value = np.square(of(drawn, axis=0)), float(of(found, axis=0)[0])

@@ -65,9 +65,9 @@ def update_correction(
     """Bring a fitted correction up to date with few new poses, without the old data.
 
     :func:`check_correction` says whether that is needed.
-    Changes that the poses of a single-point test name, such as an offset of joint 3, one to three,
-    change alone, and where nothing has changed the old model is known better. Otherwise, and before
-    a tracker, coefficients change by a share tau of their prior standard deviation (a harmonic
+    Changes that the poses name, such as an offset of joint 3, one to three,
+    change alone, and where nothing has changed the old model is known better. Otherwise
+    coefficients change by a share tau of their prior standard deviation (a harmonic
     above order 8 by a share of its old size), base and tool by some millimetres. The evidence finds
     tau for the harmonics of each joint and for each other family of columns. With very many new
     poses the old model does not matter.

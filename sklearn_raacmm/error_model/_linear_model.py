@@ -25,7 +25,6 @@ from sklearn_raacmm.error_model._columns import (
     Terms,
     columns_of,
 )
-from sklearn_raacmm.error_model._noise import Noise
 from sklearn_raacmm.utils import check_shapes, chunks, group_means
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -279,12 +278,6 @@ class LinearModel:
         if self.noise_of_joints.any():
             root[:, :, 3:] = np.sqrt(self.noise_of_joints) / size * self.layout.levers(angles)
         return root
-
-    def whitening_roots(self, angles: np.ndarray, shown: np.ndarray | None = None) -> Any:
-        """Roots (n, 3, 3) that give rows the noise `noise_sd` in each coordinate: see `Noise`."""
-        noise = Noise(self.noise_of_joints, self.noise_of_rows, self.lever_mm)
-        noise = noise.scaled(1 / self.noise_variance)
-        return noise.roots(self.layout.levers(angles), shown)
 
     def noise_ratio(self, angles: np.ndarray) -> np.ndarray:
         """Standard deviation of each coordinate's noise at poses over `noise_sd`, (n, 3)."""
