@@ -33,12 +33,9 @@ NAMES = {
     PERFECT: "perfect model",
 }
 HEADLINE_ROWS = {
-    "simulated, gravity, seed 0": "simulated: gravity dominates",
-    "simulated, typical, seed 0": "simulated: both",
-    "simulated, eccentricity, seed 0": "simulated: eccentric encoders dominate",
-    "real, panda_3": "real: Franka Panda `panda_3`, {folds} placements",
-    "real, panda_2": "real: Franka Panda `panda_2`, {folds} placements",
-    "real, ur10": "real: UR10 against a laser tracker, {rows} poses",
+    "real, panda_3": "Franka Panda `panda_3`, {folds} placements",
+    "real, panda_2": "Franka Panda `panda_2`, {folds} placements",
+    "real, ur10": "UR10 against a laser tracker, {rows} poses",
 }
 
 
@@ -111,33 +108,20 @@ def headline_table(results):
     head += ["RBF network, all joints", "RBF network, three inputs"]
     rows = []
     for data, title in HEADLINE_ROWS.items():
-        digits = 3 if data in REAL else 4
-        title = title.format(**results.comparisons[data])
-        if results.has(data, PERFECT):
-            title += f"; a perfect model reaches {results.of(data, PERFECT)['mean_mm']:.{digits}f}"
         values = (results.of(data, m)["mean_mm"] for m in (UNCORRECTED, LINEAR, ALL, THREE))
-        rows.append([title, *(f"{value:.{digits}f}" for value in values)])
+        rows.append([title.format(**results.comparisons[data]), *(f"{v:.3f}" for v in values)])
     return markdown(head, rows)
 
 
 def readme_blocks(results):
     """Text of each block of the README by its name."""
     less = [results.less(data, LINEAR) for data in REAL]
-    mixes = [simulated(mix) for mix in MIXES]
-    reduced = {m: [results.less(data, m) for data in mixes] for m in (THREE, ALL, PERFECT)}
     return {
         "headline": (
             f"**On three real robots `ArmResidualRegressor` took {listed(less)} % off the mean "
-            "deviation that\ncalibration had left**, at places that neither had seen "
-            "([what to expect](#what-to-expect))."
+            "deviation that\ncalibration had left**."
         ),
         "table": headline_table(results),
-        "three inputs": (
-            "- **Three inputs see a part of it.** On the simulated arms above the paper's three "
-            f"angles reduced the\n  mean deviation by {listed(reduced[THREE])} %. All joints "
-            f"reduced it by {listed(reduced[ALL])} %, a perfect model\n"
-            f"  by {listed(reduced[PERFECT])} %."
-        ),
     }
 
 

@@ -151,7 +151,7 @@ def real_arms(figure, _):
 def simulated_arms(figure, _):
     """The same of three simulated measuring arms."""
     ax = figure.subplots()
-    titles = ["gravity dominates", "both", "bad encoders dominate"]
+    titles = ["gravity dominates", "both", "eccentric encoders dominate"]
     _bars(ax, [simulated(mix) for mix in MIXES], read(), titles)
     ax.set_title("Three simulated measuring arms", fontsize=10)
     ax.set_ylim(top=0.05)

@@ -24,7 +24,7 @@ SHOWN = {
     "plot_learn_correction": (1, "It repeats better at new positions"),
     "plot_newrb": (1, "neurons, mean squared error"),
     "plot_ols_path": (1, "auto: "),
-    "plot_paper_figures": (3, ""),
+    "plot_paper_figures": (3, "gauges of 500 mm"),
     "plot_periodicity": (1, "periodic"),
     "plot_rbf_network": (1, "2-D"),
     "plot_simulated_arm": (1, "noise floor"),
@@ -35,7 +35,7 @@ QUICK = ("plot_newrb", "plot_ols_path", "plot_rbf_network")
 # What makes a script quicker: fewer arms, fewer positions, no search of widths.
 QUICKER = {
     "plot_how_many_poses": ("SEEDS = [0, 1]", "SEEDS = [0]"),
-    "plot_paper_figures": ("n_positions=10", "n_positions=5"),
+    "plot_paper_figures": ('["eccentricity", "typical", "gravity"]', '["gravity"]'),
     "plot_real_arm": ("RBFNetRegressor())", "RBFNetRegressor(20, length_scale=2.0, alpha=0.1))"),
     "plot_live_arm": ("SECONDS = 1.0", "SECONDS = 0.05"),
 }
@@ -82,6 +82,25 @@ def test_a_script_runs_alone_and_ends_in_its_pictures(run_alone, capsys, name):
     _, pictures = run_alone(name)
     assert len(pictures) == n_pictures
     assert said in capsys.readouterr().out
+
+
+@pytest.mark.exhaustive
+def test_the_page_has_the_numbers_of_the_papers_experiment(monkeypatch, capsys):
+    """To 2 micrometres, by which another processor's rounding may choose other centres."""
+    monkeypatch.setattr(plt, "show", lambda: None)
+    matplotlib.use("Agg")
+    text = (EXAMPLES / "plot_paper_figures.py").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 80
+    runpy.run_path(str(EXAMPLES / "plot_paper_figures.py"))
+    printed = re.findall(r"^(\w+), before|: (\d+) -> (\d+) ", capsys.readouterr().out, re.M)
+    page = (EXAMPLES.parent / "doc" / "paper_and_ours.md").read_text(encoding="utf-8")
+    kinds = [i for i, (kind, *_) in enumerate(printed) if kind]
+    assert len(kinds) == 3
+    for i in kinds:
+        (row,) = re.findall(rf"^\| {printed[i][0]} \| (\d.*→.*) \|$", page, re.M)
+        found = np.array([one[1:] for one in printed[i + 1 : i + 5]], dtype=int)
+        said = np.array([cell.split(" → ") for cell in row.split(" | ")], dtype=int)
+        assert np.abs(found - said).max() <= 2
 
 
 @pytest.mark.exhaustive

@@ -143,8 +143,6 @@ def cylindrical():
     return CylindricalResidualTarget(network())
 
 
-BARS = {"groups": GROUPS, "pairs": [[0, 1]]}
-BARS["lengths"] = metrics.gauge_lengths(POINTS, GROUPS, [[0, 1]])
 COLUMNS = RIGHT["columns"]
 # Name, function, and the right values that it takes, in order; its result is compared, as numbers,
 # for every form of the same numbers.
@@ -205,7 +203,6 @@ FUNCTIONS = [
         lambda p, g: shown(display.RepeatabilityDisplay, "after", p, groups=g),
         "points groups",
     ),
-    ("ResidualDisplay", partial(shown, display.ResidualDisplay, "before", arm=ARM), "angles"),
     ("describe", lambda q: export.describe(FITTED, q)["training"]["rows"], "angles"),
     (
         "describe, positions",
@@ -232,11 +229,6 @@ REFUSING = [
     ("from_data", partial(arm_from_data, "2-2-2", lengths=[(0, 1, 500, 0.01)]), "angles groups"),
     ("search_table, points", lambda p: search_table(ARM, ANGLES, points=p), "points"),
     ("learn", partial(learn_correction, ARM), "angles groups points"),
-    (
-        "LengthErrorDisplay",
-        lambda p, y: display.LengthErrorDisplay.from_predictions(p, y, **BARS),
-        "points residuals",
-    ),
     ("R2, of labels", lambda g: metrics.within_position_r2_score(POINTS, RESIDUALS, groups=g),
      "groups"),
     ("axes, of labels", partial(metrics.axis_repeatability, POINTS), "groups"),
@@ -385,7 +377,7 @@ def test_form_of_the_same_values_does_not_matter(name, argument):
         narrow = RIGHT[argument].astype(np.float32)
         found, expected = (call(name, **{argument: x}) for x in (narrow, narrow.astype(float)))
         # Features in float32 come out in float32.
-        tolerance = 1e-5 if name.startswith(("PoseFeatures", "ResidualDisplay")) else 1e-9
+        tolerance = 1e-5 if name.startswith("PoseFeatures") else 1e-9
         assert_allclose(found, expected, rtol=tolerance, atol=tolerance, err_msg="float32")
 
 
@@ -513,8 +505,6 @@ def refused():
     )
     yield of_model, "estimator", [None, "model", LARGE], "estimator must be a fitted model, got"
     yield of_model, "estimator", [Ridge()], "not fitted"
-    bars = partial(display.LengthErrorDisplay.from_predictions, y_pred=RESIDUALS, **BARS)
-    yield bars, "points", [RESIDUALS], "not residuals"
     yield export.fingerprint, "model", [None], "not an estimator"
     yield partial(export.export_c, LINEAR, "a.c"), "card", [True, 3, ["card"]], "describe gives"
     for function in (partial(export.export_c, LINEAR), partial(app.read_table, n_joints=6)):

@@ -9,8 +9,8 @@ from sklearn.experimental import enable_halving_search_cv  # noqa: F401
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.linear_model import Ridge
-from sklearn.model_selection import GridSearchCV, GroupKFold, HalvingGridSearchCV
-from sklearn.pipeline import make_pipeline
+from sklearn.model_selection import GridSearchCV, GroupKFold, HalvingGridSearchCV, cross_validate
+from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from sklearn_raacmm import (
@@ -177,3 +177,32 @@ def test_sample_weight_reaches_the_network(cone_test, form, routing):
         model.fit(angles, y, **{name: weight})
         assert_allclose(model.predict(angles), expected, atol=1e-9)
         assert not np.allclose(clone(model).fit(angles, y).predict(angles), expected, atol=1e-6)
+
+
+def test_cross_validation_of_the_published_chain_is_the_steps_written_out():
+    """Labels reach every fold's fit and score, in a plain and in a nested search."""
+    test = make_single_point(6, 12, random_state=0)
+    X, y, g = test.data, test.target, test.groups
+    terms = make_pipeline(StandardScaler(), PolynomialFeatures(2), Ridge())
+    chain = Pipeline([
+        ("pose", PoseFeatures(test.arm, append_azimuth=True)),
+        ("target", CylindricalResidualTarget(terms)),
+    ])  # fmt: skip
+    words = {"groups": g, "cv": GroupKFold(3), "scoring": repeatability_scorer(X, g)}
+    found = cross_validate(chain, X, y, params={"target__groups": g}, **words)["test_score"]
+    left = []
+    for train, out in GroupKFold(3).split(X, groups=g):
+        model = clone(chain).fit(X[train], y[train], target__groups=g[train])
+        left.append(-single_point_repeatability(y[out] - model.predict(X[out]), g[out]))
+    assert_allclose(found, left, rtol=1e-10)
+    # A search inside: its own folds keep positions together, too.
+    grid = {"target__regressor__ridge__alpha": [0.1, 1000.0]}
+    search = GridSearchCV(chain, grid, cv=GroupKFold(2), scoring=words["scoring"])
+    params = {"groups": g, "target__groups": g}
+    nested = cross_validate(search, X, y, params=params, return_estimator=True, **words)
+    for (train, out), one in zip(
+        GroupKFold(3).split(X, groups=g), nested["estimator"], strict=True
+    ):
+        own = clone(search).fit(X[train], y[train], groups=g[train], target__groups=g[train])
+        assert one.best_params_ == own.best_params_
+        assert_allclose(one.predict(X[out]), own.predict(X[out]))

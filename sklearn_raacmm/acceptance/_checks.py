@@ -51,7 +51,7 @@ def find_faults(test: str, readings, arm: Any = None, limit: float | None = None
     `limit` is the largest of the values' limits, mm.
     """
     if gap := next(_gaps(test, readings), ""):
-        advice = "Measure what is missing: a test is whole or it has no value."
+        advice = "Measure what is missing: a test that is not complete gets no value."
         return [_finding("acceptance-incomplete", f"{test}: {gap}", advice, readings.rows)]
     faults: list[Finding] = []
     if test in (*SPHERES, *BARS):

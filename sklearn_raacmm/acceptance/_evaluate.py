@@ -245,7 +245,7 @@ def _points(run, arm, model, found):
         if model is not None:
             raise ValueError("a correction needs the joint angles of the run, and the arm.")
         return [(run.points, None)]
-    angles = check_angles(run.angles, arm.n_joints, "rad")
+    angles = check_angles(run.angles, arm.joint_types, "rad")
     believed = (found or arm).forward(angles)
     sides = [(believed if run.points is None else run.points, believed)]
     if model is not None:

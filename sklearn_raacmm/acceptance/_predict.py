@@ -83,7 +83,7 @@ def predict_acceptance(
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
     arm = known.arm if known else regressor.arm_
-    X = check_angles(plan.angles, arm.n_joints, "rad")
+    X = check_angles(plan.angles, arm.joint_types, "rad")
     points = arm.forward(X)
     X = known.inputs(X) if known else X
     rng, mean = check_random_state(random_state), regressor.predict(X)

@@ -226,7 +226,8 @@ def _read_readings(path, arm, sheet, rows):
     else:
         if arm is None:
             raise TableError(f"{path} holds joint angles: name --model or --arm, whose they are.")
-        table = Layout(path, arm.n_joints, joint_names=arm.names, **options).read()
+        options |= {"joint_names": arm.names, "joint_types": arm.joint_types}
+        table = Layout(path, arm.n_joints, **options).read()
         found = {"angles": in_rad(table), "points": table.points}
     labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
     return {"columns": labels | found, "rows": table.rows, "notes": table.notes}

@@ -13,7 +13,7 @@ import numpy as np
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
 from sklearn_raacmm.app._sources import TableError, parse_number
-from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
+from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, scale_of, usual_pose
 from sklearn_raacmm.correction import arm_from_data
 from sklearn_raacmm.utils import check_places, write_whole
 
@@ -25,6 +25,7 @@ _COLUMNS = {
     "theta_offset": ("theta_offset", "theta offset", "offset", "theta", "theta0"),
     "joint_signs": ("sign", "joint_signs", "direction"),
     "names": ("joint", "name", "joint name"),
+    "joint_types": ("type", "joint type", "joint_type"),
 }
 _ANGLES = ("alpha", "theta_offset")
 # How near to a quarter turn in rad a twist has to be, and the largest length in metres, by which
@@ -50,8 +51,8 @@ _QUESTIONS = (
     ("wrist_offset", "how far axes 4 and 5 pass each other, 0 if they cross"),
 )
 _ADVICE = """Shoulder to elbow and elbow to wrist decide the scale of the arm: take them from a
-drawing, to half a millimetre, or measure a known distance. The height of the shoulder only says
-where the origin is. Calibration finds all others, offsets too, to hundredths of a millimetre."""
+drawing, to half a millimetre, or measure a known distance. The height of the shoulder matters
+by centimetres. Calibration finds all others, offsets too, to hundredths of a millimetre."""
 
 
 def arm(options):
@@ -99,8 +100,10 @@ def _with_encoders(shown, options):
             raise TableError(f"--sign needs 1 or -1 for each joint, got {options.sign!r}.")
         shown = shown.replace(joint_signs=shown.joint_signs * np.array(signs))
     if options.zero:
-        moved = shown.joint_signs * np.deg2rad(parse_numbers("--zero", options.zero, *given))
-        shown = shown.replace(theta_offset=shown.theta_offset - moved)
+        moved = shown.joint_signs * parse_numbers("--zero", options.zero, *given)
+        turned = scale_of(shown.joint_types, np.pi / 180, 0.0) * moved
+        slid = scale_of(shown.joint_types, 0.0) * moved  # mm
+        shown = shown.replace(theta_offset=shown.theta_offset - turned, d=shown.d - slid)
     return shown
 
 
@@ -165,7 +168,8 @@ def _arm_of_layout(options):
         "No data show what two questions decide. Turn joint 1 counter-clockwise, seen from above: "
         f"does its angle grow? Was the probe higher in row {high} than in row {low}? One yes and "
         "one no: it is the mirror image, take the other one of --mirrored and without it. If the "
-        "angle falls, add --up 0,0,-1."
+        f"angle falls, add --up 0,0,-1. Its shoulder is taken to be {found.d[0]:.0f} mm high: mend "
+        "d1 in the file if that is wrong by a decimetre."
     )
     return found.replace(name=Path(options.table).stem)
 
@@ -200,7 +204,7 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
         print_notes(["Taken as the standard convention; --modified takes the other one."])
     values = {}
     for field, column in found.items():
-        if field == "names":
+        if field in ("names", "joint_types"):
             values[field] = table.labels(rows, column).tolist()
         else:
             units = ("deg", "rad") if field in _ANGLES else ("mm", "m")

@@ -37,7 +37,8 @@ _MM_PER_UNIT = {
 }  # fmt: skip
 # A unit that stands above the table for all of it: "// Units: Inches, Degrees", "LINEAR  METRE".
 _STATED = re.compile(
-    r"\b(?:units?|linear|length units?|angular|angles?)\b[\s:=,]+([^\W\d]+)(?:[\s,;/]+([^\W\d]+))?",
+    r"\b(?:units?|linear|length units?|angular|angles?|in)\b[\s:=,]+([^\W\d]+)"
+    r"(?:[\s,;/]+([^\W\d]+))?",
     re.IGNORECASE,
 )
 _UNITS = (*_UNIT_OF_WORD, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
@@ -61,7 +62,7 @@ _TIME_NAMES = re.compile(r"_*(time|timestamp|date|datetime|zeit|datum|uhrzeit|ut
 # effort.
 _OTHER_QUANTITY = re.compile(
     r"velocity|speed|qdd?(?![a-z])|(?<![a-z])vel|accel|effort|torque|moment|current|strom|voltage|"
-    r"temperature|temp(?![a-z])|force|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs|"
+    r"temperature|temp(?![a-z])|force|tau|(?<![a-z])d+q(?![a-z])|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs|"
     r"(?<!joint)(?<!joint_)poses?[\W_]*\d+\W*$|cartesian"
 )
 # Angles and the further numbers of a pose of the tool, beside x, y and z: robots of Kawasaki and
@@ -72,16 +73,23 @@ _ORIENTATIONS = (
 )  # fmt: skip
 # An external axis beside the robot's own: a track, a positioner.
 _EXTERNAL = re.compile(r"(e|ext|ej|eax_?|ext_?axis|external_?axis|track|rail|linear_?axis)_?\d?")
+# What may be the column of a joint that slides, where the arm has one.
+_WAY = re.compile(rf"{_EXTERNAL.pattern}|[xyzuvw]|column|lift|quill|slide|gantry_?[xyz\d]?|s\d")
 # Share by which it moves.
 _MOVES = 1e-6
 # Angles of columns without names that are beyond this many degrees are no angles of joints.
 _TWO_TURNS = 720
-_NOT_COMMANDED = re.compile(r"^(?!.*(target|command|desired|setpoint|reference|goal|soll))")
+_NOT_COMMANDED = re.compile(r"^(?!.*(target|command|cmd|desired|setpoint|reference|goal|soll))")
 _OF_JOINTS = re.compile(r"(?<![a-z])(q|j|joint|axis|axe|achse|eje|theta|angle|enc|encoder)[\W_]*\d")
-MEASURED = re.compile(r"actual|meas|encoder|feedback|(?<![a-z])ist(?![a-z])")
+MEASURED = re.compile(r"actual|meas|encoder|feedback|(?<![a-z])(ist|act)(?![a-z])")
 # Units that a format states without writing them into the file: UR RTDE guide, actual_q and
 # target_q; ROS, sensor_msgs/JointState.
 _IN_RADIANS = re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?states?\W")
+# Names of rows below a table.
+_STATISTICS = re.compile(
+    r"(mean|average|avg|std|stdev|st(andar)?d\.? ?dev(iation|\.)?|rms|min|max|range|median|sum|"
+    r"total|mittelwert|standardabweichung|spannweite|minimum|maximum|moyenne|media|promedio)\W*"
+)
 # Rows looked at to find text columns and the unit.
 _LOOKED_AT = 200
 
@@ -179,11 +187,6 @@ def split_unit(name):
     return name, _UNIT_OF_WORD.get(unit, unit)
 
 
-def _stated(line):
-    """Words behind "unit" in a line above a table."""
-    return [word.lower() for pair in _STATED.findall(line) for word in pair if word]
-
-
 def _heading(source, cells, n_numbers):
     """Text of a row that is a heading of the rows below it: a comment, or one cell; or None."""
     bare = strip_mark(cells)
@@ -198,16 +201,14 @@ def _are_sections(source, rows, n_numbers):
     if source.table is not None:
         return False
     forms: dict[str, str] = {}
-    first = 0
-    for i, (_, cells, *_) in enumerate(rows[:-1]):
+    is_data = [source.count(cells) >= n_numbers for _, cells, *_ in rows]
+    for i, ((_, cells, *_), below) in enumerate(zip(rows, is_data[1:], strict=False)):
         heading = _heading(source, cells, n_numbers)
-        if heading is not None and source.count(rows[i + 1][1]) >= n_numbers:
-            first = first if forms else i
+        if heading is not None and below:
+            if not forms and any(is_data[:i]):
+                return False
             forms[heading] = re.sub(r"[\W_]*\d+$|\W+\w{1,2}\d*$", "", heading).lower()
-    begin = next(
-        (i for i, (_, cells, *_) in enumerate(rows) if source.count(cells) >= n_numbers), 0
-    )
-    return len(forms) > 1 and len(set(forms.values())) == 1 and first is not None and first < begin
+    return len(forms) > 1 and len(set(forms.values())) == 1
 
 
 class Columns:
@@ -218,36 +219,38 @@ class Columns:
         self.path = self.source.path
         self.header, self.header_row, self.first, rows = find_header(self.source, n_numbers)
         self.width = len(self.first[0][1])
-        self.sections = _are_sections(self.source, rows, n_numbers)
+        # Names of columns may stand again where logs were joined.
+        self.top = next((cells for number, cells, *_ in rows if number == self.header_row), None)
+        others = [one for one in rows if one[1] != self.top]
+        self.sections = _are_sections(self.source, others, n_numbers)
         if self.sections:
             self.header.append("position (headings between the rows)")
-            labels = dict(self._labelled(((n, c) for n, c, *_ in rows), n_numbers))
-            self.first = [(n, [*cells, labels.get(n, "")]) for n, cells in self.first]
+        of_data = {number for number, _ in self.first}
+        headed = self._headed((number, cells) for number, cells, *_ in rows)
+        self.first = [one for one in headed if one[0] in of_data]
         self.names, units = zip(*map(split_unit, self.header), strict=True)
-        self.units = tuple(unit or self._unit_of_cells(i) for i, unit in enumerate(units))
+        of_cells = [{*map(unit_in, self.cells(i))} for i in range(len(units))]
+        behind = [_UNIT_OF_WORD.get(u := min(one), u) if len(one) == 1 else "" for one in of_cells]
+        self.units = tuple(unit or other for unit, other in zip(units, behind, strict=True))
         above = (
             ", ".join(map(str, bare))
             for number, _, bare, is_comment in rows
             if number <= self.header_row or is_comment
         )
-        self.stated = {_UNIT_OF_WORD.get(word, word) for line in above for word in _stated(line)}
+        stated = [word for line in above for pair in _STATED.findall(line) for word in pair if word]
+        self.stated = {_UNIT_OF_WORD.get(word.lower(), word.lower()) for word in stated}
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
 
-    def _unit_of_cells(self, column):
-        """Unit that stands behind each number of a column, or ""."""
-        found = {unit_in(cell) for cell in self._cells(column)}
-        return _UNIT_OF_WORD.get(unit := min(found), unit) if len(found) == 1 else ""
-
-    def _labelled(self, rows, n_numbers):
-        """Yield (row number, the heading above it) of the rows of data."""
+    def _headed(self, rows):
+        """Yield rows, each with the heading above it as a further cell if they have headings."""
         label = ""
         for number, cells in rows:
-            heading = _heading(self.source, cells, n_numbers)
+            heading = _heading(self.source, cells, self.n_joints) if self.sections else None
             label = label if heading is None else heading
-            if heading is None:
-                yield number, label
+            if heading is None and cells != self.top:
+                yield number, [*cells, label] if self.sections else cells
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -271,18 +274,14 @@ class Columns:
     def rows(self, columns):
         """Yield (row number, cells) of the data, each with as many cells as the header.
 
-        Comments are left out, and rows at the end without a number in any of these columns, which
-        a note then names.
+        Comments are left out, and rows at the end without a number in any of these columns, or
+        with means and other statistics of the columns, which a note then names.
         """
-        held, found, label = [], False, ""
-        for number, cells in self.source.rows():
-            if self.sections:
-                heading = _heading(self.source, cells, self.n_joints)
-                if heading is not None:
-                    label = heading
-                    continue
-                cells = [*cells, label]
-            has_number = self._has_number(cells, columns)
+        held, found, before = [], False, ""
+        for number, cells in self._headed(self.source.rows()):
+            label, before = before, str(cells[0]).lower()  # a statistic has one row
+            is_statistic = before != label and _STATISTICS.fullmatch(before)
+            has_number = not is_statistic and self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue
             held.append((number, cells))
@@ -341,6 +340,20 @@ class Columns:
             raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
         return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
 
+    def mm_per_unit(self, column):
+        """Millimetres in the unit of a column of a joint that slides."""
+        unit = self.units[column]
+        if not unit and column in self._fields("position").values() and self._fields("name"):
+            unit = "m"  # sensor_msgs/JointState
+        if unit and unit in _MM_PER_UNIT:
+            return _MM_PER_UNIT[unit]
+        said = f"its header says {unit!r}" if unit else "its header does not say"
+        name = self.header[column]
+        raise TableError(
+            f"{self.path}: in which unit of length is the column {name!r} of a joint that slides? "
+            f"Name it in the header, such as {self.names[column]} [mm]; {said}."
+        )
+
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
         labels = [str(cells[column]) for _, cells in rows]
@@ -354,12 +367,12 @@ class Columns:
 
     # -- joint angles -----------------------------------------------------------------------
 
-    def find_angles(self, wanted, joint_names, taken=()):
+    def find_angles(self, wanted, joint_names, taken=(), slides=()):
         """Columns of the joint angles in the order of the arm, each another one; not those taken.
 
-        The columns `taken` hold other things.
+        The columns `taken` hold other things. Joints of the numbers `slides`, from 0, slide.
         """
-        found = self._find_angles(wanted, joint_names, taken)
+        found = self._find_angles(wanted, joint_names, taken, slides)
         names = [name.lower() for name in self.header]
         for i in found:
             if found.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
@@ -369,7 +382,7 @@ class Columns:
                 )
         return found
 
-    def _find_angles(self, wanted, joint_names, taken):
+    def _find_angles(self, wanted, joint_names, taken, slides=()):
         if wanted is not None:
             if len(wanted) != self.n_joints:
                 columns = f"--angles names {len(wanted)} columns"
@@ -380,14 +393,27 @@ class Columns:
             shown = ", ".join(self.header[i] for i in found)
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
+        ways = [i for i, name in enumerate(self.names) if _WAY.fullmatch(name) and i not in taken]
+        if slides and len(ways) == len(slides):
+            shown = ", ".join(self.header[i] for i in ways)
+            self.notes.append(f"Joints that slide: {shown}.")
+            found, n = np.zeros(self.n_joints, dtype=int), self.n_joints
+            found[slides], self.n_joints = ways, n - len(slides)
+            if self.n_joints:
+                turn = np.setdiff1d(np.arange(n), slides)
+                found[turn] = self._find_angles(None, (), {*taken, *ways})
+            self.n_joints = n
+            return found.tolist()
         fitting, what = self._series(), ""
         # Columns without names are numbered by us, and such numbers mean nothing.
         unnamed = all(re.fullmatch(r"column \d+", self.header[i]) for i in range(self.width))
         if not fitting or unnamed:
-            numeric, poses = self._columns_of_numbers(taken), self.pose_columns()
+            numeric, poses = self.columns_of_numbers(taken), self.pose_columns()
             joints = [i for i in numeric if i not in poses]
-            if len(joints) == self.n_joints + 1 and self._counts_rows(joints[0]):
-                joints = joints[1:]
+            if len(joints) == self.n_joints + 1:  # and the first counts rows, or times
+                steps = np.diff(self.source.numbers(self.cells(joints[0])))
+                even = len(steps) > 1 and steps[0] > 0 and np.ptp(steps) <= 1e-6 * steps[0]
+                joints = joints[1:] if even else joints
             fitting, what = [joints] * (len(joints) == self.n_joints), "the columns of numbers, "
             if not fitting and poses and len(joints) < self.n_joints:
                 named = ", ".join(self.header[i] for i in poses)
@@ -406,7 +432,7 @@ class Columns:
             f"--angles {example} (names or numbers of columns); the columns are {self}."
         )
 
-    def _columns_of_numbers(self, taken=()):
+    def columns_of_numbers(self, taken=()):
         """Columns that hold numbers only, and by their names neither times nor other quantities."""
         rows = [cells for _, cells in self.first[:20]]
         return [
@@ -418,12 +444,6 @@ class Columns:
             and not _EXTERNAL.fullmatch(name)
             and all(self._has_number(cells, [i]) for cells in rows)
         ]
-
-    def _counts_rows(self, column):
-        """Whether a column only counts the rows, or holds times at equal steps."""
-        values = self.source.numbers(self._cells(column))
-        steps = np.diff(values)
-        return len(steps) > 1 and steps[0] > 0 and bool(np.ptp(steps) <= 1e-6 * steps[0])
 
     def pose_columns(self):
         """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""
@@ -446,7 +466,7 @@ class Columns:
         for i in (i for i, name in enumerate(self.names) if i not in used):
             if not _EXTERNAL.fullmatch(self.names[i]):
                 continue
-            values = self.source.numbers(self._cells(i))
+            values = self.source.numbers(self.cells(i))
             if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):
                 self.external[self.header[i]] = i
                 yield (
@@ -471,7 +491,7 @@ class Columns:
     def _by_names_in_cells(self, joint_names):
         """Positions of JointState messages, whose names stand in cells of each row."""
         names, positions = self._fields("name"), self._fields("position")
-        names = {k: self._cells(i) for k, i in names.items() if k in positions}
+        names = {k: self.cells(i) for k, i in names.items() if k in positions}
         numbers = self.source.count(chain(*names.values()))
         if len(names) < self.n_joints or numbers:
             return None
@@ -545,7 +565,7 @@ class Columns:
                 f"{self.path}: the angles must all be in degrees or all in radians, but the "
                 f"columns are {units}; say it with --unit deg or --unit rad if these are wrong."
             )
-        cells = (cell for i in columns for cell in self._cells(i))
+        cells = (cell for i in columns for cell in self.cells(i))
         values = map(self.source.number, cells)
         largest = max((abs(value) for value in values if value is not None), default=0.0)
         if largest > _SURELY_COUNTS:
@@ -572,7 +592,7 @@ class Columns:
             "the first rows, and the header does not say; say it with --unit deg or --unit rad."
         )
 
-    def _cells(self, column):
+    def cells(self, column):
         """Cells of the first rows."""
         return [cells[column] for _, cells in self.first if len(cells) > column]
 
@@ -598,11 +618,11 @@ class Columns:
         found, varies = {}, {}
         for i, name in enumerate(self.names):
             # A label that is missing here and there is a fault, which is reported on reading.
-            given = [cell for cell in self._cells(i) if cell != ""]
+            given = [cell for cell in self.cells(i) if cell != ""]
             is_other = i in taken or _TIME_NAMES.fullmatch(name) or _NO_LABEL.search(name)
             is_time = any(_TIME.search(str(cell)) for cell in given)
             if given and not (is_other or is_time or self.source.count(given)):
-                found[i] = len(given) == len(self._cells(i))
+                found[i] = len(given) == len(self.cells(i))
                 varies[i] = len(set(given)) > 1
         if any(varies.values()):  # what is the same in all rows tells no positions apart
             found = {i: whole for i, whole in found.items() if varies[i]}

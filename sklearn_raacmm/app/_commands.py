@@ -25,6 +25,7 @@ from sklearn_raacmm.app._files import (
     known_lengths,
     load_arm,
     load_correction,
+    parse_numbers,
     print_notes,
     read_causes,
     read_labels,
@@ -42,10 +43,12 @@ from sklearn_raacmm.app._terminal import (
     print_verdict,
     say,
 )
+from sklearn_raacmm.arm import in_unit, scale_of, without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.utils import (
+    Finding,
     FindingError,
     FindingWarning,
     check_places,
@@ -59,7 +62,29 @@ from sklearn_raacmm.utils import (
 OK, NO_HELP = 0, 3
 # Angle in rad by which an arm has to move; learning has the same.
 _STILL = 1e-3
+# What slides by less stands still, as for a calibration, mm.
+_STILL_MM = 0.01
+# Bars that a plan takes by itself, and their largest share of the reach.
+_BARS_MM, _BAR_OF_REACH = (100, 300, 500, 1000), 0.4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
+
+
+def _without_still_slides(options, arm, layout, table):
+    """Arm, layout and table without rails under the arm that stand still in all rows."""
+    while arm.joint_types.startswith("P") and len(arm.joint_types.strip("P")) > 1:
+        at = table.angles[:, 0]
+        if np.ptp(at) > _STILL_MM:
+            break
+        name = layout.header[layout.angle_columns[0]]
+        text = f"{name}, along which joint 1 slides, stands still at {at[0]:.6g} mm in all rows:"
+        text = f"{text} this is learnt of the arm behind that joint, in the base that it carries."
+        Finding("slide-still", text, joints=(1,)).report()
+        arm = without_first(arm)
+        if options.angles:
+            options.angles = options.angles[1:]
+        layout = find_rows(options, arm, needed=False)
+        table = layout.read()
+    return arm, layout, table
 
 
 def learn(options):
@@ -76,6 +101,7 @@ def learn(options):
     arm = load_arm(options.arm, options.base, options.tip)
     layout = find_rows(options, arm, needed=False)
     table = layout.read()
+    arm, layout, table = _without_still_slides(options, arm, layout, table)
     print_notes(table.notes)
     if layout.source.what.startswith("Fanuc") and not arm.couplings:
         arm = arm.replace(couplings=[(3, 2, 1)])
@@ -183,20 +209,39 @@ def plan(options):
     check_installed("jinja2", "matplotlib")
     check_places([out / "plan.html", out / "plan.csv"], [options.arm])
     arm = load_arm(options.arm)
-    found = plan_poses(arm, options.cones, options.poses)
+    if options.limits:
+        given = parse_numbers(
+            "--limits", options.limits, 2 * arm.n_joints, "LOW,HIGH of each joint"
+        )
+        factor = scale_of(arm.joint_types, np.pi / 180)[:, None]
+        arm = arm.replace(limits=factor * np.reshape(given, (-1, 2)))
+    if arm.limits is None:
+        print_notes(["The arm's file has no limits of the joints: --limits gives them in degrees."])
+    bar = options.bar
+    if bar is None:  # the longest usual one that fits
+        bar = max((mm for mm in _BARS_MM if mm <= _BAR_OF_REACH * arm.reach_mm), default=0)
+    found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean, bar_mm=bar or None)
     out.mkdir(parents=True, exist_ok=True)
-    names = [f"q{i} [deg]" for i in range(1, arm.n_joints + 1)]
-    poses = list(zip(found.groups, np.rad2deg(found.angles).tolist(), strict=True))
+    seats = dict(zip(found.bar, ("bar left", "bar right"), strict=False))
+    cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
+    units = ["mm" if kind == "P" else "deg" for kind in arm.joint_types]
+    names = [f"q{i} [{unit}]" for i, unit in enumerate(units, start=1)]
+    degrees = in_unit(found.angles, arm.joint_types, "deg").tolist()
+    poses = [(cones[i - 1], row) for i, row in zip(found.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
-    lines += [",".join([f"cone {cone}", *(f"{value:.2f}" for value in row)]) for cone, row in poses]
+    lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]
     figure = draw_svg("plan", draw_volume, arm, found.angles, found.positions)
-    page = render("_plan.html", arm=repr(arm), figure=figure, plan=found, names=names, poses=poses)
+    shown = {"cones": list(zip(cones, found.positions, strict=True)), "names": names}
+    page = render("_plan.html", arm=arm, bar=bar, figure=figure, plan=found, poses=poses, **shown)
     write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
     print(f"{size}: about {found.minutes:.0f} minutes.")
     print("What matters is that the cones are spread over the places where you will measure.")
+    if bar:
+        print(f"Two of the cones are the seats of a bar of {bar:g} mm, which sets the scale.")
     print(f"Written to {out}: plan.html, plan.csv")
-    return 0, {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
+    facts = {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
+    return OK, facts | {"bar": [cones[i - 1] for i in found.bar], "bar_mm": bar}
 
 
 def demo(options):

@@ -44,6 +44,6 @@ def correct(options):
     to_file = open_beside(options.out, layout.source.encoding)
     with nullcontext(options.stdout) if options.out == "-" else to_file as file:
         n_rows, largest = write_corrected(layout, saved, options, file, options.std)
-    check_angles(largest, saved.arm.n_joints, layout.angle_unit)
+    check_angles(largest, saved.arm.joint_types, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return 0, {"rows": n_rows}

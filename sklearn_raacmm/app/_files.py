@@ -16,7 +16,7 @@ import numpy as np
 
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
 from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, scale_of
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import within_turn
@@ -44,8 +44,12 @@ _OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "
 
 def load_arm(source, base=None, tip=None):
     """Arm from a JSON file, a URDF or the name of a built-in one."""
-    path = Path(source)
-    if path.suffix.lower() in (".urdf", ".yaml", ".yml") or _is_xml(path):
+    path, head = Path(source), b""
+    if path.is_file():
+        with open(path, "rb") as file:
+            head = file.read(200).lstrip(b"\xef\xbb\xbf \r\n\t")
+    # XML is a URDF whatever its name, or what somebody takes for one.
+    if path.suffix.lower() in (".urdf", ".yaml", ".yml") or head.startswith(b"<"):
         return Arm.from_urdf(path, base=base, tip=tip)
     if base or tip:
         raise TableError("--base and --tip name links of a URDF, and none is given.")
@@ -60,14 +64,6 @@ def load_arm(source, base=None, tip=None):
         return Arm.from_name(str(source))
     except ValueError as error:
         raise TableError(f"there is no file {source}, and as a {error}") from None
-
-
-def _is_xml(path):
-    """Whether a file holds XML, whatever its name: a URDF, or what somebody takes for one."""
-    if not path.is_file():
-        return False
-    with open(path, "rb") as file:
-        return file.read(200).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
 
 
 def load_correction(folder) -> Any:
@@ -153,8 +149,10 @@ def open_beside(path, encoding):
 
 
 def in_rad(table):
-    """Angles of a table in rad, within one turn."""
-    return within_turn(np.deg2rad(table.angles) if table.angle_unit == "deg" else table.angles)
+    """Joints of a table in rad, within one turn; and in mm, what slides."""
+    types = table.joint_types or "R" * table.angles.shape[1]
+    factor = scale_of(types, np.pi / 180 if table.angle_unit == "deg" else 1.0)
+    return within_turn(table.angles * factor, types)
 
 
 def print_notes(notes):
@@ -176,6 +174,7 @@ def find_rows(options, arm, labelled=True, needed=True):
     labels = [getattr(options, name, None) for name in ("tool", "block", "station", "kind")]
     others = [*find_cause_columns(options).values(), *filter(None, labels)]
     given |= {"labelled": labelled, "needed": needed, "joint_names": arm.names, "others": others}
+    given["joint_types"] = arm.joint_types
     return Layout(options.table, arm.n_joints, **given)
 
 

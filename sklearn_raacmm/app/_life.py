@@ -28,7 +28,7 @@ from sklearn_raacmm.app._files import (
     print_notes,
 )
 from sklearn_raacmm.app._sources import TableError, check_installed
-from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.arm import check_angles, random_poses
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.residuals import position_residuals
@@ -99,8 +99,12 @@ def update(options):
         print(f"These poses show noise of {noise:.3g} mm a coordinate, and no change beside it.")
     tau = dict(sorted(updates[-1]["tau"].items(), key=lambda one: -one[1]))
     parts = [f"{name} ({100 * size:.0f} %)" for name, size in tau.items() if size > _NAMED_TAU]
-    most = ", ".join(parts[:4]) or "nothing"
-    print(f"Changed most, in per cent of its usual size: {most}.")
+    most = ", ".join(parts[:4])
+    usual = "of the size that it usually has"
+    if most:
+        print(f"Causes of error that changed most, each by a share {usual}: {most}.")
+    else:
+        print(f"No cause of error changed by more than {_NAMED_TAU:.0%} {usual}.")
     rms = _rms(now - was)
     print(
         f"The correction has changed by {rms:.3f} mm (rms) at these poses; mean deviation "
@@ -125,7 +129,7 @@ def move(options):
     new = saved.move(probe)
     facts = _print_moves(saved, new)
     _print_lack(saved, new)
-    _print_doubts(new, np.random.default_rng(0).uniform(-np.pi, np.pi, (200, new.arm.n_joints)))
+    _print_doubts(new, random_poses(new.arm, 200))
     print("A vector from a drawing is good to some tenths: register the probe before you measure.")
     facts = step_of("move", None, facts)
     _save(new, options, facts)
@@ -134,8 +138,8 @@ def move(options):
 
 def _print_lack(saved, new):
     """Say so where the new probe is known by less than the one before, for its size."""
-    tried = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, saved.arm.n_joints))
-    X, models = saved.inputs(tried), (saved.model.linear_model_, new.model.linear_model_)
+    X = saved.inputs(random_poses(saved.arm, 200))
+    models = saved.model.linear_model_, new.model.linear_model_
     old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
         print("Learn with two probes: the first alone shows less of the last joints.")
@@ -185,11 +189,11 @@ def check(options):
         found = _check_spread(saved, today, rate, advice)
         facts, holds = facts | found, holds and found["after_mm"] < found["before_mm"]
         holds = holds and found["after_mm"] <= found["expected_below_mm"]
-    elif advice:
-        print(advice)
     else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
-        print(f"It holds: {_describe_poses(today)}, {usual}.")
+        said = advice and f"It does not hold. {advice}"
+        facts["said"] = said or f"It holds: {_describe_poses(today)}, {usual}."
+    print(facts["said"])
     facts |= {"holds": holds}
     try:
         _refuse_other_writers(saved, options.model)
@@ -234,7 +238,7 @@ def _check_model(saved, today, measured, rate, options):
 
 
 def _check_spread(saved, today, rate, advice):
-    """Facts of what the mean 2S shows.
+    """Facts of what the mean 2S shows, the sentence `said` among them.
 
     `advice` is what to do about a change that the model sees: one answer says what to do once.
     """
@@ -248,19 +252,19 @@ def _check_spread(saved, today, rate, advice):
     facts = {"before_mm": was, "after_mm": now, "expected_below_mm": expected}
     change = f"mean 2S {was:.3f} -> {now:.3f} mm"
     if now > max(MUCH_SCATTER_MM, expected):
-        print(f"It does not hold: {change}. {_why_so_far(saved, today, _MUCH_MORE * expected)}")
+        said = f"It does not hold: {change}. {_why_so_far(saved, today, _MUCH_MORE * expected)}"
     elif now >= was:
-        print(f"It does not hold: {change}. {advice or 'Calibrate and learn again.'}")
+        said = f"It does not hold: {change}. {advice or 'Calibrate and learn again.'}"
     elif now > expected:
-        print(
-            f"It helps less than it did: {change}; the mean of {len(after)} positions like those "
-            f"that it was judged at would be below {expected:.3f} mm in {1 / rate - 1:.0f} of "
-            f"{1 / rate:.0f} tests. {advice or 'Look at probe and base, or learn again.'}"
+        said = (
+            f"It helps less than it did: {change}. If it held, the mean of {len(after)} positions "
+            f"would be below {expected:.3f} mm in {1 / rate - 1:.0f} of {1 / rate:.0f} checks. "
+            f"{advice or 'Look at probe and base, or learn again.'}"
         )
     else:
         verdict = "It still helps, but something has changed" if advice else "It holds"
-        print(f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip())
-    return facts | {"changed": bool(advice)}
+        said = f"{verdict}: {change}; expected below {expected:.3f} mm. {advice}".rstrip()
+    return facts | {"changed": bool(advice), "said": said}
 
 
 def _why_so_far(saved, today, limit):
@@ -302,7 +306,8 @@ def _read_today(options, arm):
     lengths = known_lengths(options)
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
-    check_angles(table.angles, arm.n_joints, table.angle_unit)  # warns of what seems another unit
+    # Warns of what seems another unit.
+    check_angles(table.angles, arm.joint_types, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
     return layout, today, (today.angles, today.positions, today.points, lengths)
 
@@ -374,7 +379,8 @@ def save_step(correction, out, step, today, page="", contents=()):
     correction = replace(correction, facts=correction.facts | {"history": history})
     card = describe(correction.model)
     findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
-    known = {"findings": findings, "training": correction.facts.get("training")}
+    known = {"findings": findings}
+    known |= {name: correction.facts.get(name) for name in ("scale_set_by", "training")}
     card |= {name: fact for name, fact in known.items() if fact}
     card = f"{card}\n## Verdict when it was learnt\n\n- {correction.verdict}\n"
     contents, points = dict(contents), Path(out, "corrected.csv")

@@ -75,7 +75,12 @@ WORDS = {
     "plan": (
         "_commands", "plan a first test of twenty minutes: a sheet with places and poses",
         "raacmm plan --arm my_arm.json --out plan",
-        "--arm --out --cones --poses",
+        "--arm --out --cones --poses --bar --lean --limits",
+    ),
+    "watch": (
+        "_watch", "follow a test while it is measured, on a page that renews itself",
+        "raacmm watch cone.csv --arm my_arm.json",
+        f"table --arm --model --out {_COLUMNS}",
     ),
     "accept": (
         "_accept", "judge an arm by its acceptance test, as found and as left: a sheet",
@@ -116,6 +121,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "check table": {"help": "a small test of today"},
     "register table": {"help": "poses with the new probe, or in the new place: 15 in two cones"},
     "update table": {"help": "20 poses or more of the arm as it is now"},
+    "watch table": {"help": "the table that the arm's logger writes, row by row"},
     "source": {"nargs": "?", "help": _ARM},
     "--arm": _value("ARM", _ARM, required=True),
     "--base": _value("LINK", "first link of a URDF's chain"),
@@ -185,6 +191,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", Path),
     "accept --arm": _value("ARM", "as found (the table of --model, without its correction)"),
     "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
+    "watch --arm": _value("ARM", _ARM),
+    "watch --model": _number("FOLDER", "correction that is in use: it is checked", Path),
+    "watch --out": _value("HTML", "page to write (watch.html)", default="watch.html"),
     "--template": _flag("write RUN, a spreadsheet for this arm, without its numbers"),
     "--language": _choice(("en", "de"), "of the sheet (en)", "en"),
     "--rule": _choice(("guarded", "simple"), "with a guard of 1.645 u, or without", "guarded"),
@@ -206,6 +215,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
     "--poses": _number("N", "poses in each cone (12)", int, default=12),
+    "--bar": _number("MM", "bar whose two seats are two of the cones (by the reach); 0: none"),
+    "--lean": _number("DEG", "how far the probe may lean from the vertical (any way)"),
+    "--limits": _value("LOW1,HIGH1,...", "limits of the joints in degrees, where ARM has none"),
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
 }

@@ -7,12 +7,15 @@ What a file is, its content says, never the ending of its name.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import ast
+import csv
+import io
 import json
 import re
 import tomllib
 from collections import Counter
 from contextlib import suppress
 from importlib.util import find_spec
+from itertools import groupby
 from typing import Any
 from xml.etree import ElementTree
 
@@ -70,6 +73,8 @@ _PROGRAMS = (
     ),
     # Efort: a jointtarget is j:{J1, ..., J6, external axes}.
     ("Efort", (":{",), "deg", _NAMED + r"\b[jJ]:\{([^{}]*)\}", _VALUE),
+    # Universal Robots, URScript manual: movej takes joint angles in rad, or a pose behind a p.
+    ("URScript", ("movej",), "rad", r"()\bmovej\s*\(\s*\[([^][]*)\]", _VALUE),
     # Yaskawa, job with POSTYPE PULSE: the counts of the axes' encoders.
     ("Yaskawa JBI", ("PULSE",), "counts", r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
 )
@@ -83,6 +88,11 @@ _BRACKETS = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 _SPLIT = re.compile(r"\s*[,;]\s*|\s+")
 _IS_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s*[=:]\s*{_VALUE}(?![\w.])")
+_SPACED_PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s+{_VALUE}(?![\w.])")
+# A list in a cell of a table, in quotation marks where its numbers are parted by commas.
+_LIST_IN_CELL = re.compile(r"""(?m)(?:^|[,;\t])\s*"\s*[\[(]""")
+# External axes that may stand behind the joints in a list, at most.
+_MORE_AXES = 6
 _COMMENT = re.compile(r"\s*(#|//|%|--)")
 # Keys and aliases of YAML, and what it has for nothing, and for no number.
 _KEY = re.compile(r"""[\s-]*("[^"]*"|'[^']*'|[^\s\[\]{},"'#:-][^\[\]{},"'#:]*):(\s|$)""")
@@ -93,31 +103,15 @@ _POSE_IN_BRACKETS = re.compile(r"\bp\[|\)\s*\(")
 
 
 def find_records(text, read, n_numbers):
-    """What a file of text is, and its rows (number, cells), the names first; None of a table.
+    """What a file of text is, names of columns or None, and rows (number, cells); None of a table.
 
     `text` is the file's beginning, `read` a function that returns all of it. Of a file that holds
     poses of the tool where joints are needed, a ValueError says so.
     """
-    for find in (_json, _program, _xml, _yaml, _lists, _pairs):
+    for find in (_json, _program, _xml, _yaml, _cells, _lists, _pairs):
         if found := find(text, read, n_numbers):
-            what, names, rows = found
-            return what, [(0, names), *rows] if names else rows
+            return found
     return None
-
-
-def with_places(names, rows):
-    """Header and rows (line, cells), whose first cell is a name; places that the names show added.
-
-    Points of one place have one name, or are named by it: P1_1, P1_2, P2_1 and so on.
-    """
-    own = [re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", cells[0]) for _, cells in rows]
-    shorter = [re.sub(r"[\W_]*\d+\W*$", "", name) for name in own]
-    for places, how in ((own, "its name"), (shorter, "its name without the last number")):
-        counts = Counter(places)
-        if len(counts) > 1 and min(counts.values()) > 1:
-            pairs = zip(rows, places, strict=True)
-            return [*names, f"position ({how})"], [(n, [*cells, one]) for (n, cells), one in pairs]
-    return names, rows
 
 
 # -- programs -------------------------------------------------------------------------------------
@@ -140,7 +134,7 @@ def _program(head, read, n_joints):
         if rows:
             names = ["name", *(f"A{i} [{unit}]" for i in range(1, n_joints + 1))]
             long = {"deg": "degrees"}.get(unit, unit)
-            return f"{what}, {long}", *with_places(names, rows)
+            return f"{what}, {long}", names, rows
     return None
 
 
@@ -154,68 +148,118 @@ def _numbers_in(text):
 
 
 def _lists(head, read, n_numbers):
-    """Lines with a list of so many numbers in brackets, perhaps with a name and further lists."""
+    """Lists of so many numbers or a few more in brackets, perhaps with names and further lists."""
     some = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
-    wanted = sum(any(len(one) == n_numbers for one in _lists_of(line)) for line in some)
-    if wanted < 2 or 2 * wanted < len(some):
+    sizes = [[len(one) for _, one in lists] for _, lists in _lists_in("\n".join(some))]
+    wanted = sum(len(_of_joints(one, n_numbers)) for one in sizes)
+    if wanted < 2 or 3 * wanted < len(some):
         return None
-    rows: list[Any] = []
-    header: Any = None
-    for number, line in enumerate(read().splitlines(), 1):
-        lists = _lists_of(line)
-        if not lists:
+    text, line, done = read(), 1, 0
+    found: list[Any] = []
+    for begin, lists in _lists_in(text):
+        sizes = [len(numbers) for _, numbers in lists]
+        if not _of_joints(sizes, n_numbers):
             continue
-        if n_numbers > 3 and _POSE_IN_BRACKETS.search(line):
-            raise ValueError(f"row {number} holds a pose of the tool; joint angles are needed.")
-        sizes = [len(one) for one in lists]
-        names = _names_of_lists(sizes, n_numbers)
-        header = header or names
-        if names != header:
-            raise ValueError(f"row {number} has lists of {sizes} numbers, others {n_numbers}.")
-        name = re.split(r"[\[({]", line, maxsplit=1)[0].strip(" \t=:,;\"'")
-        rows.append((number, [name, *(cell for one in lists for cell in one)]))
-    if all(cells[0] == "" for _, cells in rows):
-        rows = [(number, cells[1:]) for number, cells in rows]
-        named = any("[" in name or name == "x" for name in header[1:])
-        return "Lists in brackets", header[1:] if named else None, rows
-    return "Lists in brackets", *with_places(header, rows)
+        line, done = line + text.count("\n", done, begin), begin
+        if n_numbers > 3 and _POSE_IN_BRACKETS.search(text[begin : lists[-1][0].end()]):
+            raise ValueError(f"row {line} holds a pose of the tool; joint angles are needed.")
+        if len(sizes) > 2 and {*sizes} == {n_numbers}:  # rows in one line
+            found += [(k, "", [""], [one]) for k, (_, one) in enumerate(lists, line)]
+            continue
+        ends = [begin, *(match.end() for match, _ in lists)]
+        before = [text[end : match.start()] for end, (match, _) in zip(ends, lists, strict=False)]
+        words = [(re.findall(r"[^\W\d]\w*", one) or [""])[-1] for one in before]
+        quoted = re.search("""["']([^"']+)["']""", before[0])
+        name = quoted[1] if quoted else before[0].strip(" \t=:,;([{")
+        found.append((line, name, words, [numbers for _, numbers in lists]))
+    sizes = [len(one) for one in found[0][3]]
+    for line, _, _, lists in found:
+        if (own := [len(one) for one in lists]) != sizes:
+            raise ValueError(f"row {line} has lists of {own} numbers, others of {sizes}.")
+    own = _of_joints(sizes, n_numbers)[0]
+    further = zip(*(one[3][own][n_numbers:] for one in found), strict=True)
+    if any(len({*numbers}) > 1 for numbers in further):  # they are no axes that stand still
+        return None
+    words = [one[2] for one in found]
+    words = [one[0] if len({*one}) == 1 else "" for one in zip(*words, strict=True)]
+    header = ["name", *_names_of_lists(sizes, words, n_numbers)]
+    names = {name for _, name, *_ in found}
+    begin = int(len(names) == 1 or "" in names)  # names that tell nothing apart are left out
+    rows = [(n, [name, *(x for one in lists for x in one)][begin:]) for n, name, _, lists in found]
+    return "Lists in brackets", header[begin:], rows
 
 
-def _lists_of(line):
-    """Lists of two numbers or more in the brackets of a line."""
-    found = (_numbers_in(text) for text in _BRACKETS.findall(line))
-    return [one for one in found if one and len(one) > 1]
+def _lists_in(text):
+    """Yield where lines begin, and their lists of two numbers or more, each with its match."""
+    lists = ((match, _numbers_in(match[1])) for match in _BRACKETS.finditer(text))
+    lists = ((match, numbers) for match, numbers in lists if numbers and len(numbers) > 1)
+    for begin, some in groupby(lists, key=lambda one: text.rfind("\n", 0, one[0].start()) + 1):
+        yield begin, list(some)
 
 
-def _names_of_lists(sizes, n_numbers):
-    """Names of the numbers of lists: joints where one has as many, a point where one has three."""
-    names = ["name"]
-    for k, size in enumerate(sizes, 1):
-        if size == n_numbers and sizes.count(size) == 1:
-            names += [f"joint[{i}]" for i in range(1, size + 1)] if size > 3 else list("xyz")
+def _of_joints(sizes, n_numbers):
+    """Which lists may hold the joints, or a point; external axes may follow the robot's own."""
+    exact = [k for k, size in enumerate(sizes) if size == n_numbers]
+    most = n_numbers + _MORE_AXES * (n_numbers > 3)
+    return exact or [k for k, size in enumerate(sizes) if n_numbers < size <= most]
+
+
+def _names_of_lists(sizes, words, n_numbers):
+    """Names of the numbers of lists: of the joints, of a point, or the word before the list."""
+    joints, names = _of_joints(sizes, n_numbers), []
+    for k, (size, word) in enumerate(zip(sizes, words, strict=True)):
+        if joints == [k] and n_numbers > 3:
+            names += [f"joint[{i}]" for i in range(1, n_numbers + 1)]
+            names += [f"E{i}" for i in range(1, size - n_numbers + 1)]
         elif size == 3 and sizes.count(3) == 1:
             names += "xyz"
         else:
-            names += [f"list {k}[{i}]" for i in range(1, size + 1)]
+            own = word if word and words.count(word) == 1 else f"list {k + 1}"
+            names += [f"{own}[{i}]" for i in range(1, size + 1)]
     return names
 
 
+def _cells(head, read, n_numbers):
+    """A table some of whose cells hold lists."""
+    if not _LIST_IN_CELL.search(head):
+        return None
+    separator = max(",;\t", key=head.partition("\n")[0].count)
+    with suppress(csv.Error):
+        lines = csv.DictReader(io.StringIO(read()), delimiter=separator, restval="")
+        records = [{str(key): _parted(str(cell)) for key, cell in one.items()} for one in lines]
+        return _of_records("Lists in cells", records, n_numbers)
+    return None
+
+
+def _parted(cell):
+    """The parts of a list in a cell, and other cells as they are."""
+    is_list = cell[:1] in ("[", "(", "{") and cell[-1:] in ("]", ")", "}")
+    return [one.strip("\"'") for one in _SPLIT.split(cell[1:-1].strip())] if is_list else cell
+
+
 def _pairs(head, read, n_numbers):
-    """Lines of names with their numbers, such as X= 1.5 Y= 2 Z= 3, under lines that name them."""
+    """Lines of names with their numbers, such as X= 1.5 Y= 2 Z= 3, behind or under a name."""
     some = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
-    keys = Counter(tuple(key for key, _ in _PAIR.findall(line)) for line in some)
-    keys = {names: count for names, count in keys.items() if len(set(names)) >= n_numbers}
-    if not keys or 3 * sum(keys.values()) < len(some):
+    # Behind blanks stand numbers of many things: they are those of names where there are no others.
+    bare = [line for line in some if not re.search(r"\d", _SPACED_PAIR.sub("", line))]
+    for pair, lines in ((_PAIR, some), (_SPACED_PAIR, bare)):
+        keys = Counter(tuple(key for key, _ in pair.findall(line)) for line in lines)
+        keys = {names: count for names, count in keys.items() if len(set(names)) >= n_numbers}
+        if keys and 3 * sum(keys.values()) >= len(some):
+            break
+    else:
         return None
     rows, heading = [], ""
     names = list(dict.fromkeys(name for line in keys for name in line))
     for number, line in enumerate(read().splitlines(), 1):
-        pairs = dict(_PAIR.findall(line))
-        if len(pairs) >= n_numbers:
+        pairs = dict(pair.findall(line))
+        is_row = len(pairs) >= n_numbers
+        before = pair.split(line, maxsplit=1)[0] if is_row else line
+        if before.strip() and not _COMMENT.match(before):
+            heading = before.strip(" \t:;,=([{")
+        if is_row:
             rows.append((number, [heading or f"row {number}", *(pairs.get(k, "") for k in names)]))
-        elif line.strip() and not _COMMENT.match(line):
-            heading = line.strip(" \t:;,")
-    return "Names with numbers", *with_places(["name", *names], rows)
+    return "Names with numbers", ["name", *names], rows
 
 
 # -- records: JSON, YAML, echoes of messages ------------------------------------------------------
@@ -232,7 +276,7 @@ def _json(head, read, n_numbers):
         ("JSON", json.loads), ("TOML", tomllib.loads), ("Python", ast.literal_eval),
     ):  # fmt: skip
         for parts in ([text], *[lines] * by_line):
-            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+            with suppress(ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
                 found = list(map(parse, parts))
                 return _of_records(what, found[0] if len(found) == 1 else found, n_numbers)
     return None
@@ -338,10 +382,14 @@ def _records(value, n_numbers):
         return [{"name": key, **one} for key, one in value.items()]
     inner = [_records(one, n_numbers) for one in parts if isinstance(one, list | dict)]
     found = max(filter(None, inner), key=len, default=None)
-    # Names of the joints may stand once for all records.
-    names = {key: one for key, one in value.items() if str(key).endswith(("name", "names"))}
-    names = {key: one for key, one in names.items() if isinstance(one, list)}
-    return [names | one for one in found] if found and isinstance(found[0], dict) else found
+    # Names of the joints, or of the columns, may stand once for all records.
+    names = {key: one for key, one in value.items() if isinstance(one, list)}
+    if found and isinstance(found[0], list):
+        fitting = [one for one in names.values() if len(one) == len(found[0])]
+        of_columns = next((one for one in fitting if {*map(type, one)} == {str}), None)
+        return [dict(zip(of_columns, one, strict=True)) for one in found] if of_columns else found
+    names = {key: one for key, one in names.items() if str(key).endswith(("name", "names"))}
+    return [names | one for one in found] if found else found
 
 
 def _shape(value):

@@ -10,6 +10,7 @@ import datetime
 import io
 import platform
 import re
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -97,6 +98,11 @@ def write_report(
     learnt: Any = result  # it has scores and data, which one that was loaded lacks
     scores, calibration = learnt.scores, learnt.calibration
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
+    harmonics: list[Any] = []
+    if getattr(learnt.model, "helps_", False):  # it is no other kind of model, and it helps
+        found, n_joints = learnt.model.harmonics_, learnt.arm.n_joints
+        sds = HarmonicDisplay(harmonics=found, n_joints=n_joints).amplitude_sd
+        harmonics = list(zip(found, sds, strict=True))[:_MOST_HARMONICS]
     squares = np.mean(learnt.columns(learnt.inputs(learnt.angles)) ** 2, axis=0)
     text = render(
         "_report.html",
@@ -111,7 +117,7 @@ def write_report(
             "of a distance of 1 m": squares[9:],
         },
         parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
-        harmonics=_harmonics(learnt.model),
+        harmonics=harmonics,
         outliers=list_outliers(learnt, row_numbers),
         row_numbers=row_numbers,
         figures={
@@ -120,40 +126,44 @@ def write_report(
         },
         most_rows=_MOST_ROWS,
     )
+    text = with_history(text, [])
     if path is not None:
         write_whole({path: text})
     return text
 
 
-def render(name, **values):
-    """Page of a template in this folder."""
+@cache
+def _environment():
     import jinja2
 
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
     )  # fmt: skip
-    environment.filters |= {"um": lambda mm: f"{1000 * mm:.1f}", "number": _number}
-    return environment.get_template(name).render(values)
+    environment.filters["um"] = lambda mm: f"{1000 * mm:.1f}"
+    # No minus before zero, and words for what nobody has stated.
+    environment.filters["number"] = lambda value, digits: (
+        "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+    )
+    return environment
+
+
+def render(template, **values):
+    """Page of a template in this folder."""
+    return _environment().get_template(template).render(values)
 
 
 def with_history(page, history):
-    """A report, or a page without one, with its last step below the title and all at its end."""
+    """A report, or a page without one, with its last step below its title and all at its end."""
     page = page or f'<!DOCTYPE html>\n<meta charset="utf-8">\n{render("_style.html")}<body>\n'
     steps = [step for step in history if step["what"] != "learn"]
     for name, template in (("last step", "_last_step.html"), ("steps", "_history.html")):
         first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"
         if first not in page:  # it is no report of ours
             page = page.replace("</body>", "") + f"\n{first}{last}"
-        text = render(template, steps=steps) if steps else ""
         before, rest = page.split(first, 1)
-        page = f"{before}{first}\n{text}{last}{rest.split(last, 1)[1]}"
+        page = f"{before}{first}\n{render(template, steps=steps)}{last}{rest.split(last, 1)[1]}"
     return page
-
-
-def _number(value, digits):
-    """A number with so many digits: no minus before zero, and words for what nobody has stated."""
-    return "not stated" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def _facts(result):
@@ -180,14 +190,6 @@ def list_outliers(result, row_numbers=None):
     return list(zip(rows.tolist(), outliers["position"], outliers["distance"], strict=True))
 
 
-def _harmonics(model):
-    """The largest harmonics that the model found, each with its amplitude's sd, arc seconds."""
-    if not getattr(model, "helps_", False):  # another kind of model, or one that does not help
-        return []
-    sds = HarmonicDisplay(harmonics=model.harmonics_, n_joints=model.arm_.n_joints).amplitude_sd
-    return list(zip(model.harmonics_, sds, strict=True))[:_MOST_HARMONICS]
-
-
 # -- figures ---------------------------------------------------------------------------------------
 
 
@@ -210,9 +212,7 @@ def draw_svg(name, draw, *what):
     # Groups are named alike in every figure, and nothing refers to them.
     text = re.sub(r'<g id="[^"]*"', "<g", text)
     # The figure is as wide as the page, not as matplotlib's inches.
-    for side in ("width", "height"):
-        text = re.sub(rf'(<svg[^>]*?) {side}="[^"]*"', r"\1", text, count=1)
-    return text
+    return re.sub(r' (?:width|height)="[^"]*pt"', "", text, count=2)
 
 
 def draw_positions(figure, scores):
@@ -230,18 +230,15 @@ def draw_positions(figure, scores):
 
 
 def _intervals(scores, left):
-    """What another choice of poses at each position would change (95 %), mm."""
-    if scores.measure.startswith("2S"):
-        return np.array([repeatability_interval(left[rows]) for rows in scores.rows_by_position])
-    sizes = [np.linalg.norm(left[rows], axis=1) for rows in scores.rows_by_position]
-    return np.array([_mean_interval(one) for one in sizes])
-
-
-def _mean_interval(values):
-    """95 % interval of a mean; of one value nothing is known."""
-    if len(values) < 2:
-        return np.nan, np.nan
-    return stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))
+    """What another choice of poses at each position would change (95 %), mm; NaN of one pose."""
+    found = np.full((len(scores.rows_by_position), 2), np.nan)
+    for own, rows in zip(found, scores.rows_by_position, strict=True):
+        if scores.measure.startswith("2S"):
+            own[:] = repeatability_interval(left[rows])
+        elif len(rows) > 1:
+            far = np.linalg.norm(left[rows], axis=1)
+            own[:] = stats.t.interval(0.95, len(far) - 1, far.mean(), stats.sem(far))
+    return found
 
 
 def draw_volume(figure, arm, angles, places=()):

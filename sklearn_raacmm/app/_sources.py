@@ -36,6 +36,9 @@ _FLOAT = str.maketrans(",dD", ".ee")
 _WITH_UNIT = re.compile(
     rf"({_NUMBER.pattern})\s*(deg|degrees?|°|º|rad|mrad|gon|mm|m|inch|in)", re.IGNORECASE
 )
+# An angle in degrees, minutes and seconds, and a number whose thousands are parted.
+_SEXAGESIMAL = re.compile(r"""([+-]?)(\d+)\s?°\s?(\d+)\s?'\s?(\d+(?:[.,]\d*)?)\s?"?""")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?!\1)[.,]\d+")
 _FORMULA = re.compile(r"[=+\-@].")
 # What a number may be made of, so that `float` takes nothing else, such as "1_0" and "nan".
 _NO_NUMBER = re.compile(r"[^0-9.eE+\-\n]")
@@ -51,16 +54,19 @@ _SCRIPTS = (
     ("big5", "度軸關節角位置點座標序號"),
     ("cp949", "도축관절각위치점좌표번호"),
 )
-# Hard blanks and typographic minus signs are those of word processors, wide brackets of Asian ones.
-_PLAIN = str.maketrans({"\xa0": " ", "\u2212": "-", "\uff08": "(", "\uff09": ")"})
+# Hard blanks, minus signs and primes are those of word processors, wide brackets of Asian ones.
+_PLAIN = str.maketrans("\xa0\u2212\uff08\uff09\u2019\u2032\u2033", " -()''\"")
 # A line under the header of a table in Markdown, whose rows may begin and end with bars.
 _RULE = re.compile(r"[\s|:+-]*--[\s|:+-]*")
+_BARS = re.compile(r"^\s*\|(.*)\|\s*$")
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 # A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
 # of which 20 columns reach in the last row of a spreadsheet.
 _MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
 _BLOCK_ROWS = 8192
+# Columns for each row of a table that has a line for each joint, at least.
+_WIDER = 3
 SHEETS = (".xlsx", ".xlsm")
 _ARRAYS = (".npy", ".npz", ".mat")
 # Logs of ROS 1 and ROS 2.
@@ -114,7 +120,7 @@ class Dialect:
         """Yield (line number from 1, cells) of lines of text."""
         lines = (line.translate(_PLAIN) for line in lines)
         if self.separator == "|":
-            lines = ("\n" if _RULE.fullmatch(line) else _without_bars(line) for line in lines)
+            lines = ("\n" if _RULE.fullmatch(line) else _BARS.sub(r"\1", line) for line in lines)
         if self.separator is None:
             # MATLAB ends the rows of a matrix by semicolons.
             yield from enumerate((line.rstrip("\r\n ;]").split() for line in lines), 1)
@@ -133,10 +139,15 @@ class Dialect:
         if not isinstance(cell, str):
             return None
         if not _NUMBER.fullmatch(cell):
+            if angle := _SEXAGESIMAL.fullmatch(cell):
+                parts = (float(part.translate(_FLOAT)) for part in angle.groups()[1:])
+                return float(f"{angle[1]}1") * sum(x / 60**i for i, x in enumerate(parts))
             with_unit = _WITH_UNIT.fullmatch(cell)
-            if not with_unit:
+            cell = with_unit[1] if with_unit else cell
+            if parted := _THOUSANDS.fullmatch(cell):
+                cell = cell.replace(parted[1], "")
+            if not _NUMBER.fullmatch(cell):
                 return None
-            cell = with_unit[1]
         other = "." if self.decimal == "," else ","
         return None if other in cell else float(cell.translate(_FLOAT))
 
@@ -172,16 +183,12 @@ class Dialect:
         )
 
 
-def _without_bars(line):
-    """A row of Markdown without the bars at both of its ends."""
-    bare = line.strip()
-    return bare[1:-1] if len(bare) > 1 and bare[0] == bare[-1] == "|" else line
-
-
 def unit_in(cell):
     """Unit that stands behind the number in a cell, or ""."""
-    found = _WITH_UNIT.fullmatch(cell) if isinstance(cell, str) else None
-    return found[5].lower() if found else ""
+    if not isinstance(cell, str):
+        return ""
+    found = _WITH_UNIT.fullmatch(cell)
+    return found[5].lower() if found else "deg" * bool(_SEXAGESIMAL.fullmatch(cell))
 
 
 def clean(cell):
@@ -216,20 +223,33 @@ def find_source(path, n_numbers, sheet=None):
 
     `sheet` is the name or number, from 1, of a spreadsheet's; None: the first with such rows.
     """
-    path = Path(path)
-    if path.suffix.lower() in _BAGS or (path / "metadata.yaml").is_file():
-        return _bag(path, n_numbers, (sheet or "").split(","))
-    if not path.is_file():
+    path, suffix = Path(path), Path(path).suffix.lower()
+    is_bag = suffix in _BAGS or (path / "metadata.yaml").is_file()
+    if not (is_bag or path.is_file()):
         raise TableError(f"There is no file {path}.")
-    if path.suffix.lower() in SHEETS:
+    if suffix in SHEETS:
         return _find_sheet(path, n_numbers, sheet)
-    if sheet is not None:
+    if sheet is not None and not is_bag:
         raise TableError(f"--sheet is for spreadsheets, and {path} is none.")
-    if path.suffix.lower() in (".yaml", ".yml"):
-        check_installed("yaml")
-    if path.suffix.lower() in _ARRAYS:
+    check_installed(*["yaml"] * (suffix in (".yaml", ".yml")), *["rosbags"] * is_bag)
+    if suffix in _ARRAYS:
         return _arrays(path, n_numbers)
-    return _find_records(path, n_numbers) or find_dialect(path, n_numbers)
+    try:
+        if is_bag:
+            from sklearn_raacmm.app._bags import read_bag
+
+            found = read_bag(path, n_numbers, (sheet or "").split(","))
+        else:
+            encoding = find_encoding(path)
+            with open(path, encoding=encoding, newline="") as file:
+                head = file.read(HEAD_CHARACTERS)
+            found = find_records(head, partial(path.read_text, encoding), n_numbers)
+    except ValueError as error:
+        raise TableError(f"{path}: {error}") from None
+    if found is None:
+        return find_dialect(path, n_numbers)
+    what, names, rows = found
+    return Dialect(path, what=what, table=[(0, names), *rows] if names else rows)
 
 
 # -- text and spreadsheets ------------------------------------------------------------------------
@@ -254,7 +274,23 @@ def find_dialect(path, n_numbers):
             f"{path}: no row with {n_numbers} numbers was found; columns may be parted by "
             "semicolons, tabs, commas, bars or blanks."
         )
-    return best
+    return _turned(best, n_numbers) or best
+
+
+def _turned(source, n_numbers):
+    """The source of a table with a line for each joint, its name first; None of any other."""
+    rows = [cells for _, cells in islice(source.rows(), _LOOKED_AT)]
+    widths = {len(cells) for cells in rows}
+    if len(widths) > 1 or len(rows) * _WIDER > max(widths):
+        return None
+    texts = [[source.number(cell) is None for cell in cells] for cells in rows]
+    kinds = [set(of_row[1:]) for of_row in texts]
+    named = all(of_row[0] for of_row in texts) and {True, False} not in kinds
+    if not named or kinds.count({False}) < n_numbers:
+        return None
+    return replace(
+        source, what="A line for each joint", table=list(enumerate(zip(*rows, strict=True)))
+    )
 
 
 def _most_numbers(candidates, n_numbers):
@@ -373,18 +409,15 @@ def _arrays(path, n_numbers):
                 check_unpacked("the file", path)
             loaded = np.load(path, allow_pickle=False)
             content = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}
-        check_size(max(np.shape(v)[1] if np.ndim(v) > 1 else 1 for v in content.values()), 0)
+        content = dict(_fields_of(content))
+        check_size(max((v.shape[1] for v in content.values() if v.ndim > 1), default=1), 0)
     except NotImplementedError:  # HDF5
         raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
     except Exception as error:  # no such file, or one that would have to be unpickled
         raise TableError(f"{path} cannot be read: {str(error).rstrip('.')}.") from None
     columns: dict = {}
     for name, values in content.items():
-        if name.startswith("__") or not np.ndim(values):
-            continue
-        if values.dtype.names:
-            columns |= {field: values[field] for field in values.dtype.names}
-        elif values.ndim == 1:
+        if values.ndim == 1:
             columns[name] = values
         else:
             columns |= {f"{name}{i}": column for i, column in enumerate(values.T, 1)}
@@ -394,6 +427,23 @@ def _arrays(path, n_numbers):
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
     names = list(columns) if any(name.strip("0123456789") for name in columns) else []
     return Dialect(path, what="Arrays", table=_ArrayRows(names, list(columns.values())))
+
+
+def _fields_of(content):
+    """Yield names and arrays of rows: those of structures, too, and with a row for each time."""
+    for name, values in content.items():
+        if name.startswith("__") or not isinstance(values, np.ndarray):
+            continue
+        if values.dtype.names:
+            yield from _fields_of(
+                {
+                    field: values[field].item() if values.ndim == 0 else values[field]
+                    for field in values.dtype.names
+                }
+            )
+        elif values.ndim:
+            turned = values.ndim == 2 and values.shape[0] * _WIDER <= values.shape[1]
+            yield name, values.T if turned else values
 
 
 @dataclass(frozen=True)
@@ -410,30 +460,3 @@ class _ArrayRows:
             some = (column[start : start + _BLOCK_ROWS].tolist() for column in self.columns)
             for number, cells in enumerate(zip(*some, strict=True), start + 1):
                 yield number, [clean(cell) for cell in cells]
-
-
-# -- records: programs of robots, lists, echoes ---------------------------------------------------
-
-
-def _find_records(path, n_numbers):
-    """The rows of a file that is no table, but holds rows of numbers; None of any other."""
-    encoding = find_encoding(path)
-    with open(path, encoding=encoding, newline="") as file:
-        head = file.read(HEAD_CHARACTERS)
-    try:
-        found = find_records(head, partial(path.read_text, encoding), n_numbers)
-    except ValueError as error:
-        raise TableError(f"{path}: {error}") from None
-    return None if found is None else Dialect(path, what=found[0], table=found[1])
-
-
-def _bag(path, n_numbers, topics):
-    """The rows of a log of ROS."""
-    check_installed("rosbags")
-    from sklearn_raacmm.app._bags import read_bag
-
-    try:
-        what, names, rows = read_bag(path, n_numbers, topics)
-    except ValueError as error:
-        raise TableError(f"{path}: {error}") from None
-    return Dialect(path, what=what, table=[(0, names), *rows])

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import MEASURED, Columns
 from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.utils import Floats
 
 # Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
@@ -44,6 +46,8 @@ class Table:
         What was guessed, one sentence each.
     others : dict of str to ndarray of shape (n,)
         Further columns by name: numbers, or text where one cell is no number.
+    joint_types : str
+        Those of the arm: what slides is in mm.
     """
 
     angles: Floats
@@ -53,6 +57,7 @@ class Table:
     rows: np.ndarray
     notes: list[Any] = field(default_factory=list)
     others: dict[str, Any] = field(default_factory=dict)
+    joint_types: str = ""
 
 
 def read_table(
@@ -68,6 +73,7 @@ def read_table(
     counts_per_turn: ArrayLike | None = None,
     sheet: str | None = None,
     others: Iterable[str] = (),
+    joint_types: str = "",
 ) -> Table:
     r"""Read a table of joint angles as a logger, a robot or a spreadsheet program wrote it.
 
@@ -103,6 +109,9 @@ def read_table(
         Name or number of a spreadsheet's sheet. None: the first with such rows.
     others : iterable of str, default=()
         Names of further columns to hand on, such as a temperature.
+    joint_types : str, default=""
+        Those of an arm with joints that slide. Their columns have the names of its joints, or of an
+        external axis, such as E1 or rail, and their unit in the header, such as "E1 [mm]".
 
     Returns
     -------
@@ -139,6 +148,7 @@ class Layout(Columns):
     def __init__(
         self, path, n_joints, *, angles=None, position=None, points=None, angle_unit=None,
         labelled=True, joint_names=(), counts_per_turn=None, sheet=None, others=(), needed=True,
+        joint_types="",
     ):  # fmt: skip
         super().__init__(path, n_joints, sheet)
         self.points_file = points if isinstance(points, str | PathLike) else None
@@ -148,7 +158,8 @@ class Layout(Columns):
         taken = {*self.point_columns, *self.others.values()}
         if position is not None:
             taken.add(self.column(position, "--position"))
-        self.angle_columns = self.find_angles(angles, joint_names, taken)
+        self.types, slides = joint_types, slides_of(joint_types)
+        self.angle_columns = self.find_angles(angles, joint_names, taken, slides)
         self.labelled, self.position_column, self.needed = labelled and points is None, None, needed
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or self.label_columns):
@@ -161,7 +172,12 @@ class Layout(Columns):
         if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
             each = f"one for each of {n_joints} joints"
             raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
-        self.angle_unit = angle_unit or self.find_unit(self.angle_columns)
+        turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
+        self.angle_unit = angle_unit or (self.find_unit(turning) if turning else "rad")
+        if slides:
+            unit = np.broadcast_to(self.factor / self.turns, n_joints).copy()
+            unit[slides] = [self.mm_per_unit(self.angle_columns[i]) for i in slides]
+            self.factor, self.turns = unit, np.ones(1)
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
         self.notes += self.external_axes(used)
@@ -174,13 +190,16 @@ class Layout(Columns):
         labels, by_tracker = table.positions, self.points_file or self.point_columns
         # A name for each row is the pose's, where places are found without labels.
         of_each = labels is not None and len(set(labels.tolist())) == len(labels) > 1
-        if of_each and (by_tracker or not self.needed):
+        places = _places_in(labels) if of_each and not by_tracker else None
+        if of_each and (by_tracker or places is not None or not self.needed):
             column: Any = self.position_column
             name = self.header[column]
             labelled = f"Labels of the positions: {name}."
-            self.notes[:] = [note for note in self.notes if note != labelled]
-            self.notes += [f"Column {name} names each row: it says nothing of positions."]
-            table = replace(table, positions=None)
+            said = f"Column {name} names each row: it says nothing of positions."
+            if places is not None:
+                said = f"Labels of the positions: {name}, without the last number."
+            self.notes[:] = [said if note == labelled else note for note in self.notes]
+            table = replace(table, positions=places)
         if self.labelled and table.positions is not None:
             _refuse_lonely_labels(self.path, table)
         return _with_points(self, table, self.points_file) if self.points_file else table
@@ -194,9 +213,10 @@ class Layout(Columns):
             while block := list(islice(rows, n_rows)):
                 yield self._table(block), [cells for _, cells in block]
             return
-        number = self.header_row + 1
+        number, separator = self.header_row + 1, str(self.source.separator)
         while block := list(islice(lines, n_rows)):
-            yield self._plain_table(block, number), block
+            rows = [(i, line.split(separator)) for i, line in enumerate(block, number)]
+            yield self._table(rows), block
             number += len(block)
 
     def plain_lines(self):
@@ -225,16 +245,6 @@ class Layout(Columns):
             for line in islice(file, self.header_row, None):
                 yield line.rstrip("\r\n")
 
-    def _plain_table(self, lines, number):
-        """The table of some of these lines, of which the first has this number."""
-        separator = str(self.source.separator)
-        cells = separator.join(lines).split(separator)
-        angles = [list(map(float, cells[i :: self.width])) for i in self.angle_columns]
-        angles = self.factor * np.array(angles).T / self.turns
-        others = self._others(lambda i: cells[i :: self.width])
-        numbers = np.arange(number, number + len(lines))
-        return Table(angles, self.angle_unit, None, None, numbers, self.notes, others)
-
     def _table(self, rows):
         """The table of some rows."""
         positions = points = None
@@ -243,27 +253,35 @@ class Layout(Columns):
         if self.point_columns:
             points = self.points(rows, self.point_columns)
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
-        others = self._others(lambda i: [cells[i] for _, cells in rows])
-        numbers = np.array([number for number, _ in rows])
-        return Table(angles, self.angle_unit, positions, points, numbers, self.notes, others)
-
-    def _others(self, column):
-        """Further columns: numbers, or text where one cell is no number."""
-        found = {}
+        others: dict[str, Any] = {}
         for name, i in self.others.items():
-            cells = column(i)
-            values = self.source.numbers(cells)
-            found[name] = np.array(list(map(str, cells))) if np.isnan(values).any() else values
-        return found
+            given = [cells[i] for _, cells in rows]
+            values = self.source.numbers(given)
+            others[name] = np.array(list(map(str, given))) if np.isnan(values).any() else values
+        numbers = np.array([number for number, _ in rows])
+        read = positions, points, numbers, self.notes, others, self.types
+        return Table(angles, self.angle_unit, *read)
+
+
+def _places_in(labels):
+    """Labels without the last number, P1 of P1_1 and P1_2; None unless each then has some rows.
+
+    A Fanuc writes the number of a point before its name, 1:"P1".
+    """
+    own = [re.sub(r'^\d+\s*:\s*"(.+)"', r"\1", label) for label in labels.tolist()]
+    for places in (own, [re.sub(r"[\W_]*\d+\W*$", "", label) for label in own]):
+        counts = Counter(places)
+        if len(counts) > 1 and min(counts.values()) > 1:
+            return np.array(places)
+    return None
 
 
 def _refuse_lonely_labels(path, table):
-    labels, first, counts = np.unique(table.positions, return_index=True, return_counts=True)
-    several = labels[counts > 1].tolist()
-    lonely = counts == 1
-    for label, row in zip(labels[lonely].tolist(), table.rows[first[lonely]], strict=True):
-        near = get_close_matches(label, several, 1)
+    counts = Counter(table.positions.tolist())
+    for label in sorted(label for label, count in counts.items() if count == 1):
+        near = get_close_matches(label, [one for one, count in counts.items() if count > 1], 1)
         hint = f" Was {near[0]!r} meant?" if near else ""
+        row = table.rows[table.positions == label][0]
         raise TableError(f"{path}: row {row}: the position {label!r} is in this row only.{hint}")
 
 
@@ -291,6 +309,11 @@ def read_points(path, wanted=None):
     row. Points without coordinates are left out.
     """
     columns = Columns(path, 3)
+    axes = [
+        i for i in range(columns.width) if {str(c).lower() for c in columns.cells(i)} == {*"xyz"}
+    ]
+    if axes and not wanted:
+        return *_points_by_coordinate(columns, axes[0]), columns.notes[1:]
     found = _columns_of_points(columns, wanted)
     rows = list(columns.rows(found))
     notes = []
@@ -306,6 +329,18 @@ def read_points(path, wanted=None):
             own = [text_of_label(cells[i]) for _, cells in rows]
             names = own if names is None or len(set(names)) < len(set(own)) == len(own) else names
     return names, points, notes + columns.notes[1:]
+
+
+def _points_by_coordinate(columns, axis):
+    """Names and points of a table that has a row for each coordinate, as reports have them."""
+    numbers = columns.columns_of_numbers()
+    value = ([i for i in numbers if MEASURED.search(columns.names[i])] or numbers)[0]
+    rows = list(columns.rows([value]))
+    names = [text_of_label(cells[axis - 1]) for _, cells in rows]
+    if [str(cells[axis]).lower() for _, cells in rows] != [*"xyz"] * (len(rows) // 3):
+        raise TableError(f"{columns.path}: a point needs its x, y and z in rows one after another.")
+    columns.notes.append(f"Coordinates of {columns.path}: {columns.header[value]}.")
+    return names[::3] if axis else None, columns.points(rows, [value]).reshape(-1, 3)
 
 
 def _columns_of_points(columns, wanted):

@@ -3,16 +3,28 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm
+from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm, without_first
 from sklearn_raacmm.arm._built_in import usual_pose
-from sklearn_raacmm.arm._checks import MAX_LENGTH_MM, MIN_LENGTH_MM, check_angles
+from sklearn_raacmm.arm._checks import (
+    MAX_LENGTH_MM,
+    MIN_LENGTH_MM,
+    check_angles,
+    in_unit,
+    scale_of,
+    slides_of,
+)
 from sklearn_raacmm.arm._kinematics import (
     FIELDS,
     axis_vectors,
     carried,
+    joint_axes,
     own_angles,
     parameter_jacobian,
+    phases,
     points_of,
+    random_poses,
+    spans_of,
+    turn_mm,
 )
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
 from sklearn_raacmm.arm._urdf import read_far_axes
@@ -28,11 +40,20 @@ __all__ = [
     "carried",
     "check_angles",
     "check_arm",
+    "in_unit",
+    "joint_axes",
     "limits_of",
     "own_angles",
     "parameter_jacobian",
+    "phases",
     "points_of",
+    "random_poses",
     "read_far_axes",
+    "scale_of",
+    "slides_of",
     "solve",
+    "spans_of",
+    "turn_mm",
     "usual_pose",
+    "without_first",
 ]

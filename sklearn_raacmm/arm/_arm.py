@@ -15,19 +15,22 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
-from sklearn_raacmm.arm._checks import check_angles, check_fields, floats
+from sklearn_raacmm.arm._checks import check_angles, check_fields, floats, in_unit, slides_of
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import (
     by_given_angles,
     frame_poses,
     parameter_jacobian,
     points_of,
+    spans_of,
 )
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
+# Cosines smaller than this are rounding.
+_ROUNDING = 1e-12
 # Arms of fewer joints have no wrist where the default poses suppose it.
 _FEW_JOINTS = 5
 
@@ -36,7 +39,8 @@ _FEW_JOINTS = 5
 class Arm:
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
-    An immutable value, equal and hashable by content. Lengths are in mm, angles in rad.
+    An immutable value, equal and hashable by content. Lengths are in mm, angles in rad. Of joints
+    that slide, such as rails and columns, what the encoders give are mm: see `joint_types`.
 
     Parameters
     ----------
@@ -59,7 +63,8 @@ class Arm:
 
         with ``theta_i = joint_signs_i * angle_i + theta_offset_i``, see also `couplings`.
     joint_signs : {-1, 1} or array-like of shape (n_joints,), default=1
-        Direction in which each encoder counts: -1 where it counts against the table's angle.
+        Direction in which each encoder counts: -1 where it counts against the table's angle. Of a
+        joint that slides with its scale, as a calibration finds it, such as 1.00003.
     pose_joints : tuple of two int, default=(3, 4)
         Numbers, from 1, of the joints that make the pose: swivel and elbow.
     pose_frames : tuple of two int, default=(2, 5)
@@ -70,7 +75,8 @@ class Arm:
     names : sequence of str, default=()
         Names of the joints, as in the robot's own description.
     limits : array-like of shape (n_joints, 2), default=None
-        Lower and upper limit of each joint angle in rad; infinite where a joint has none.
+        Lower and upper limit of each joint angle in rad, or of its travel in mm; infinite where a
+        joint has none. What slides without limits is taken to go 2 m to either side.
     up : array-like of shape (3,), default=(0, 0, 1)
         Direction against gravity in the base frame, of any length: kept as a unit vector. The
         default is an arm that stands upright; an arm whose base's x axis points to the ceiling,
@@ -82,13 +88,18 @@ class Arm:
         angle_2`` of what the controller gives, as on arms whose third angle counts from the
         horizontal; -1 takes the other angle off. The error of a joint's encoder is one of its own
         angle.
+    joint_types : str or sequence of str, default=None
+        A letter for each joint, such as "PRRRRRR" for a robot on a rail: "R" turns about the z axis
+        of its row, "P" slides along it. Of a joint that slides `d` is where it stands at 0,
+        ``joint_signs_i * mm_i`` is added to it, and ``theta_offset`` is a fixed angle. What the
+        arm's model learns of it are the six errors of a linear axis (ISO 230-1). None: all turn.
 
     Attributes
     ----------
     n_joints : int
         Number of joints.
     reach_mm : float
-        Length of the stretched arm, an upper bound of its reach.
+        Length of the stretched arm with its slides run out, an upper bound of its reach.
 
     Notes
     -----
@@ -122,6 +133,7 @@ class Arm:
     limits: Floats | None = None
     up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
     couplings: tuple[tuple[int, int, int], ...] = ()
+    joint_types: str = None  # type: ignore[assignment]
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -142,6 +154,7 @@ class Arm:
             limits: ArrayLike | None = None,
             up: ArrayLike = (0.0, 0.0, 1.0),
             couplings: Sequence[Sequence[int]] = (),
+            joint_types: str | Sequence[str] | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -180,7 +193,8 @@ class Arm:
             f", joint {i} at J{i} {'+' if factor > 0 else '-'} J{j}"
             for i, j, factor in self.couplings
         )
-        kind = f"{self.n_joints} joints, {self.convention} DH"
+        types = f" ({self.joint_types})" if "P" in self.joint_types else ""
+        kind = f"{self.n_joints} joints{types}, {self.convention} DH"
         return f"<Arm{name}: {kind}, probe ({probe}) mm{up}{sums}>"
 
     def __str__(self) -> str:
@@ -193,8 +207,9 @@ class Arm:
         """Number, sign, a, alpha, d and theta offset of each joint as text; mm and degrees."""
         columns = (self.a, np.rad2deg(self.alpha), self.d, np.rad2deg(self.theta_offset))
         for i, values in enumerate(zip(*columns, strict=True)):
-            sign = f"{self.joint_signs[i]:+.0f}"
-            yield str(i + 1), sign, *(f"{value:.4f}" for value in values)
+            number = f"{i + 1}{' P' * (self.joint_types[i] == 'P')}"
+            sign = f" {self.joint_signs[i]:+.7g}"  # of a slide its scale
+            yield number, sign, *(f"{value:.4f}" for value in values)
 
     def _repr_html_(self):
         header = ["joint", "sign", "a / mm", "alpha / deg", "d / mm", "theta offset / deg"]
@@ -210,8 +225,13 @@ class Arm:
 
     @cached_property
     def reach_mm(self) -> float:
-        """Length of the stretched arm, an upper bound of its reach."""
-        return float(np.hypot(self.a, self.d).sum() + np.linalg.norm(self.probe))
+        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
+        d = self.d
+        if slides := slides_of(self.joint_types):
+            d = d.copy()
+            at_ends = self.d + self.joint_signs * spans_of(self)
+            d[slides] = np.abs(at_ends).max(axis=0)[slides]
+        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
 
     def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.
@@ -277,7 +297,8 @@ class Arm:
             - "panda", "iiwa7", "iiwa14": the Franka Panda and the KUKA LBR iiwa, nominal;
             - "ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e": Universal Robots, nominal.
               Three axes are parallel, so that the pose is joint 4 and joint 3;
-            - "irb120": the ABB IRB 120, nominal.
+            - "irb120": the ABB IRB 120, nominal;
+            - "ur10_rail": a UR10 on a rail of 4 m, an example of a joint that slides.
 
             The probe of the robots is the centre of their flange.
         **changes : dict
@@ -413,7 +434,7 @@ class Arm:
     def from_urdf(
         cls, source: str | PathLike[str], *, base: str | None = None, tip: str | None = None
     ) -> "Arm":
-        """Read a chain of revolute joints from a URDF file.
+        """Read a chain of revolute and prismatic joints from a URDF file.
 
         The table follows from the common normals of the axes. Fixed joints are folded in; angles
         such as "1.5708", which are pi/2 rounded, are taken as pi/2. The order of the joints is
@@ -440,7 +461,7 @@ class Arm:
         ------
         ValueError
             If the file is no URDF, branches and `base` or `tip` is not given, or a joint on the
-            way is prismatic or of another kind: the sentence names it.
+            way is planar or of another kind: the sentence names it.
 
         Warns
         -----
@@ -460,7 +481,7 @@ class Arm:
         return read_urdf(cls, source, base, tip)[0]
 
     def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
-        """Write the arm as a URDF file: links without shape, revolute joints, and the probe.
+        """Write the arm as a URDF file: links without shape, moving joints, and the probe.
 
         Joints have the names and limits of the arm; without limits they turn a hundred times.
         Where the robot has a file of its own, `update_urdf` keeps what else stands there.
@@ -539,9 +560,9 @@ class Arm:
         Parameters
         ----------
         angles : array-like of shape (n_samples, n_joints)
-            Joint angles as the encoders give them.
+            Joint angles as the encoders give them; of joints that slide, mm.
         angle_unit : {"rad", "deg"}, default="rad"
-            Unit of `angles`.
+            Unit of the angles. What slides is in mm with either.
 
         Returns
         -------
@@ -552,7 +573,7 @@ class Arm:
         ------
         ValueError
             If `angles` has another number of columns than the arm has joints, or holds NaN,
-            infinity or something that is not a number.
+            infinity or something that is not a number, or a slide is more than 100 m away.
 
         Warns
         -----
@@ -560,7 +581,7 @@ class Arm:
             If an angle is more than two turns, or if all degrees are below 2 pi: most likely
             another unit.
         """
-        return points_of(self, check_angles(angles, self.n_joints, angle_unit))
+        return points_of(self, check_angles(angles, self.joint_types, angle_unit))
 
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Azimuth of the probe about the base's z axis.
@@ -591,7 +612,7 @@ class Arm:
         ndarray of shape (n_samples, n_joints + 1, 3, 4)
             ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
         """
-        return frame_poses(self, check_angles(angles, self.n_joints, angle_unit))
+        return frame_poses(self, check_angles(angles, self.joint_types, angle_unit))
 
     def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Compute the derivative of the probe's position by each joint angle.
@@ -605,10 +626,14 @@ class Arm:
         -------
         ndarray of shape (n_samples, 3, n_joints)
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
-            vector from the axis to the probe.
+            vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
         """
-        n, angles = self.n_joints, check_angles(angles, self.n_joints, angle_unit)
-        return by_given_angles(self, parameter_jacobian(self, angles)[1][:, :, 3 * n : 4 * n])
+        n, angles = self.n_joints, check_angles(angles, self.joint_types, angle_unit)
+        jacobian = parameter_jacobian(self, angles)[1]
+        by_own = jacobian[:, :, 3 * n : 4 * n]
+        if slides := slides_of(self.joint_types):
+            by_own[:, :, slides] = jacobian[:, :, 2 * n : 3 * n][:, :, slides]
+        return by_given_angles(self, by_own)
 
     def angles_for(
         self,
@@ -658,9 +683,8 @@ class Arm:
         """
         check_option("angle_unit", angle_unit, ("rad", "deg"))
         if start is not None:
-            start = check_angles(start, self.n_joints, angle_unit)
-        angles = angles_for(self, points, start, orientations)
-        return np.rad2deg(angles) if angle_unit == "deg" else angles
+            start = check_angles(start, self.joint_types, angle_unit)
+        return in_unit(angles_for(self, points, start, orientations), self.joint_types, angle_unit)
 
 
 def _write_text(text, path):
@@ -695,3 +719,21 @@ def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm
     if n_columns != arm.n_joints + len(extra):
         raise ValueError(f"X has {n_columns} columns, but {needed}.")
     return arm
+
+
+def without_first(arm: Arm) -> Arm:
+    """The arm behind its first joint, in the base that this joint carries."""
+    n, turn = arm.n_joints - 1, arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, :3]
+    up = turn.T @ arm.up
+    fields: dict[str, Any] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
+    for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
+        fields[name] = getattr(arm, name)[1:]
+    fields["limits"] = None if arm.limits is None else arm.limits[1:]
+    if fields["limits"] is not None and not np.isfinite(fields["limits"]).any():
+        fields["limits"] = None
+    fields["couplings"] = [(i - 1, j - 1, factor) for i, j, factor in arm.couplings]
+    joints, frames = (tuple(np.subtract(pair, 1)) for pair in (arm.pose_joints, arm.pose_frames))
+    pose: dict[str, Any] = {"pose_joints": joints, "pose_frames": frames}
+    if min(joints) < 1 or min(frames) < 0:
+        pose = usual_pose(n, False, arm.convention)
+    return arm.replace(**fields, **pose)

@@ -34,6 +34,8 @@ def _iiwa(shoulder, upper):
     }
 
 
+_UR10: Any = _ur(127.3, 612.0, 572.3, 163.941, 115.7, 92.2)
+
 BUILT_IN: dict = {
     # Table 2 of article 1760190, Mathematical Problems in Engineering 2018: identified.
     "aacmm6": {
@@ -56,11 +58,21 @@ BUILT_IN: dict = {
     # those of the package ur_description, the UR16e's and the UR5's of other open kinematics too.
     "ur3": _ur(151.9, 243.65, 213.25, 112.35, 85.35, 81.9),
     "ur5": _ur(89.159, 425.0, 392.25, 109.15, 94.65, 82.3),
-    "ur10": _ur(127.3, 612.0, 572.3, 163.941, 115.7, 92.2),
+    "ur10": _UR10,
     "ur3e": _ur(151.85, 243.55, 213.2, 131.05, 85.35, 92.1),
     "ur5e": _ur(162.5, 425.0, 392.2, 133.3, 99.7, 99.6),
     "ur10e": _ur(180.7, 612.7, 571.55, 174.15, 119.85, 116.55),
     "ur16e": _ur(180.7, 478.4, 360.0, 174.15, 119.85, 116.55),
+    # The rail is horizontal, along the z axis of the base.
+    "ur10_rail": {
+        **{f: [v, *_UR10[f]] for f, v in (("a", 0.0), ("alpha", -90.0), ("d", 0.0))},
+        "pose_joints": (5, 4),
+        "pose_frames": (2, 4),
+        "names": ("rail", *_UR_NAMES),
+        "joint_types": "PRRRRRR",
+        "limits": [(0.0, 4000.0)] + 6 * [(None, None)],
+        "up": (0.0, 1.0, 0.0),
+    },
     # KUKA Sunrise Toolbox (constDhDataOf14R820); for the R800 the twists and lengths of
     # explicit-robotics: shoulder at 0.34, elbow at 0.74, wrist at 1.14 m.
     "iiwa7": _iiwa(340.0, 400.0),

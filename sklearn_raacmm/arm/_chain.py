@@ -1,4 +1,4 @@
-"""Chains of revolute joints in a robot's own files: URDF, and UR's calibration in YAML."""
+"""Chains of moving joints in a robot's own files: URDF, and UR's calibration in YAML."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -29,7 +29,7 @@ _OTHERS = {
     "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
     "COLLADA": ", that of shapes: take the URDF that names them",
 }
-# Limits that are written where an arm has none: a hundred turns, rad.
+# Limits that are written where an arm has none: a hundred turns, rad, or as many m.
 _FAR = 628.0
 # Digits of a rotation: the cosine of pi/2 is 0, so that parallel axes stay parallel.
 _DIGITS = 15
@@ -64,6 +64,7 @@ class Joint(NamedTuple):
     limits: tuple
     child: str = ""  # the link behind it
     rounded: float = 0.0  # largest difference of an angle as it was meant from that written, rad
+    slides: bool = False
 
 
 def read_chain(source, base=None, tip=None):
@@ -170,11 +171,12 @@ def _one_of(ends, given, what, links, where):
 def _joint(element, where):
     """A joint as the file has it, in mm."""
     name, kind = element.get("name"), element.get("type")
-    if kind not in ("revolute", "continuous", "fixed"):
+    slides = kind == "prismatic"
+    if not slides and kind not in ("revolute", "continuous", "fixed"):
         before, after = element.find("parent").get("link"), element.find("child").get("link")
         raise ValueError(
-            f"{where}: joint {name!r} is {kind}; only revolute joints are known. base={after!r} "
-            f"begins behind it, tip={before!r} ends before it."
+            f"{where}: joint {name!r} is {kind}; only joints that turn or slide are known. "
+            f"base={after!r} begins behind it, tip={before!r} ends before it."
         )
     if element.find("mimic") is not None:
         raise ValueError(f"{where}: joint {name!r} mimics another; the arm has no such joints.")
@@ -190,14 +192,15 @@ def _joint(element, where):
             raise ValueError(f"{where}: the axis of joint {name!r} has no direction.")
         axis = axis / np.linalg.norm(axis)
     limit = element.find("limit")
-    if kind == "revolute" and limit is not None:
+    if kind in ("revolute", "prismatic") and limit is not None:
         try:
             ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
             ends = (-np.inf, np.inf) if ends == (-_FAR, _FAR) else ends
+            ends = tuple(MM_PER_M * end for end in ends) if slides else ends
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
     place, child = pose_of(MM_PER_M * np.array(xyz), rpy), element.find("child").get("link")
-    return Joint(name, place, axis, ends, child, max(off, default=0.0))
+    return Joint(name, place, axis, ends, child, max(off, default=0.0), slides)
 
 
 def rigid(turn, shift):
@@ -338,12 +341,19 @@ def _xyz_rpy(origin):
 
 
 def warn_of_sums(arm):
-    """Say what a file leaves out of an arm whose angles are sums."""
+    """Say what a file leaves out of an arm whose angles are sums, or whose slides have a scale."""
     if arm.couplings:
         sums = ", ".join(f"J{i} {'-+'[f > 0]} J{j}" for i, j, f in arm.couplings)
         warn_user(
             f"A robot's own file has no joints whose angles are sums: it takes the angles of the "
             f"joints themselves, {sums}, which whoever reads the file has to add."
+        )
+    scales = [i for i in range(arm.n_joints) if abs(arm.joint_signs[i]) != 1]
+    if scales:
+        said = ", ".join(f"J{i + 1} by {abs(arm.joint_signs[i]):.8g}" for i in scales)
+        warn_user(
+            "A robot's own file has no scale of a joint that slides: whoever reads the file has to "
+            f"multiply {said}."
         )
 
 
@@ -360,25 +370,27 @@ def urdf_text(arm):
             origin = link @ pose_of((0, 0, arm.d[i]), (0, 0, arm.theta_offset[i]))
         limits = arm.limits[i] if arm.limits is not None else (-np.inf, np.inf)
         name = arm.names[i] if arm.names else f"joint{i + 1}"
-        rows.append((name, origin, arm.joint_signs[i], limits))
-    rows.append(("probe_joint", before @ rigid(np.eye(3), arm.probe), None, ()))
+        kind, unit = ("prismatic", MM_PER_M) if arm.joint_types[i] == "P" else ("revolute", 1.0)
+        rows.append((name, origin, kind, arm.joint_signs[i], np.divide(limits, unit)))
+    rows.append(("probe_joint", before @ rigid(np.eye(3), arm.probe), "fixed", 0, ()))
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
     if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
         mount = rigid(turn_between(arm.up, [0.0, 0.0, 1.0]), 0.0)
-        rows, links = [(_MOUNT, mount, None, ()), *rows], [_WORLD, *links]
+        rows, links = [(_MOUNT, mount, "fixed", 0, ()), *rows], [_WORLD, *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
-    for parent, child, (name, origin, sign, limits) in zip(links, links[1:], rows, strict=False):
+    for parent, child, (name, origin, kind, sign, limits) in zip(
+        links, links[1:], rows, strict=False
+    ):
         xyz, rpy = _xyz_rpy(origin)
-        kind = "fixed" if sign is None else "revolute"
         lines += [
             f'  <joint name={quoteattr(name)} type="{kind}">',
             f'    <parent link="{parent}"/>',
             f'    <child link="{child}"/>',
             f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
-            *([] if sign is None else [f'    <axis xyz="0 0 {sign:.0f}"/>']),
+            *([] if kind == "fixed" else [f'    <axis xyz="0 0 {sign:.0f}"/>']),
         ]
-        if kind == "revolute":  # the format asks for effort and velocity, which nobody measured
+        if kind != "fixed":  # the format asks for effort and velocity, which nobody measured
             # Of a continuous joint some programs make two numbers: one without limits turns far.
             is_free = not np.isfinite(limits).all()
             low, high = (-_FAR, _FAR) if is_free else map(float, limits)

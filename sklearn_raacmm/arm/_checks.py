@@ -17,6 +17,8 @@ _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
 _NO_LIMITS = (-np.inf, np.inf)
 # Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
 _ABSURD_DEG = 3600.0
+# No scale of a rail is off by as much: it would be in another unit.
+_MOST_SCALE = 0.1
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
 # A nanometre: on any arm, shorter lengths and their directions are made of rounding.
@@ -27,26 +29,33 @@ def check_fields(arm: Any) -> dict[str, Any]:
     """Fields of an `Arm` as it keeps them; each fault gets one clear sentence."""
     a = check_numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
     n = a.size
+    types = check_types(arm.joint_types, n)
     checked = {
         "a": a,
         "alpha": check_numbers("alpha", arm.alpha, n, "rad", 2 * np.pi),
         "d": check_numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
         "theta_offset": check_numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
         "probe": check_numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
-        "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 1, True),
+        "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 2, True),
         "pose_joints": check_pair("pose_joints", arm.pose_joints, 1, n),
         "pose_frames": check_pair("pose_frames", arm.pose_frames, 0, n),
         "names": check_names(arm.names, n),
         "limits": check_limits(arm.limits, n),
         "up": check_direction("up", arm.up),
-        "couplings": check_couplings(arm.couplings, n),
+        "couplings": check_couplings(arm.couplings, n, types),
+        "joint_types": types,
     }
-    if np.any(np.abs(checked["joint_signs"]) != 1):
-        raise ValueError(f"joint_signs must be -1 or 1 each, got {arm.joint_signs!r:.60}.")
+    off = np.abs(np.abs(checked["joint_signs"]) - 1)
+    if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
+        raise ValueError(
+            f"joint_signs must be -1 or 1 each, or of a joint that slides within {_MOST_SCALE:.0%} "
+            f"of it, got {arm.joint_signs!r:.60}."
+        )
     check_option("convention", arm.convention, ("standard", "modified"))
     if not is_name(arm.name):
         raise ValueError(f"name must be a string of whole characters, got {arm.name!r:.60}.")
-    if not any(np.any(np.abs(checked[field]) > MIN_LENGTH_MM) for field in ("a", "d", "probe")):
+    lengths = (checked[field] for field in ("a", "d", "probe"))
+    if "P" not in types and not any(np.any(np.abs(one) > MIN_LENGTH_MM) for one in lengths):
         raise ValueError(
             f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
             "length does not move its probe."
@@ -54,8 +63,19 @@ def check_fields(arm: Any) -> dict[str, Any]:
     return checked
 
 
-def check_couplings(value, n):
-    """Triples of two different joints, from 1, and 1 or -1."""
+def check_types(value, n):
+    """A letter for each joint, as one string: R where it turns, P where it slides."""
+    types = "R" * n if value is None else "".join(map(str, value)).upper()
+    if len(types) != n or set(types) - {"P", "R"}:
+        raise ValueError(
+            f"joint_types must have a letter for each of {n} joints, R where it turns and P where "
+            f"it slides, such as {'PRRRRRRR'[:n]!r}, got {value!r:.60}."
+        )
+    return types
+
+
+def check_couplings(value, n, types):
+    """Triples of two different joints of one kind, from 1, and 1 or -1."""
     couplings = tuple(tuple(one) for one in value)
     joints = [str(i) for i in range(1, n + 1)]
     for one in couplings:
@@ -64,6 +84,11 @@ def check_couplings(value, n):
             raise ValueError(
                 f"couplings must hold triples of two different joints from 1 to {n} and 1 or -1, "
                 f"such as (3, 2, 1), got {one!r:.60}."
+            )
+        if types[int(one[0]) - 1] != types[int(one[1]) - 1]:
+            raise ValueError(
+                f"couplings hold {one!r:.60}, but of joints {one[0]} and {one[1]} one turns and "
+                "the other slides: rad and mm have no sum."
             )
     return tuple(sorted(tuple(map(int, one)) for one in couplings))
 
@@ -117,7 +142,7 @@ def is_name(value):
 
 
 def check_limits(limits: Any, n: int) -> Any:
-    """Lower and upper limit of each joint in rad, read-only; None where there are none."""
+    """Lower and upper limit of each joint, rad or mm, read-only; None where there are none."""
     if limits is None:
         return None
     if isinstance(limits, list | tuple):  # None, where a file cannot hold infinity
@@ -147,10 +172,15 @@ def check_pair(name, value, low, high):
     return tuple(pair.astype(int).tolist())
 
 
-def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
-    """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another."""
+def check_angles(angles: Any, joints: int | str, angle_unit: str) -> np.ndarray:
+    """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another.
+
+    `joints` are how many there are, or the `joint_types` of an arm: what slides is in mm, whatever
+    the unit of the angles.
+    """
     check_option("angle_unit", angle_unit, ("rad", "deg"))
     angles = floats("angles", angles)
+    n_joints = joints if isinstance(joints, int) else len(joints)
     if angles.ndim != 2 or angles.shape[1] != n_joints:
         raise ValueError(
             f"angles must have shape (n_samples, {n_joints}) for an arm of "
@@ -158,6 +188,20 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
         )
     if not len(angles):
         return angles
+    if slides := slides_of(joints):
+        turned, mm = angles.copy(), angles[:, slides]
+        largest = np.abs(mm).max(axis=0)
+        if not np.all(largest <= MAX_LENGTH_MM):  # false for NaN, too
+            i = int(np.argmin(largest <= MAX_LENGTH_MM))
+            row = int(np.argmin(np.abs(mm[:, i]) <= MAX_LENGTH_MM))
+            raise ValueError(
+                f"joint {slides[i] + 1} slides, and is at {mm[row, i]:g} mm in row {row}: a finite "
+                f"number of at most {MAX_LENGTH_MM:g} mm is needed."
+            )
+        turned[:, slides] = 0.0
+        turned = check_angles(turned, n_joints, angle_unit)
+        turned[:, slides] = mm
+        return turned
     # Max and min carry NaN along: one pass each, and no mask of the size of the data.
     if angle_unit == "rad" and max(angles.max(), -angles.min()) <= _WARN_RAD:  # false for NaN
         return angles
@@ -185,3 +229,20 @@ def check_angles(angles: Any, n_joints: int, angle_unit: str) -> np.ndarray:
         return np.deg2rad(angles)
     Finding("angle-unit", text, advice, weight, joints=(joint,)).report()
     return angles if angle_unit == "rad" else np.deg2rad(angles)
+
+
+def slides_of(joints: int | str) -> list[int]:
+    """Numbers, from 0, of the joints that slide, of how many there are or their types."""
+    if isinstance(joints, int) or "P" not in joints:  # nearly all, and a pose takes 20 us
+        return []
+    return [i for i, kind in enumerate(joints) if kind == "P"]
+
+
+def in_unit(angles: np.ndarray, types: str, angle_unit: str) -> np.ndarray:
+    """Joints (n, n_joints) in rad and mm with their angles in the unit asked for."""
+    return angles if angle_unit == "rad" else angles * scale_of(types, 180 / np.pi)
+
+
+def scale_of(types: str, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
+    """A number for each joint, (n_joints,): one for those that turn, one for those that slide."""
+    return np.where([kind == "P" for kind in types], of_slides, of_turns)

@@ -25,12 +25,14 @@ _JSON_KEYS = {
     "pose_joints": "pose_joints",
     "pose_frames": "pose_frames",
 }
-# These may be missing.
-_OPTIONAL_KEYS = {
-    "names": "joint_names",
-    "limits": "limits_rad",
+# These may be missing, by their keys.
+_OPTIONAL = {
+    "joint_names": "names",
+    "limits_rad": "limits",
+    "limits_rad_mm": "limits",  # where joints slide
     "up": "up",
     "couplings": "couplings",
+    "joint_types": "joint_types",
 }
 
 
@@ -47,7 +49,7 @@ def read_fields(source: Any) -> tuple[dict[str, Any], str]:
     missing = [key for key in _JSON_KEYS.values() if key not in content]
     if missing:
         raise ValueError(f"{where} lacks the field {missing[0]!r}.")
-    keys = _JSON_KEYS | {f: key for f, key in _OPTIONAL_KEYS.items() if key in content}
+    keys = _JSON_KEYS | {field: key for key, field in _OPTIONAL.items() if key in content}
     unknown = sorted(set(content) - {*keys.values(), "format", "format_version"})
     if unknown:  # misspelt, or of a later version: it would be ignored silently
         raise ValueError(f"{where} has the unknown field {unknown[0]!r:.60}.")
@@ -67,11 +69,13 @@ def json_text(arm: Any) -> str:
         content["joint_names"] = list(arm.names)
     if arm.limits is not None:  # JSON has no infinity
         shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
-        content["limits_rad"] = shown.tolist()
+        content["limits_rad_mm" if "P" in arm.joint_types else "limits_rad"] = shown.tolist()
     if arm.up.tolist() != [0, 0, 1]:  # files of upright arms are read by earlier versions, too
         content["up"] = arm.up.tolist()
     if arm.couplings:
         content["couplings"] = [list(one) for one in arm.couplings]
+    if "P" in arm.joint_types:
+        content["joint_types"] = arm.joint_types
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.arm._checks import slides_of
 from sklearn_raacmm.utils import chunks
 
 # Fields of `Arm` that are its static parameters, in the order of `parameter_jacobian`.
 FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 # Rows computed at once: the working set of a chunk (about 30 rows of float64) stays in the cache.
 CHUNK_ROWS = 4096
+# What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
+_TRAVEL_MM = 2000.0
 
 
 def own_angles(arm: Any, angles: np.ndarray) -> np.ndarray:
@@ -25,8 +28,57 @@ def own_angles(arm: Any, angles: np.ndarray) -> np.ndarray:
     return own
 
 
+def joint_axes(arm: Any) -> np.ndarray:
+    """Place of what each joint does to the probe, (n_joints,), among the `axis_vectors`."""
+    n, turns = len(arm.a), 3 * (np.arange(len(arm.a)) + (arm.convention == "modified")) + 2
+    turns[slides_of(arm.joint_types)] += 3 * (n + 1)
+    return turns
+
+
+def phases(arm: Any, angles: np.ndarray) -> np.ndarray:
+    """What waves of each joint's error are waves of, (n, n_joints) rad: its `own_angles`.
+
+    For a joint that slides a turn is twice its travel, and a multiple of 200 mm, so that whole
+    numbers of waves have the pitches of usual screws and racks.
+    """
+    own = own_angles(arm, angles)
+    if slides := slides_of(arm.joint_types):
+        own = own.copy()
+        own[:, slides] *= 2 * np.pi / turn_mm(arm)[slides]
+    return own
+
+
+def turn_mm(arm: Any) -> np.ndarray:
+    """Travel in mm (n_joints,) that counts as one turn in `phases`, of the joints that slide."""
+    low, high = spans_of(arm)
+    return 200.0 * np.maximum(np.ceil((high - low) / 100.0), 1.0)
+
+
+def spans_of(arm: Any) -> np.ndarray:
+    """From where to where joints are taken to go, (2, n_joints): a turn; the limits of a slide."""
+    spans = np.array([[-np.pi], [np.pi]]) * np.ones(len(arm.a))
+    if slides := slides_of(arm.joint_types):
+        limits = np.full((2, len(arm.a)), np.nan) if arm.limits is None else arm.limits.T
+        for i in slides:
+            known = np.isfinite(limits[:, i])
+            spans[:, i] = np.where(known, limits[:, i], (-_TRAVEL_MM, _TRAVEL_MM))
+            if known.sum() == 1:  # so far from the end that is known
+                end = 1 - int(np.argmax(known))
+                spans[end, i] = limits[1 - end, i] + (2 * end - 1) * 2 * _TRAVEL_MM
+    return spans
+
+
+def random_poses(arm: Any, n: int, rng: Any = None) -> np.ndarray:
+    """Poses (n, n_joints) anywhere in the `spans_of` an arm, in rad and mm."""
+    rng = np.random.default_rng(0) if rng is None else rng
+    return rng.uniform(*spans_of(arm), (n, len(arm.a)))
+
+
 def by_given_angles(arm: Any, jacobian: np.ndarray) -> np.ndarray:
-    """Derivatives (..., n_joints) by what the encoders give, of those by theta of the table."""
+    """Derivatives (..., n_joints) by what the encoders give, of those by theta of the table.
+
+    Of joints that slide by d.
+    """
     by_own = jacobian * arm.joint_signs
     jacobian = by_own.copy() if arm.couplings else by_own
     for joint, other, factor in arm.couplings:
@@ -35,11 +87,18 @@ def by_given_angles(arm: Any, jacobian: np.ndarray) -> np.ndarray:
 
 
 def _rows_of_table(arm, angles):
-    """Of each joint: cosines and sines of theta (n_joints, n_samples), a, d, cos and sin alpha."""
+    """Of each joint: cosines and sines of theta (n_joints, n_samples), a, d, cos and sin alpha.
+
+    Of a joint that slides d is (n_samples,), where there are several.
+    """
     angles = own_angles(arm, angles)
     theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
-    links = (part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha)))
+    links = [part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))]
+    for i in slides_of(arm.joint_types):
+        theta[i] = arm.theta_offset[i]
+        d = arm.d[i] + arm.joint_signs[i] * angles[:, i]
+        links[1][i] = float(d[0]) if len(d) == 1 else d
     return np.cos(theta), np.sin(theta), *links
 
 
@@ -84,6 +143,8 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
 def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin, a, d, cos_alpha, sin_alpha = _rows_of_table(arm, angles)
+    if len(angles) == 1:
+        cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()  # as in `carried`
     out = np.zeros((len(a) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
     x, y, z, origin = out[0]
@@ -135,12 +196,13 @@ def axis_vectors(
     """
     frames = frame_columns(arm, angles)
     probe = probe_from_frames(arm, frames, probes)
-    axes = np.moveaxis(frames[:, :3], 2, 0)  # (3, n_frames, 3, n)
-    lever = np.moveaxis(probe - frames[:, 3], 1, 0)[:, :, None]
+    # Not `np.moveaxis`: of one row its checks cost as much as the arrays.
+    axes = frames[:, :3].transpose(2, 0, 1, 3)  # (3, n_frames, 3, n)
+    lever = (probe - frames[:, 3]).swapaxes(0, 1)[:, :, None]
     n_axes = 3 * len(frames)
     vectors = np.empty((len(angles), 3, 2 * n_axes))
-    vectors[:, :, :n_axes] = np.moveaxis(cross(axes, lever).reshape(3, n_axes, -1), 2, 0)
-    vectors[:, :, n_axes:] = np.moveaxis(axes.reshape(3, n_axes, -1), 2, 0)
+    vectors[:, :, :n_axes] = cross(axes, lever).reshape(3, n_axes, -1).transpose(2, 0, 1)
+    vectors[:, :, n_axes:] = axes.reshape(3, n_axes, -1).transpose(2, 0, 1)
     places = np.concatenate([frames[:, 3], probe[None]]).transpose(2, 1, 0)
     return vectors, places
 

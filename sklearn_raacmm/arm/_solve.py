@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._kinematics import axis_vectors, by_given_angles, frame_poses, points_of
+from sklearn_raacmm.arm._checks import scale_of
+from sklearn_raacmm.arm._kinematics import (
+    axis_vectors,
+    by_given_angles,
+    frame_poses,
+    joint_axes,
+    points_of,
+    spans_of,
+)
 from sklearn_raacmm.utils import floats, warn_user
 
 # Points are within this of the wanted ones, mm; an orientation's error counts times the reach.
@@ -40,13 +48,15 @@ def angles_for(
             f"start has {len(start)} poses for {len(points)} points: give one, or one each."
         )
     rng, shape = np.random.default_rng(0), (len(points), arm.n_joints)
+    first, last = spans_of(arm)
+    aside = _ASIDE * scale_of(arm.joint_types, 1.0, arm.reach_mm)
     angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
     open_ = np.arange(len(points))
     for again in range(_STARTS if start is None else _TRIES):
         if start is None:
-            own = rng.uniform(np.maximum(low, -np.pi), np.minimum(high, np.pi)) * (again > 0)
+            own = rng.uniform(np.maximum(low, first), np.minimum(high, last)) * (again > 0)
         else:
-            own = start + rng.normal(0, _ASIDE, shape) * (again > 0)
+            own = start + rng.normal(0, aside, shape) * (again > 0)
         own, rows = np.broadcast_to(own, shape)[open_], open_
         wanted = None if orientations is None else orientations[open_]
         of_rows = correction and (lambda q, k, rows=rows: correction(q, rows[k]))
@@ -106,7 +116,7 @@ def solve(
 
 
 def limits_of(arm: Any) -> Any:
-    """Lowest and highest angle of each joint in rad, infinite where the arm has no limits."""
+    """Lowest and highest angle of each joint, rad or mm, infinite where there are no limits."""
     if arm.limits is None:
         return np.full(arm.n_joints, -np.inf), np.full(arm.n_joints, np.inf)
     return np.asarray(arm.limits, dtype=float).T
@@ -142,7 +152,9 @@ def _gaps(arm, aim, turned, angles):
 
 def _bare(arm, aim, turned, angles, low, high):
     """The same for the arm without a correction, by shortest steps."""
-    turns = 3 * (np.arange(arm.n_joints) + (arm.convention == "modified")) + 2
+    moves, turns = joint_axes(arm), scale_of(arm.joint_types, 1.0, 0.0)
+    about = 3 * (np.arange(1, arm.n_joints + 1) + arm.n_joints + (arm.convention == "modified")) + 2
+    unit = scale_of(arm.joint_types, 1.0, arm.reach_mm)  # of a slide: as large as one radian
     angles, open_ = angles.copy(), np.arange(len(aim))
     for _ in range(_STEPS):
         own = angles[open_]
@@ -152,9 +164,9 @@ def _bare(arm, aim, turned, angles, low, high):
         if not len(open_):
             break
         vectors = axis_vectors(arm, own)[0]
-        jacobian = by_given_angles(arm, vectors[:, :, turns])
+        jacobian = by_given_angles(arm, vectors[:, :, moves] * unit)
         if turned is not None:
-            axes = by_given_angles(arm, vectors[:, :, 3 * (arm.n_joints + 1) + turns])
+            axes = by_given_angles(arm, vectors[:, :, about] * turns)
             jacobian = np.concatenate([jacobian, arm.reach_mm * axes], axis=1)
         # A joint at its limit that is pushed further does not help.
         step = _shortest(jacobian, gap)
@@ -163,7 +175,7 @@ def _bare(arm, aim, turned, angles, low, high):
             step = _shortest(jacobian * ~stuck[:, None], gap)
         size = np.abs(step).max(axis=1, keepdims=True)
         step *= _LARGEST_STEP / np.maximum(size, _LARGEST_STEP)
-        angles[open_] = np.clip(own + step, low, high)
+        angles[open_] = np.clip(own + step * unit, low, high)
     return angles
 
 

@@ -46,16 +46,17 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     moving = [(f, joint) for f, joint in zip(frames, joints, strict=True) if joint.axis is not None]
     n = len(moving)
     if n < 2:
-        raise ValueError(f"{where}: the chain has {n} revolute joints, not several.")
+        raise ValueError(f"{where}: the chain has {n} moving joints, not several.")
     directions = [frame[:3, :3] @ joint.axis for frame, joint in moving]
-    points = [frame[:3, 3] for frame, _ in moving]
-    fields, placed = _fields_of_axes(directions, points, frames[-1][:3, 3])
+    points, slides = [frame[:3, 3] for frame, _ in moving], [joint.slides for _, joint in moving]
+    fields, placed = _fields_of_axes(directions, points, frames[-1][:3, 3], slides)
     limits = np.array([joint.limits for _, joint in moving])
     # The first link of a file stands upright: its z axis is the vertical.
     upright = reduce(np.matmul, (joint.origin for joint in mount), np.eye(4))
     up = placed[:3, :3].T @ upright[2, :3]
     arm = cls(
         **fields, name=name, names=tuple(joint.name for _, joint in moving),
+        joint_types=["RP"[one] for one in slides],
         limits=limits if np.isfinite(limits).any() else None,
         up=np.where(np.abs(up) > _PARALLEL, up, 0.0),
     )  # fmt: skip
@@ -86,13 +87,16 @@ def read_far_axes(cls: Any, table: Any, probe: Any, **fields: Any) -> Any:
         directions.append(u)
         points.append(at)
         frame = frame @ pose_of((0, 0, d), (0, 0, offset)) @ pose_of((a, 0, 0), (alpha, 0, 0))
-    own, _ = _fields_of_axes(directions, points, (frame @ [*probe, 1.0])[:3])
+    tip = (frame @ [*probe, 1.0])[:3]
+    own, _ = _fields_of_axes(directions, points, tip, [False] * len(points))
     return cls(**own, **fields)
 
 
-def _fields_of_axes(directions, points, tip):
+def _fields_of_axes(directions, points, tip, slides):
     """Fields of `Arm` of these axes at zero angles and a probe, and the pose of its base."""
-    directions, points, tip = _straighten(directions, points, tip)
+    if slides[0]:  # what slides along a line slides along all that are parallel to it
+        points = [np.zeros(3), *points[1:]]
+    directions, points, tip = _straighten(directions, points, tip, slides)
     table, probe, placed = _table(directions, points, tip)
     n = len(directions)
     parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
@@ -103,8 +107,8 @@ def _fields_of_axes(directions, points, tip):
 def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
     nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
-    same = (nominal.convention, nominal.n_joints) == (arm.convention, arm.n_joints)
-    if not same or np.any(nominal.joint_signs != arm.joint_signs):
+    same = (nominal.convention, nominal.joint_types) == (arm.convention, arm.joint_types)
+    if not same or np.any(nominal.joint_signs != np.sign(arm.joint_signs)):
         raise ValueError(
             f"{where} has {nominal.n_joints} joints in the modified convention, and the arm "
             f"is {arm!r}: only an arm that was read from this file can be written back into "
@@ -133,7 +137,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
         along = now[:3, 2] * np.sign(now[:3, 2] @ frame[:3, :3] @ joint.axis)
         frame[:3, :3] = turn_between(frame[:3, :3] @ joint.axis, along) @ frame[:3, :3]
         at, foot = point if joint is joints[-1] else frame[:3, 3], now[:3, 3]
-        frame[:3, 3] = foot + ((at - foot) @ along) * along
+        frame[:3, 3] = at if joint.slides else foot + ((at - foot) @ along) * along
         origins[joint.name] = np.linalg.inv(before) @ frame
         before = frame
     last, off_mm = joints[-1], np.linalg.norm(point - before[:3, 3])
@@ -172,8 +176,11 @@ def _frames(joints):
     return list(accumulate((joint.origin for joint in joints), np.matmul))
 
 
-def _straighten(directions, points, tip):
-    """Make axes parallel that are all but parallel, and say by how much the arm changes."""
+def _straighten(directions, points, tip, slides):
+    """Make axes parallel that are all but parallel, and say by how much the arm changes.
+
+    An axis along which a joint slides is moved to where it crosses the other one instead.
+    """
     directions, points = list(directions), list(points)
     size = sum(np.linalg.norm(b - a) for a, b in zip(points, [*points[1:], tip], strict=True))
     for i in range(len(directions) - 1):
@@ -185,6 +192,9 @@ def _straighten(directions, points, tip):
         gap = points[i + 1] - points[i]
         foot = abs(np.cross(gap, v) @ normal) / sine**2
         if foot <= _FARTHEST_FOOT * max(size, 1.0):
+            continue
+        if slides[i] or slides[i + 1]:
+            points[i + slides[i + 1]] = points[i + 1 - slides[i + 1]]
             continue
         turn = turn_between(v, u if u @ v > 0 else -u)
         about = points[i + 1]

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: F401  (used by the other subpackages)
+
 from sklearn_raacmm.calibration._calibrate import calibrate, find_places
 from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, places_of
@@ -10,13 +12,4 @@ from sklearn_raacmm.calibration._lengths import are_wrong
 from sklearn_raacmm.calibration._places import lengths_of_places
 from sklearn_raacmm.calibration._result import CalibrationResult
 
-__all__ = [
-    "MUCH_SCATTER_MM",
-    "SHARE_OF_REACH",
-    "CalibrationResult",
-    "are_wrong",
-    "calibrate",
-    "find_places",
-    "lengths_of_places",
-    "places_of",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -30,6 +30,7 @@ from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
 from sklearn_raacmm.measurements import Measurements, find_poses, within_turn
 from sklearn_raacmm.utils import (
     Finding,
+    are_findings_ignored,
     listed,
     one_blas_thread,
     one_warning,
@@ -135,7 +136,7 @@ def calibrate(
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
         `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
-        long and short lengths apart.
+        long and short lengths, and slides, apart.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     accept : str or list of str, default=()
@@ -204,7 +205,10 @@ def calibrate(
     if not all(isinstance(name, str) and name in FIELDS for name in free):
         raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     asked: Any = angles.angles if isinstance(angles, Measurements) else angles
-    asked = None if correction is None else check_correction(correction, asked, angle_unit)
+    if correction is None:
+        asked = None
+    else:
+        asked = check_correction(correction, asked, angle_unit, arm.joint_types)
     if groups is not None and points is not None:
         raise ValueError("give either groups, or points that were measured.")
     lengths = listed("lengths", lengths)
@@ -213,9 +217,10 @@ def calibrate(
     given: dict[str, Any] = {"points": points, "lengths": lengths, "features": features}
     given |= {"tip_diameter": tip_diameter, "tools": tools, "stations": stations}
     if groups is None and points is None and not isinstance(angles, Measurements):
-        angles = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        angles = check_angles(angles, arm.joint_types, angle_unit)
+        angles = within_turn(angles, arm.joint_types)
         groups, angle_unit = find_places(arm, angles), "rad"
-    given |= {"angle_unit": angle_unit, "n_joints": arm.n_joints}
+    given |= {"angle_unit": angle_unit, "joint_types": arm.joint_types}
     problem = Measurements.taken(angles, groups, **given)
     if problem.points is not None:
         problem = replace(problem, lengths=[], offsets=None)
@@ -249,8 +254,9 @@ def calibrate(
         sample_weight=of_poses.sample_weight[poses.pose],
         outliers=tuple(chain(*rows)),
     )
-    for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
-        finding.report()
+    if not are_findings_ignored():
+        for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
+            finding.report()
     return result
 
 
@@ -260,11 +266,11 @@ def find_places(arm: Arm, angles: np.ndarray) -> np.ndarray:
     Of a row and the next nearly all are of one place, which shows the probe. Rows that are alone
     belong to the nearest place.
     """
-    poses = find_poses(angles)
+    poses = find_poses(angles, joint_types=arm.joint_types)
     few, n = poses.mean_angles(angles), len(poses.first)
     if n < 2:
         raise ValueError(_NO_LABELS)
-    pairs = Measurements(few, np.arange(n) // 2)
+    pairs = Measurements(few, np.arange(n) // 2, joint_types=arm.joint_types)
     points = Fit(arm, pairs, "cauchy", ["probe"]).run().points()
     some = np.linspace(0, n - 1, min(n, MOST_ROWS)).astype(int)
     places: Any = places_of(points[some])
@@ -353,7 +359,8 @@ def _identified(fit, names):
     angle = np.array([name.startswith(ANGLES) for name in names])
     wide = np.where(angle, _BASE_RAD, _BASE_MM)
     wide[: len(fit.nominal)] = fit.prior_sd
-    unit = np.where(angle, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
+    per_reach = angle | np.array([name.startswith("scale") for name in names])
+    unit = np.where(per_reach, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
     seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
     sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
     covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.arm import check_angles, scale_of
 from sklearn_raacmm.calibration._problem import rows_of
 from sklearn_raacmm.measurements import UNITS, angle_faults, touch_findings
 from sklearn_raacmm.utils import Finding
@@ -19,7 +19,13 @@ _IN_MM = "Give millimetres; in a file name the unit in the header, such as {} [m
 
 def check_measured(arm, measured):
     """Whether a calibration of this arm can be made of these: they have rows, and some scatter."""
-    check_angles(measured.angles, arm.n_joints, "rad")
+    check_angles(measured.angles, arm.joint_types, "rad")
+    if "P" in arm.joint_types and measured.joint_types != arm.joint_types:
+        raise ValueError(
+            f"joint_types of the arm are {arm.joint_types!r}, and of the measurements "
+            f"{measured.joint_types!r}: Measurements.of(..., joint_types=arm.joint_types) takes "
+            "mm for no angles."
+        )
     if not len(measured.angles):
         raise ValueError("angles are empty: there is nothing to calibrate with.")
     if measured.points is not None:
@@ -43,7 +49,7 @@ def check_measured(arm, measured):
         Finding("lonely-position", text, positions=names).report()
 
 
-def check_correction(correction, angles, angle_unit):
+def check_correction(correction, angles, angle_unit, types):
     """Angles as a fitted model takes them; one that cannot predict them is refused."""
     if not hasattr(correction, "predict"):
         raise TypeError(
@@ -52,7 +58,7 @@ def check_correction(correction, angles, angle_unit):
         )
     angles, unit = np.asarray(angles, dtype=float), getattr(correction, "angle_unit", "rad")
     if unit != angle_unit:
-        angles = np.rad2deg(angles) if unit == "deg" else np.deg2rad(angles)
+        angles = angles * scale_of(types, 180 / np.pi if unit == "deg" else np.pi / 180)
     residuals = np.asarray(correction.predict(angles), dtype=float)
     if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
         raise ValueError(

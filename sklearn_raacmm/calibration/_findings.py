@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import parameter_jacobian
+from sklearn_raacmm.arm import phases, random_poses
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
-from sklearn_raacmm.calibration._problem import FOUND
+from sklearn_raacmm.calibration._problem import FOUND, pack, table_jacobian
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up
 from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
@@ -54,6 +54,15 @@ def findings_of_fit(fit, result, bare, poses):
         scatter = result.scatter_after_mm
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
+    for i in fit.still:
+        text = (
+            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows:"
+        )
+        advice = (
+            "What is learnt holds there. To learn more, measure with this joint elsewhere, too."
+        )
+        text = f"{text} it is taken as fixed, and its scale is not looked for."
+        yield Finding("slide-still", text, advice, joints=(i + 1,))
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
     for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
@@ -68,7 +77,8 @@ def findings_of_fit(fit, result, bare, poses):
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
-        yield from moved_positions(left[held], fit.angles[held], groups[held], poses.first[held])
+        turns = phases(fit.nominal_arm, fit.angles)[held]
+        yield from moved_positions(left[held], turns, groups[held], poses.first[held])
     yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)
 
@@ -124,7 +134,7 @@ def _far(fit, sd):
     far_mm = _FAR_MM if length == "auto" else _FAR_PRIORS * length
     far_rad = _FAR_RAD if angle == "auto" else _FAR_PRIORS * angle
     far = np.where(fit.kind == "angle_rad", far_rad, far_mm)
-    far[fit.kind == "probe_mm"] = np.inf
+    far[np.isin(fit.kind, ["probe_mm", "slide_mm", "slide_rad", "slide_scale"])] = np.inf
     is_seen = fit.is_free & (sd < _SEEN * fit.prior_sd)
     seen = np.flatnonzero(is_seen & np.isin(fit.kind, ["length_mm", "short_length_mm"]))
     if length == "auto" and len(seen) > 1:
@@ -190,13 +200,14 @@ def _harm(corrected, bare):
 def _poses_alike(fit):
     """Away from the poses of the test little more is known of the arm than its table says."""
     mask = fit.free_mask(fit.is_free)
-    arm, n = fit.arm(), 4 * fit.nominal_arm.n_joints + 3
+    arm, n = fit.arm(), len(pack(fit.nominal_arm))
     is_free = mask[:n]
     # Of too few rows another finding tells.
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
         return
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_TRIED, arm.n_joints))
-    points, jac = parameter_jacobian(arm, angles)
+    angles = random_poses(arm, _TRIED)
+    angles[:, fit.still] = fit.angles[0, fit.still]
+    points, jac = table_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / arm.reach_mm)

@@ -14,14 +14,17 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.arm import FIELDS, parameter_jacobian
+from sklearn_raacmm.arm import FIELDS, slides_of
 from sklearn_raacmm.calibration._problem import (
     FOUND,
+    LONG_SHARE,
+    SLIDE_SCALE,
     UNKNOWN_PLACE_MM,
     are_long,
     in_brackets,
     pack,
     rows_of,
+    table_jacobian,
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
@@ -49,6 +52,8 @@ _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 _LEAST_PIVOT = 1e-8
 # Steps of one iteration at the start, of a base: rad and mm.
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
+# What slides by less stands still: a brake gives way by as much.
+_STILL_MM = 0.01
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -77,6 +82,9 @@ class Fit:
         self.problem: Any = problem
         self.correction: Any = correction
         self.loss, self.free, self.priors = loss, free, priors
+        # Joints that slide, but stand still in all rows.
+        ways = np.ptp(self.angles, axis=0) if len(self.angles) else np.zeros(arm.n_joints)
+        self.still = [i for i in slides_of(arm.joint_types) if ways[i] < _STILL_MM]
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -101,7 +109,13 @@ class Fit:
         felt = np.sum(left**2, axis=(0, 1))
         length = np.zeros_like(nominal)
         rows = np.r_[:n, 2 * n : 3 * n]
-        length[rows] = np.where(are_long(nominal[rows]), felt[rows] * nominal[rows], 0.0)
+        long = are_long(nominal[rows]) & (self.kind[rows] != "slide_mm")
+        length[rows] = np.where(long, felt[rows] * nominal[rows], 0.0)
+        slides = self.kind == "slide_scale"
+        if slides.any():  # beside the ways that they go short links carry no scale
+            length[slides] = felt[slides] * nominal[slides]
+            carried = length * nominal
+            length[carried < LONG_SHARE**2 * carried.max()] = 0.0
         total = length @ nominal
         self.scale = length / total if total > 0 else length
         self.reset_weights()
@@ -114,15 +128,24 @@ class Fit:
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
         lengths = np.array([not name.startswith(ANGLES) for name in self.names])
         kind = np.full(len(lengths), "angle_rad", dtype=object)
-        long = are_long(pack(arm)[:-3][lengths])
+        long = are_long(pack(arm)[: len(lengths)][lengths])
         kind[lengths] = np.where(long, "length_mm", "short_length_mm")
         is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
+        if slides := slides_of(arm.joint_types):
+            of_slides = np.isin(np.arange(len(kind)) % arm.n_joints, slides)
+            kind[of_slides] = np.where(lengths, "slide_mm", "slide_rad")[of_slides]
+            self.names += [f"scale{i + 1}" for i in slides]
+            kind = np.r_[kind, ["slide_scale"] * len(slides)]
+            scales = [i not in self.still and "d" in free for i in slides]
+            is_free = np.r_[is_free, np.array(scales, dtype=bool)]
         n_probes = 3 * len(tools)
         self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
         self.kind = np.r_[kind, ["probe_mm"] * n_probes]
         self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
-        priors = dict(zip(FOUND, (*self.priors, self.priors[0]), strict=True))
+        length, angle, _ = self.priors
+        given = *self.priors, length, length, angle, SLIDE_SCALE
+        priors = dict(zip(FOUND, given, strict=True))
         self.found = {kind: FOUND[kind] for kind, sd in priors.items() if sd == "auto"}
         sds = priors | {kind: guess for kind, (guess, *_) in self.found.items()}
         self.prior_sd = np.array([sds[kind] for kind in self.kind], dtype=float)
@@ -153,7 +176,7 @@ class Fit:
         return Fit(self.nominal_arm, problem, *how, self.priors, correction).run()
 
     def arm(self, tool=0):
-        return self.nominal_arm.replace(**unpack(self.x, self.nominal_arm.n_joints, tool))
+        return self.nominal_arm.replace(**unpack(self.x, self.nominal_arm, tool))
 
     def free_mask(self, is_free):
         """Free parameters of x: bases always are."""
@@ -303,16 +326,17 @@ class Fit:
         x, arm, problem = x[: len(self.nominal)], self.nominal_arm, self.problem
         if self.evaluated is not None and np.array_equal(self.evaluated[0], x):
             return self.evaluated[1:]
-        n_table, n = 4 * arm.n_joints, len(self.angles)
+        n_table, n = len(pack(arm)) - 3, len(self.angles)
         # On trial: an `Arm` would check its fields at every step.
         trial = SimpleNamespace(
-            convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings
-        )
+            convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings,
+            joint_types=arm.joint_types,
+        )  # fmt: skip
         points, jac = np.empty((n, 3)), np.zeros((n, 3, len(x)))
         for tool in range(problem.n_tools):
             rows, start = rows_of(problem.tools, tool), n_table + 3 * tool
-            vars(trial).update(unpack(x, arm.n_joints, tool))
-            points[rows], own = parameter_jacobian(trial, self.angles[rows])
+            vars(trial).update(unpack(x, arm, tool))
+            points[rows], own = table_jacobian(trial, self.angles[rows])
             jac[rows, :, :n_table] = own[:, :, :n_table]
             jac[rows, :, start : start + 3] = own[:, :, n_table:]
         if self.correction is not None:

@@ -16,7 +16,9 @@ from sklearn_raacmm.utils import Floats, centred, encode_groups, floats, slip_fa
 # What the names of parameters that are angles begin with.
 ANGLES = ("alpha", "theta", "base_r")
 # What the fields of a table are called, and how many of its changes are said.
-_WORDS = {"a": "length a", "alpha": "twist", "d": "length d", "theta_offset": "zero"}
+_WORDS = {
+    "a": "length a", "alpha": "twist", "d": "length d", "theta_offset": "zero", "scale": "scale",
+}  # fmt: skip
 _MOST_CHANGES = 8
 # Rows and combinations that are printed.
 _N_SHOWN = 10
@@ -162,6 +164,8 @@ class CalibrationResult:
             factor, unit, size = 1.0, "mm", abs(change)
             if name.startswith(ANGLES):
                 factor, unit, size = 180 / np.pi, "degrees", abs(change) * self.arm.reach_mm
+            elif field == "scale":
+                factor, unit, size = 1e6, "ppm", abs(change) * self.arm.reach_mm
             words = f"{_WORDS[field]} of joint {name.removeprefix(field)} {factor * change:+.4g} "
             found.append((size, f"{words}{unit} (sd {factor * sd:.2g})"))
         return [text for _, text in sorted(found, reverse=True)[:_MOST_CHANGES]]
@@ -215,7 +219,7 @@ class CalibrationResult:
         >>> bool(np.abs(result.residuals(angles[40:], tracker[40:])).max() < 1e-3)
         True
         """
-        angles = check_angles(angles, self.arm.n_joints, angle_unit)
+        angles = check_angles(angles, self.arm.joint_types, angle_unit)
         if (points is None) == (groups is None):
             raise ValueError("Give either points, measured positions, or groups, labels.")
         shown = np.empty((len(angles), 3))
@@ -274,6 +278,8 @@ class CalibrationResult:
             self.names, self.nominal, self.values, self.standard_deviations, strict=True
         ):
             factor, unit = (180 / np.pi, "deg") if name.startswith(ANGLES) else (1.0, "mm")
+            if name.startswith("scale"):
+                nominal, value, factor, unit = nominal - 1, value - 1, 1e6, "ppm"
             note = "  not identified" if name in self.unidentified else ""
             before = f"{nominal * factor:12.4f}" if np.isfinite(nominal) else f"{'':12}"
             sd_text = f"{'held':>11}" if sd == 0 else f"{sd * factor:11.4f}"

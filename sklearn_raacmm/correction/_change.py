@@ -19,6 +19,7 @@ from datetime import date as calendar
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_raacmm.arm import random_poses, slides_of
 from sklearn_raacmm.correction._condition import condition, log_density, narrowed, thin
 from sklearn_raacmm.correction._rows import (
     Shown,
@@ -261,8 +262,12 @@ def _with_names(linear, part):
     """Parts (n_columns,), of which offsets and probe have the names of `causes_of`."""
     part = part.astype("U32")
     for i, name in enumerate(linear.layout.names, start=linear.layout.n_waves):
-        if name.startswith("theta_offset"):
-            part[i] = f"offset of joint {name.removeprefix('theta_offset')}"
+        field = name.rstrip("0123456789")
+        slides = name[len(field) :] in [str(j + 1) for j in slides_of(linear.arm.joint_types)]
+        if field == ("d" if slides else "theta_offset"):
+            part[i] = f"offset of joint {name.removeprefix(field)}"
+        elif field == "scale":
+            part[i] = f"scale of joint {name.removeprefix(field)}"
         elif name.startswith("probe") and part[i] == "kinematics":
             part[i] = "probe"
     return part
@@ -289,7 +294,7 @@ def _into_kinematics(linear, n_free):
     if not (terms.kinematics and n_free):
         return fold
     angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
-    angles[:, : arm.n_joints] = np.random.default_rng(0).uniform(-np.pi, np.pi, (40, arm.n_joints))
+    angles[:, : arm.n_joints] = random_poses(arm, 40)
     of = parts_of(linear) == "kinematics"
     columns = linear.columns(angles)[:, :, of]
     place = place_columns(arm, angles, n_free > 3)

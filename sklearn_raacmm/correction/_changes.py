@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from sklearn_raacmm.arm import own_angles
+from sklearn_raacmm.arm import own_angles, phases, slides_of
 from sklearn_raacmm.correction._change import as_prior, changes_of
 from sklearn_raacmm.correction._condition import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, place_columns, slipped_rows
@@ -153,9 +153,11 @@ def causes_of(rows: Any) -> dict[str, np.ndarray]:
     causes["scale"] = points[:, :, None]
     for j in range(arm.n_joints):
         causes[f"offset of joint {j + 1}"] = jacobian[:, :, [j]]
-        phase = angles[:, [j]] * np.array(_ORDERS)
+        phase = phases(arm, angles)[:, [j]] * np.array(_ORDERS)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
         causes[f"harmonics of joint {j + 1}"] = jacobian[:, :, j, None] * waves[:, None]
+    for j in slides_of(arm.joint_types):
+        causes[f"scale of joint {j + 1}"] = jacobian[:, :, [j]] * angles[:, None, [j]]
     return causes
 
 

@@ -183,7 +183,7 @@ class Correction:
             If `angles` do not fit the arm, or `extra` names what the model does not know.
         """
         check_option("std_of", std_of, ("coordinate", "position"))
-        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit), extra)
+        X = self.inputs(check_angles(angles, self.arm.joint_types, angle_unit), extra)
         points, within = self._within_positions(X)
         if std_of == "position":
             return points, within
@@ -214,7 +214,7 @@ class Correction:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        given = (check_angles(one, self.arm.n_joints, angle_unit) for one in (angles, others))
+        given = (check_angles(one, self.arm.joint_types, angle_unit) for one in (angles, others))
         ends = tuple(map(self.inputs, given))
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
@@ -290,7 +290,7 @@ class Correction:
         if not hasattr(model, "linear_model_"):
             raise TypeError(f"{type(model).__name__} knows no causes: it draws no corrections.")
         rng = check_random_state(random_state)
-        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit), extra)
+        X = self.inputs(check_angles(angles, self.arm.joint_types, angle_unit), extra)
         points = self.arm.forward(X[:, : self.arm.n_joints])
         drawn = points[:, :, None] - model.sample_y(X, n_samples, rng, with_noise=with_noise)
         scale = self._scale_beside(model.linear_model_) * rng.normal(size=n_samples)
@@ -316,7 +316,7 @@ class Correction:
             Share of the variance of the points by cause, such as "probe" or "offset of joint 3",
             the largest first; empty where no model of causes is in use.
         """
-        X = self.inputs(check_angles(angles, self.arm.n_joints, angle_unit))
+        X = self.inputs(check_angles(angles, self.arm.joint_types, angle_unit))
         codes = None if positions is None else encode_groups(positions, len(X))[1]
         linear = linear_in_use(self.model)
         return {} if linear is None else doubts_of(linear, X, codes)
@@ -685,8 +685,8 @@ class Correction:
 
     def _measured(self, angles, positions, **given):
         """Today's `Measurements`, of one tool and one station, checked."""
-        measured = Measurements.taken(angles, positions, n_joints=self.arm.n_joints, **given)
-        check_angles(measured.angles, self.arm.n_joints, "rad")
+        measured = Measurements.taken(angles, positions, joint_types=self.arm.joint_types, **given)
+        check_angles(measured.angles, self.arm.joint_types, "rad")
         if measured.tools is not None or measured.stations is not None:
             raise ValueError("tools and stations are for calibrate and learn_correction.")
         if measured.points is None and measured.index is None:

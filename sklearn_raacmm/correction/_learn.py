@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.arm import Arm, check_angles, check_arm, phases
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_places
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
@@ -42,6 +42,8 @@ _CONSTRAINTS = {
     "accept": ["array-like", str],
     "take": ["array-like", str],
 }
+# Known lengths that the report names.
+_LENGTHS_SAID = 3
 # Scores that are kept as they are.
 _KEPT = (
     "verdict",
@@ -117,10 +119,10 @@ def learn_correction(
         :class:`ArmResidualRegressor` has for them, such as "direction 2" of
         :func:`directions_of`.
     like : list of ArmResidualRegressor, default=()
-        Models of earlier arms of the make: the mean and the spread of their coefficients are the
-        prior of this one's, if the evidence is for it against a model that is
-        fitted to these rows alone (by 4 nats with fewer than four positions), and positions left
-        out say how much is used; ``learned.model.updates_`` keeps `gain_nats`. One that
+        Models of earlier arms of the make. The mean and the spread of their coefficients become the
+        prior of the new model where the evidence prefers that to a fit of these rows alone (by
+        4 nats with fewer than four positions). Positions left out say how much of it is used;
+        ``learned.model.updates_`` keeps `gain_nats`. One that
         does not fit to this arm is passed over with a warning. Not with `model`; known lengths are
         then used by the calibration only.
     tools : array-like of shape (n_samples,), default=None
@@ -221,8 +223,9 @@ def learn_correction(
         given |= {"features": features, "tip_diameter": tip_diameter}
         if isinstance(angles, Measurements):
             return Measurements.taken(angles, positions, **given)
-        checked = within_turn(check_angles(angles, arm.n_joints, angle_unit))
+        checked = within_turn(check_angles(angles, arm.joint_types, angle_unit), arm.joint_types)
         refuse_one_pose(checked)
+        given["joint_types"] = arm.joint_types
         no_labels = positions is None and points is None and not features
         return Measurements.of(
             checked, find_places(arm, checked) if no_labels else positions, **given
@@ -274,7 +277,8 @@ def _say_what_moved(data, calibration, model, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        own = (part[held] for part in (left, data.angles, data.positions, data.rows))
+        turns = phases(calibration.arm, data.angles)
+        own = (part[held] for part in (left, turns, data.positions, data.rows))
         for finding in moved_positions(*own):
             finding.report()
     left = data.residuals(calibration, rows) - expected[rows]
@@ -325,6 +329,7 @@ def _facts(data, calibration, scores):
         "written_by": f"sklearn_raacmm {__version__}",
         "findings": [finding.facts() for finding in scores.findings],
         "scale_sd": calibration.scale_sd,
+        "scale_set_by": _scale_of(data),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),
         "tools": {str(tool): arm.probe.tolist() for tool, arm in calibration.arms.items()},
@@ -336,3 +341,15 @@ def _facts(data, calibration, scores):
         "positions": {name: column.tolist() for name, column in scores.table.items()},
         "outliers": [list(row) for row in zip(*columns, strict=True)],
     }
+
+
+def _scale_of(data):
+    """What set the common scale of all links, for people."""
+    if data.points is not None:
+        return "the points of a tracker"
+    said = [
+        f"{f'{a} to {b}' if a != b else f'diameter of {a}'}, {mm:.3f} mm (sd {sd:.3g} mm)"
+        for a, b, mm, sd in data.lengths
+    ]
+    more = [f"and {len(said) - _LENGTHS_SAID} more"] * (len(said) > _LENGTHS_SAID)
+    return "; ".join(said[:_LENGTHS_SAID] + more) or "the arm's table: no length was known"

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import FIELDS, Arm, points_of
+from sklearn_raacmm.arm import FIELDS, Arm, phases, points_of
 from sklearn_raacmm.calibration import are_wrong, calibrate, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
@@ -98,7 +98,7 @@ class Data:
             # Stations have frames of their own, and the arm's points one.
             near = self.points if self.stations is None else arm.forward(self.angles)
             self.positions, self.places = _judged_at(of_poses, near, blocks)
-        self.causes, self.values = _causes(measured, encode_groups(self.positions)[1])
+        self.causes, self.values = _causes(arm, measured, encode_groups(self.positions)[1])
         self.joined = []
         if blocks is not None:
             of_blocks = [np.unique(self.positions[blocks == name]) for name in np.unique(blocks)]
@@ -404,14 +404,15 @@ def _regions(points):
     return np.array([f"region {i + 1:02d}" for i in range(n_regions)])[codes]
 
 
-def _causes(measured, codes):
+def _causes(arm, measured, codes):
     """Names and values (n, n_causes) of the causes offered to a model.
 
     Time that the angles explain is refused: what it explains may be the place.
     """
     given, angles = measured.extra, measured.angles
     check_extra(tuple(given), angles.shape[1])
-    if "time" in given and (explained := order_explained_by(angles, codes)) > _MOST_EXPLAINED:
+    turns = phases(arm, angles)
+    if "time" in given and (explained := order_explained_by(turns, codes)) > _MOST_EXPLAINED:
         raise ValueError(
             f"time cannot be learnt from this run: the angles explain the number of the row (R2 "
             f"{explained:.2f}, at most {_MOST_EXPLAINED}), so that time and place are not apart. "

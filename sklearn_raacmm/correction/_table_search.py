@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles, check_arm
+from sklearn_raacmm.arm import Arm, carried, check_angles, check_arm, points_of, scale_of
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.correction._zeros import with_found_zeros
+from sklearn_raacmm.correction._zeros import trial, with_found_zeros
 from sklearn_raacmm.measurements import LEAST_ROWS
 from sklearn_raacmm.utils import (
     Finding,
@@ -166,12 +166,14 @@ def search_table(
     'joint 4 reversed'
     """
     check_arm(arm)
-    given = _scatter(arm, angles, positions, points, angle_unit)
+    given = _calibrated(arm, angles, positions, points, angle_unit).typical_scatter_mm
     raw = np.asarray(angles, dtype=float)
     points = None if points is None else np.asarray(points, dtype=float)
     rows, codes, few_points = _few_rows(len(raw), positions, points)
-    candidates = _candidates(arm, angle_unit, np.abs(raw).max(), points is not None)
-    ranked = [(_quick_scatter(one, raw[rows], codes, few_points), one) for one in candidates]
+    largest = np.abs(raw * scale_of(arm.joint_types, 1.0, 0.0)).max()
+    candidates = _candidates(arm, angle_unit, largest, points is not None)
+    few = raw[rows]
+    ranked = [(_quick_scatter(one, few, codes, few_points), one) for one in candidates]
     ranked.sort(key=lambda entry: (entry[0], entry[1][:2]))
     # Of those that coincide about as well as the best of their hand, the simple ones first. A
     # mirror image coincides as well, but for what calibration has to find.
@@ -183,27 +185,40 @@ def search_table(
         tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
 
     def calibrated(one, options, **measured):
+        """The change, and its price: one for each thing changed, and the size of what is left.
+
+        Two changes may differ by what calibration finds only, such as the probe. The likelier one
+        leaves less to be found: of a size of which nothing is known by its logarithm.
+        """
         measured = {"positions": positions, "points": points} | measured
         if points is not None:
             measured["points"] = measured["points"][:, one.axes]
-        scatter = _scatter(one.arm, raw[:, one.columns], unit=one.angle_unit, **measured)
-        parts = one.arm, tuple(one.columns), one.angle_unit, options
-        where = tuple(_places(one, raw[:1])[0].tolist())
-        return TableChange(one.change, scatter, given, *parts, where, axes=one.axes)
+        angles, changed = raw[:, one.columns], one.arm
+        result = _calibrated(changed, angles, unit=one.angle_unit, **measured)
+        places = [
+            other.forward(angles, angle_unit=one.angle_unit) for other in (changed, result.arm)
+        ]
+        turn, shift = align(*places)
+        moved = np.sqrt(np.mean(np.square(places[0] @ turn.T + shift - places[1])))
+        parts = changed, tuple(one.columns), one.angle_unit, options, tuple(places[0][0].tolist())
+        scatter = result.typical_scatter_mm
+        price = one.price + np.log(moved + scatter)
+        return price, TableChange(one.change, scatter, given, *parts, axes=one.axes)
 
-    tried = sorted({one.change: one for one in tried}.values(), key=lambda one: one[:2])
-    found = [calibrated(one, _options(arm, one, angle_unit)) for one in tried]
-    least, limit = min(one.scatter_mm for one in found), _COINCIDE * arm.reach_mm
+    different = {one.change: one for one in tried}.values()
+    found = [calibrated(one, _options(arm, one, angle_unit)) for one in different]
+    least, limit = min(one.scatter_mm for _, one in found), _COINCIDE * arm.reach_mm
     limit = min(_WORTH_SAYING * given, limit)
     rarer = _rarer_changes(arm, (raw, positions, points, angle_unit), others or {})
     while least > limit:  # no simple change
         if (one := next(rarer, None)) is None:
             return None
         change, options, other, measured = one
-        whole = _Candidate(0, change, other, [*range(arm.n_joints)], _AXES, angle_unit)
+        whole = _Candidate(0, change, other, {}, [*range(arm.n_joints)], _AXES, angle_unit)
         found = [calibrated(whole, options, **measured)]
-        least = found[0].scatter_mm
-    first, *equals = (one for one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
+        least = found[0][1].scatter_mm
+    found = sorted(found, key=lambda entry: (entry[0], entry[1].change))
+    first, *equals = (one for _, one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
     place = _places(first, raw)
     equals = [replace(one, is_mirror=_are_mirrored(place, _places(one, raw))) for one in equals]
     first, *equals = _with_questions([first, *equals], raw)
@@ -214,10 +229,10 @@ def _rarer_changes(arm, measured, others):
     """Yield what may be wrong beside a table, then zeros: words, options, arm, what differs.
 
     `measured` are angles, positions, points and the unit of the angles, `others` further columns
-    by name; what differs is what `_scatter` takes instead.
+    by name; what differs is what `_calibrated` takes instead.
     """
     angles, positions, points, unit = measured
-    n, as_given = len(angles), _Candidate(0, "", arm, [*range(arm.n_joints)], _AXES, unit)
+    n, as_given = len(angles), _Candidate(0, "", arm, {}, [*range(arm.n_joints)], _AXES, unit)
     codes: Any = None if positions is None else encode_groups(positions, n)[1]
 
     def left(row):  # where from this row on the base, or all cones, are elsewhere
@@ -283,7 +298,7 @@ def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
             raise ValueError(
                 "zeros are found from labels of positions, or from a tracker's points."
             )
-        angles = check_angles(angles, arm.n_joints, unit)
+        angles = check_angles(angles, arm.joint_types, unit)
         rows, codes, few_points = _few_rows(len(angles), positions, points)
         return with_found_zeros(arm, angles[rows], codes, few_points)
     word, *numbers = code.split("-")
@@ -389,10 +404,10 @@ def _options(arm, one, unit):
     return " ".join(word for word in words if word)
 
 
-def _scatter(arm, angles, positions, points, unit, stations=None):
-    """Mean scatter after calibration, mm."""
+def _calibrated(arm, angles, positions, points, unit, stations=None):
+    """The calibration by what was measured."""
     where = {"groups": positions} if points is None else {"points": points, "stations": stations}
-    return calibrate(arm, angles, angle_unit=unit, **where).typical_scatter_mm
+    return calibrate(arm, angles, angle_unit=unit, **where)
 
 
 class _Candidate(NamedTuple):
@@ -400,10 +415,16 @@ class _Candidate(NamedTuple):
 
     price: float
     change: str
-    arm: Arm
+    given: Arm
+    changed: dict[str, Any]
     columns: list[int]
     axes: tuple[int, ...]
     angle_unit: str
+
+    @property
+    def arm(self):
+        """The changed arm: of thousands that are ranked some are looked at."""
+        return self.given.replace(**self.changed)
 
 
 def _candidates(arm, unit, largest, has_points):
@@ -411,11 +432,14 @@ def _candidates(arm, unit, largest, has_points):
     n, straight = arm.n_joints, [*range(arm.n_joints)]
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
     joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], {})]
-    for i, j in combinations(range(n), 2):
+    types = arm.joint_types
+    joints *= types == types[::-1]  # rad and mm are not exchanged, nor added
+    for i, j in ((i, j) for i, j in combinations(range(n), 2) if types[i] == types[j]):
         columns = [{i: j, j: i}.get(column, column) for column in straight]
         joints.append(([f"joints {i + 1} and {j + 1} exchanged"], 1, columns, {}))
     # Zeros of the first joint and the last are free: base and probe go with them.
-    single = [{j: degrees} for j in straight[1:-1] for degrees in (90, 180, 270)]
+    turning = [j for j in straight[1:-1] if types[j] == "R"]
+    single = [{j: degrees} for j in turning for degrees in (90, 180, 270)]
     pairs = [{**a, **b} for a, b in combinations(single, 2) if a.keys() != b.keys()]
     for signs in product((1.0, -1.0), repeat=n):  # the first are those given
         which = [str(i + 1) for i in range(n) if signs[i] < 0]
@@ -426,7 +450,8 @@ def _candidates(arm, unit, largest, has_points):
             offset = _turned(arm, np.array([turned.get(j, 0) for j in straight]))
             changed = {"joint_signs": arm.joint_signs * signs, "theta_offset": offset}
             joints.append((words, len(which) + _ZERO * len(turned), straight, changed))
-    for (i, j), factor, sign in product(permutations(range(n), 2), (1, -1), (1, -1)):
+    alike = [(i, j) for i, j in permutations(range(n), 2) if types[i] == types[j]]
+    for (i, j), factor, sign in product(alike, (1, -1), (1, -1)):
         text = f"{'-' * (sign < 0)}J{i + 1} {'- +'[1 + sign * factor]} J{j + 1}"
         words = [f"joint {i + 1} at {text}"]
         signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
@@ -446,23 +471,26 @@ def _candidates(arm, unit, largest, has_points):
     for (words, price, columns, changed), *rest in product(joints, conventions, units, hands):
         if said := [*words, *(word for one, _ in rest for word in one)]:
             form, angle_unit, axes = (value for _, value in rest)
-            other = arm.replace(convention=form, **changed)
             price += len(said) - len(words)
-            yield _Candidate(price, " and ".join(said), other, columns, axes, angle_unit)
+            other = {"convention": form, **changed}
+            yield _Candidate(price, " and ".join(said), arm, other, columns, axes, angle_unit)
 
 
 def _quick_scatter(one, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
     angles = angles[:, one.columns]
-    angles = np.deg2rad(angles) if one.angle_unit == "deg" else angles
+    if one.angle_unit == "deg":
+        angles = angles * scale_of(one.given.joint_types, np.pi / 180)
+    arm = trial(one.given, **one.changed)
     if points is None:
-        frames = one.arm.frames(angles)[:, -1]
         # Points are linear in the probe: origin + turn @ probe.
-        parts = centred(frames[:, :3], codes)
-        A, left = parts[:, :, :3].reshape(-1, 3), parts[:, :, 3]
+        ends = [(len(arm.a), probe) for probe in np.vstack([np.zeros(3), np.eye(3)]).tolist()]
+        origin, *shifted = carried(arm, angles, ends)
+        parts = centred(np.stack([origin, *(shifted - origin)]).transpose(2, 1, 0), codes)
+        A, left = parts[:, :, 1:].reshape(-1, 3), parts[:, :, 0]
         left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
-        ours, points = one.arm.forward(angles), points[:, one.axes]
+        ours, points = points_of(arm, angles), points[:, one.axes]
         rotation, shift = align(ours, points)
         left = ours @ rotation.T + shift - points
     return float(np.linalg.norm(left, axis=1).mean())

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
@@ -138,7 +139,4 @@ def _square(n, half, rng):
 def _turn(rng):
     """Rotation (3, 3) of what is level to any direction."""
     tilt, azimuth = rng.uniform(-np.pi / 2, np.pi / 2), rng.uniform(-np.pi, np.pi)
-    cos, sin = np.cos([tilt, azimuth]), np.sin([tilt, azimuth])
-    about_x = np.array([[1, 0, 0], [0, cos[0], sin[0]], [0, -sin[0], cos[0]]])
-    about_z = np.array([[cos[1], sin[1], 0], [-sin[1], cos[1], 0], [0, 0, 1]])
-    return about_x @ about_z
+    return Rotation.from_euler("XZ", [-tilt, -azimuth]).as_matrix()

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: F401  (used by the other subpackages)
+
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model._checks import check_extra, check_poses, touched_rows
 from sklearn_raacmm.error_model._columns import OF_LOADS, Effect, Terms, torque_axis
@@ -11,26 +13,4 @@ from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_sca
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, shoulder
 from sklearn_raacmm.error_model._sums import Rows, known_lengths
 
-__all__ = [
-    "LEAST_POSITIONS",
-    "NOTHING_SEEN",
-    "OF_LOADS",
-    "ROUNDED",
-    "ArmResidualRegressor",
-    "Effect",
-    "Fading",
-    "Judgement",
-    "LinearModel",
-    "Rows",
-    "Terms",
-    "check_extra",
-    "check_poses",
-    "interval_scales",
-    "judge",
-    "known_lengths",
-    "order_price",
-    "shoulder",
-    "smooth_shares",
-    "torque_axis",
-    "touched_rows",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

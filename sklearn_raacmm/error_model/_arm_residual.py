@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm, own_angles
+from sklearn_raacmm.arm import Arm, angles_for, check_arm, in_unit, phases
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
 from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
@@ -71,15 +71,17 @@ class ArmResidualRegressor(PointCorrectionMixin):
         base frame.
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
-        at multiples of their ratio. A joint is offered no more orders than it shows different
-        angles, but all above 72 where these are scattered. A list offers these orders only.
+        at multiples of their ratio. A joint is offered at most as many orders as it has different
+        angles. Where its angles do not repeat, as in poses taken by hand, it is offered all orders
+        above 72, too. A list offers these orders only. One turn of a slide is twice its travel, and
+        waves of 4 mm and more are offered.
     causes : list of str, default=("gravity", "kinematics", "wobble")
-        Which of these causes are in the model.
+        Which of these causes are in the model. Wobble of a slide: it is not straight, and tilts.
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset of any size. True:
-        every position has one, as where `y` are deviations from the position's own mean. False: no
-        position has one. "auto": True where the means of `y` over the positions are zero; else the
-        evidence finds how large the offsets are.
+        every position has such an offset: choose it where `y` are deviations from the position's
+        own mean. False: no position has one. "auto": True where the means of `y` over the positions
+        are zero; else the evidence finds how large the offsets are.
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not
@@ -272,7 +274,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
-        offered = offered_harmonics(own_angles(arm, rows.X[:, : arm.n_joints]), self.orders)
+        offered = offered_harmonics(phases(arm, rows.X[:, : arm.n_joints]), self.orders, arm)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         terms = Terms(offered, gravity, kinematics, wobble, extra)
         with_field = isinstance(self.orders, Integral)
@@ -608,7 +610,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 return shift, in_rad.fading(rows)[:, None] * turns_of(linear, rows)
 
         angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
-        return np.rad2deg(angles) if self.angle_unit == "deg" else angles
+        return in_unit(angles, self.arm_.joint_types, self.angle_unit)
 
     def fading(self, X: ArrayLike) -> Floats:
         """Share of the correction that `predict` returns at each pose.

@@ -23,8 +23,8 @@ from sklearn_raacmm.measurements import (
 )
 from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
+    CENTRED,
     Finding,
-    are_deviations,
     check_data,
     check_features,
     check_weights,
@@ -33,6 +33,7 @@ from sklearn_raacmm.utils import (
     listed,
     numbered_by_rows,
     row_numbers,
+    share_of_means,
 )
 
 # Repeats that no row has. Rows, in units of those given, that weights may add up to without a word:
@@ -61,7 +62,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     unknown = [name for name in estimator.causes if name not in CAUSES]
     if unknown:
         raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {unknown[0]!r:.60}.")
-    X = in_rad(X, arm.n_joints, estimator.angle_unit)
+    X = in_rad(X, arm.joint_types, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
@@ -87,16 +88,18 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
         points = points_of(arm, X[:, : arm.n_joints], probes)
         y, touched = touched_rows(features, labels, positions, points, y, weights)
         codes = positions
+        deviations = True
+    elif positions is None:
+        if estimator.offsets is True:
+            raise ValueError("offsets=True needs groups: the position of each sample.")
+        codes, touched, deviations = None, {}, False
     else:
-        has_offsets = _have_offsets(estimator.offsets, y, weights, positions)
+        # Deviations from anything but the mean keep a constant for each position, and are none the
+        # less asked what deviations are asked.
+        is_auto, share = estimator.offsets == "auto", share_of_means(y, positions, weights)
+        has_offsets = share < _NO_MEANS if is_auto else estimator.offsets
         codes, touched = positions if has_offsets else None, {}
-    # Deviations from anything but the mean keep a constant for each position, and are none the less
-    # asked what deviations are asked.
-    deviations = codes is not None or (
-        positions is not None
-        and estimator.offsets == "auto"
-        and are_deviations(y, positions, weights)
-    )
+        deviations = has_offsets or (is_auto and share < CENTRED)
     angles = X[:, : arm.n_joints]
     held = np.ones(len(y), bool) if not features else touched.pop("held")
     if held.any():  # touches of a surface are not of one point
@@ -178,17 +181,6 @@ def _check_lengths(lengths, codes, labels, kinematics):
     return [check_length(entry, labels.tolist()) for entry in lengths]
 
 
-def _have_offsets(offsets, y, weights, positions):
-    """Whether offsets of the positions are to be fitted."""
-    if positions is None:
-        if offsets is True:
-            raise ValueError("offsets=True needs groups: the position of each sample.")
-        return False
-    if offsets != "auto":
-        return offsets
-    return are_deviations(y, positions, weights, _NO_MEANS)
-
-
 def poses_of(rows, extra):
     """Rows (of weights above 0) in which the arm stood still as one pose each.
 
@@ -200,7 +192,7 @@ def poses_of(rows, extra):
     kinds += range(n_joints + len(extra), rows.X.shape[1])
     codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
     codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]
-    dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), copies_count=True)
+    dwells = find_dwells(rows.X[:, :n_joints], codes.ravel(), True, rows.arm.joint_types)
     if not dwells.merges:
         return dwells, rows
     for finding in dwells.findings():
@@ -275,7 +267,8 @@ def check_values(extra, values):
 
 def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     """Rows of X as a fitted `LinearModel` takes them: angles in rad, then the extra columns."""
-    check_is_fitted(model)
+    if "linear_model_" not in vars(model):
+        check_is_fitted(model)  # which takes a tenth of the prediction of one row
     linear = model.linear_model_
     if model.arm is not None and model.arm != linear.arm:
         raise ValueError(
@@ -285,10 +278,11 @@ def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     X = check_features(model, X, dtype=np.float64, reset=False)
     n_joints = linear.arm.n_joints
     check_values(linear.terms.extra, X[:, n_joints:])
-    return in_rad(X, n_joints, model.angle_unit)
+    return in_rad(X, linear.arm.joint_types, model.angle_unit)
 
 
-def in_rad(X, n_joints, angle_unit):
+def in_rad(X, joint_types, angle_unit):
     """The same rows with their first columns, the angles, in rad."""
-    angles = check_angles(X[:, :n_joints], n_joints, angle_unit)
+    n_joints = len(joint_types)
+    angles = check_angles(X[:, :n_joints], joint_types, angle_unit)
     return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])

@@ -19,22 +19,38 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, own_angles, points_of
-from sklearn_raacmm.utils import chunks, group_sums
+from sklearn_raacmm.arm import (
+    FIELDS,
+    Arm,
+    axis_vectors,
+    joint_axes,
+    phases,
+    points_of,
+    scale_of,
+    slides_of,
+)
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own; then that of harmonics that are taken for
 # themselves, and that of all low orders together.
-GRAVITY, KINEMATICS, WOBBLE, TEMPERATURE, DIRECTION, FORCE, BASE, HARMONICS, SMOOTH = range(9)
+(
+    GRAVITY, KINEMATICS, WOBBLE, GUIDE, TEMPERATURE, DIRECTION, FORCE, BASE, HARMONICS, SMOOTH,
+) = range(10)  # fmt: skip
 FAMILIES = (
-    "gravity", "kinematics", "wobble", "temperature", "direction", "force", "base", "harmonics",
-    "smooth",
+    "gravity", "kinematics", "wobble", "guide", "temperature", "direction", "force", "base",
+    "harmonics", "smooth",
 )  # fmt: skip
 # The families that `ArmResidualRegressor` names in `causes`.
 CAUSES = ("gravity", "kinematics", "wobble")
 FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, BASE)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
+# Half waves along its travel by which a guide is not straight; higher ones are smaller by the
+# square of their number. Up to 8 half waves, or smaller by their number alone, left 18 % more of a
+# gantry and as much of a rail (errors of ``tests/error_model/test_sliding.py``, three seeds).
+_GUIDE_ORDERS = (1, 2, 3, 4)
+# What counts as one radian where the noise of joints is compared, mm.
+_METRE = 1000.0
 # What places the base and is not in its table: shifts along and turns about x and y. Columns that
 # move the arm as a whole, the first axis standing still in the base.
 _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
@@ -67,7 +83,7 @@ class Effect(IntEnum):
 
     Or a turn about it in proportion to the torque about that axis of a load, or of a force on the
     probe, which pushes; or a shift along x or y in proportion to the torque about y or x: what
-    bends leans.
+    bends leans. Or a shift along it in proportion to how far along it one frame is from the last.
     """
 
     TURN = 0
@@ -75,9 +91,10 @@ class Effect(IntEnum):
     LOAD = 2
     PUSH = 3
     LEAN = 4
+    GROW = 5
 
 
-TURN, SHIFT, LOAD, PUSH, LEAN = Effect
+TURN, SHIFT, LOAD, PUSH, LEAN, GROW = Effect
 # Those of loads: along the vertical, in which they are linear.
 OF_LOADS = LOAD, LEAN
 
@@ -110,7 +127,7 @@ class Column(NamedTuple):
     unit: float  # rad or mm per unit coefficient; for LOAD per mm of lever, too
     joint: int = 0  # of the wave, from 0
     order: int = 0  # of the wave: cosine if positive, sine if negative, none if 0
-    load: int = 0  # for LOAD the frame of the load, n_joints + 1: the probe
+    load: int = 0  # for LOAD the frame of the load, n_joints + 1: the probe; for GROW the next one
     by: int = -1  # the extra column that multiplies it, from 0; -1: none
     reference: float = 0.0  # what is taken off that column before
 
@@ -123,13 +140,20 @@ def _first_frame(arm):
     return 0 if arm.convention == "standard" else 1
 
 
+def _of_encoder(arm, j):
+    """Effect and unit of an error of a joint's encoder."""
+    if arm.joint_types[j] == "P":
+        return SHIFT, np.sign(arm.joint_signs[j]) * ARCSEC * arm.reach_mm
+    return TURN, arm.joint_signs[j] * ARCSEC
+
+
 def _harmonics(arm, pairs):
     """Waves of the error of each joint's encoder: a cosine and a sine for each order."""
     first = _first_frame(arm)
     for j, k in pairs.tolist():
-        unit = arm.joint_signs[j] * ARCSEC
+        kind, unit = _of_encoder(arm, j)
         for order in (k, -k):
-            yield Column("", HARMONICS, TURN, j + first, 2, unit, j, order)
+            yield Column("", HARMONICS, kind, j + first, 2, unit, j, order)
 
 
 def _gravity(arm):
@@ -155,7 +179,7 @@ def _kinematics(arm):
     """Changes of the table, of where the base stands, and turns beta about y beside those about x.
 
     A length moves the probe along the axis that carries it; an angle turns it about that axis. A
-    table has no beta, which parallel axes need (Hayati).
+    table has no beta, which parallel axes need (Hayati). What slides has a scale.
     """
     n, first, length = arm.n_joints, _first_frame(arm), ARCSEC * arm.reach_mm
     # Row i goes along and about z of one of its two frames, and x of the other.
@@ -172,14 +196,26 @@ def _kinematics(arm):
     changes += [(f"beta{i + 1}", TURN, i + of_x, 1) for i in range(n)]
     for name, kind, frame, axis in changes:
         yield Column(name, KINEMATICS, kind, frame, axis, length if kind == SHIFT else ARCSEC)
+    for j in slides_of(arm.joint_types):  # what a millimetre of its scale is longer by
+        yield Column(f"scale{j + 1}", KINEMATICS, GROW, j + of_z, 2, ARCSEC, load=j + 1)
 
 
 def _wobble(arm):
     """Tilts of each joint's axis about the two directions across it."""
-    joints, waves, first = range(arm.n_joints), (("cos", 1), ("sin", -1)), _first_frame(arm)
+    waves, first = (("cos", 1), ("sin", -1)), _first_frame(arm)
+    joints = [j for j in range(arm.n_joints) if arm.joint_types[j] == "R"]
     for j, axis, order, (part, sign) in product(joints, range(2), _WOBBLE_ORDERS, waves):
         name = f"joint {j + 1} tilts about {'xy'[axis]}, {part}({order} theta)"
         yield Column(name, WOBBLE, TURN, j + first, axis, ARCSEC, j, sign * order)
+    # Straightness along x and y, pitch, yaw and roll: with the waves along z the six errors of a
+    # linear axis (ISO 230-1).
+    moves = [(SHIFT, axis, "is off along") for axis in range(2)]
+    moves += [(TURN, axis, "tilts about") for axis in range(3)]
+    of = slides_of(arm.joint_types), moves, _GUIDE_ORDERS, waves
+    for j, (kind, axis, does), order, (part, sign) in product(*of):
+        name = f"joint {j + 1} {does} {'xyz'[axis]}, {part}({order} way)"
+        unit = ARCSEC / order**2 * (arm.reach_mm if kind == SHIFT else 1.0)
+        yield Column(name, GUIDE, kind, j + first, axis, unit, j, sign * order)
 
 
 def _temperature(arm, name, by, mean):
@@ -188,13 +224,13 @@ def _temperature(arm, name, by, mean):
     A length grows in proportion to itself: a coefficient of 1 is one arc second in rad, 4.8 ppm.
     """
     _, joint = parsed(name, arm.n_joints)
-    of_joint = {f"{field}{joint + 1}" for field in ("a", "d", "theta_offset")}
+    of_joint = {f"{field}{joint + 1}" for field in ("a", "d", "theta_offset", "scale")}
     if joint == arm.n_joints - 1:
         of_joint |= {"probe_x", "probe_y", "probe_z"}
     lengths = _lengths(arm)
     for column in _kinematics(arm):
         length = lengths.get(column.name, 0.0)
-        grows = abs(length) > _LEAST_GROWING_MM
+        grows = abs(length) > _LEAST_GROWING_MM or column.kind == GROW
         if joint >= 0 and column.name not in of_joint:
             continue
         if grows or column.name.startswith("theta_offset"):
@@ -244,14 +280,16 @@ def _of_extra(arm, extra):
         elif kind == "base":
             yield from _base(arm, name, by, reference)
         elif kind == "direction":
-            unit, frame = arm.joint_signs[joint] * ARCSEC, joint + _first_frame(arm)
+            (effect, unit), frame = _of_encoder(arm, joint), joint + _first_frame(arm)
             of = f"joint {joint + 1} lags"
-            yield Column(of, DIRECTION, TURN, frame, 2, unit, by=by, reference=reference[0])
+            yield Column(of, DIRECTION, effect, frame, 2, unit, by=by, reference=reference[0])
 
 
 def _lengths(arm):
     """Lengths of the table by the names of their columns, mm."""
     lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
+    for j in slides_of(arm.joint_types):  # grows by its scale, with the way that it goes
+        lengths |= {f"d{j + 1}": 0.0, f"scale{j + 1}": 1.0}
     return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
 
 
@@ -354,10 +392,12 @@ class Columns:
         return points_of(self.arm, angles, probes)
 
     def levers(self, rows: np.ndarray) -> np.ndarray:
-        """What each joint's angle does to the probe at rows, (n, 3, n_joints)."""
+        """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
         angles, _, probes = self._parts(rows)
-        z = 3 * (np.arange(self.arm.n_joints) + _first_frame(self.arm)) + 2
-        return axis_vectors(self.arm, angles, probes)[0][:, :, z]
+        levers = axis_vectors(self.arm, angles, probes)[0][:, :, joint_axes(self.arm)]
+        if "P" in self.arm.joint_types:
+            levers *= scale_of(self.arm.joint_types, 1.0, _METRE)
+        return levers
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Columns at rows, (n, 3, n_columns)."""
@@ -367,20 +407,12 @@ class Columns:
             np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
         return out
 
-    def means(self, rows: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> Any:
-        """Weighted mean of the columns over each position, (n_positions, 3, n_columns)."""
-        total = np.bincount(codes, weights)
-        sums: Any = 0.0
-        for part in chunks(len(rows), _CHUNK):
-            sums = sums + group_sums(self.at(rows[part]), codes[part], weights[part], len(total))
-        return sums / total[:, None, None]
-
     def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> "FactoredColumns":
         """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
-        phase = own_angles(self.arm, angles)[:, plan.wave_joint] * plan.wave_order
+        phase = phases(self.arm, angles)[:, plan.wave_joint] * plan.wave_order
         wave = np.empty((len(angles), 2 * phase.shape[1]))
         np.cos(phase, out=wave[:, 0::2])
         np.sin(phase, out=wave[:, 1::2])
@@ -391,6 +423,10 @@ class Columns:
         factor = np.tile(plan.unit, (len(angles), 1))
         if len(plan.loads):
             factor[:, plan.loads] *= _torques(plan, self.up, vectors, places)
+        if len(plan.grows):
+            along = np.take(vectors, plan.which[plan.grows], axis=2)
+            far = places[:, :, plan.grows_to] - places[:, :, plan.grows_to - 1]
+            factor[:, plan.grows] *= np.einsum("ncp,ncp->np", along, far)
         factor[:, plan.waves] *= wave[:, plan.rest :]
         if self.terms.extra:
             if probes is not None:  # each grows in proportion to itself
@@ -415,7 +451,8 @@ class _Plan:
     def __init__(self, columns):
         table, n_waves, n_axes = columns.table, columns.n_waves, 3 * (columns.arm.n_joints + 1)
         axis = 3 * table["frame"] + table["axis"]
-        which = axis + n_axes * np.isin(table["kind"], (SHIFT, LEAN))  # into the `axis_vectors`
+        shifts = np.isin(table["kind"], (SHIFT, LEAN, GROW))
+        which = axis + n_axes * shifts  # into the `axis_vectors`
         # Runs of columns (first, last, vector, unit): many waves that share one vector.
         self.runs, self.rest = [], 0
         n_joints = len(np.unique(columns.terms.harmonics[:, 0]))
@@ -432,6 +469,8 @@ class _Plan:
         self.loads = np.flatnonzero(np.isin(rest["kind"], OF_LOADS))
         self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors
         self.load_at, self.load_frame = rest["load"][self.loads], rest["frame"][self.loads]
+        self.grows = np.flatnonzero(rest["kind"] == GROW)
+        self.grows_to = rest["load"][self.grows]
         self.pushes = np.flatnonzero(rest["kind"] == PUSH)
         self.push_turn = axis[self.pushes]  # into the vectors: what the turn does to the probe
         self.given = np.flatnonzero(rest["by"] >= 0)  # columns that an extra column multiplies

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.arm import slides_of, turn_mm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
     KINEMATICS,
     Columns,
-    Terms,
     columns_of,
 )
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
@@ -71,10 +71,13 @@ _SAME_ANGLE = 1e-6
 # are at least half as many as the poses (``benchmarks/bench_few_poses.py``).
 HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 
+# Waves of what slides are looked for down to this length, mm: screws and racks have longer pitches.
+_LEAST_PITCH_MM = 4.0
+
 # Rounds of robust weights at one choice, and choices with what they have become. A weight that
 # changes by less than this has settled; with so little change of all, in the mean, a choice is the
 # same.
-_ROUNDS, _MAX_CHOICES, _SETTLED_WEIGHT, _SETTLED_CHOICE = 4, 3, 0.05, 0.01
+_ROUNDS, _CHOICES, _SETTLED_WEIGHT, _SETTLED_CHOICE = 4, 2, 0.05, 0.01
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
 # Where more than this share of the poses has new weights, all are summed up anew: of positions with
@@ -85,9 +88,8 @@ _POSES, _HELD_POSES = 256, 5000
 # Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those
 # by which the share of it is found that coefficients follow.
 _ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
-# Change of the noise's shares from which on rows are whitened anew. After so many choices the
-# choice then stays, where the weights have settled.
-_SETTLED_NOISE, _WITH_NEW_NOISE = 0.1, 2
+# Change of the noise's shares from which on rows are whitened anew.
+_SETTLED_NOISE = 0.1
 _TINY = 1e-300
 # Of the reach: residuals below it are the rounding of points.
 ROUNDED = 1e-12
@@ -117,18 +119,22 @@ _LEAST_MEANS, _PRICE_OF_DEVIATIONS = 1e-6, 30.0
 LEAST_POSITIONS = 4
 
 
-def offered_harmonics(angles, orders):
+def offered_harmonics(angles, orders, arm=None):
     """Harmonics that a fit may take, (n_pairs, 2): joint from 0 and order, sorted.
 
     `angles` (n, n_joints) of the poses are in rad. `orders` may be the highest order: a joint at m
     different angles is offered none above m, for on a grid the waves of lower orders are the same
     there; but all above 72 where its angles are scattered. Or the orders themselves, for all joints
-    or for each.
+    or for each. Of a joint of the `arm` that slides, whose angles are `phases`, all down to the
+    shortest pitch are offered.
     """
     n_joints = angles.shape[1]
     if isinstance(orders, Integral):
         n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
-        named = [_seen_orders(column, orders, n_poses) for column in angles.T]
+        most = np.full(n_joints, orders)
+        if arm is not None and orders and (slides := slides_of(arm.joint_types)):
+            most[slides] = np.maximum(orders, turn_mm(arm)[slides] / _LEAST_PITCH_MM)
+        named = [_seen_orders(*one, n_poses) for one in zip(angles.T, most.tolist(), strict=True)]
     else:
         named = list(orders)
         if not any(np.iterable(order) for order in named):
@@ -344,39 +350,42 @@ def fit_linear_model(rows, columns, with_field) -> Any:
 
 
 def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
-    """Choose structures, weights and noise by turns.
+    """Choose structures twice, the second time with the noise that the first choice has shown.
 
-    Returns the state, the factors of the weights, and the rows, whitened.
+    What the noise has become after that is followed by coefficients and variances alone. Returns
+    the state, the factors of the weights, and the rows, whitened.
     """
     factor = np.ones(len(rows.weights))
     if rows.codes is not None:  # one slip of metres would shift all others of its position
         factor = slip_factors(rows.y, rows.codes, rows.weights)
-    state: Any = None
-    sums = rows.weighted(factor).sums(columns)
     levers = columns.levers(rows.X)
     if rows.noise is None:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
-    weighed = True
-    for choice in range(_MAX_CHOICES):
+    state: Any = None
+    sums: Any = None
+    moved, with_field = False, structures.share is not None
+    for _ in range(_CHOICES):
         start = factor
-        if choice < _WITH_NEW_NOISE or weighed:
-            state = search(Problem(sums, structures), state)
+        sums = rows.weighted(factor).sums(columns) if sums is None else sums
+        state = search(Problem(sums, structures), state)
+        state, new = _settled(rows, columns, structures, state, factor, sums)
+        if with_field and not state.with_field:
+            sums, factor = _reweighted(rows, columns, sums, factor, new), new
+            found = _beside_field(rows, columns, structures, sums, state, factor)
+            with_field = found is not None  # else it is not asked for again
+            if found is not None and found.with_field:
+                state, new = _settled(rows, columns, structures, found, factor, sums)
+        noise = _noise_of(rows.weighted(new), columns, state)
+        moved = np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE
+        if moved:
+            rows, sums = rows._replace(noise=noise, root=noise.roots(levers, rows.shown)), None
+        elif np.abs(new - start).mean() < _SETTLED_CHOICE:
+            return state, new, rows
         else:
-            state = refit(sums, structures, state, state.lines, _REFIT_STEPS)
-        state, factor, sums = _settled(rows, columns, structures, sums, state, factor)
-        if structures.share is not None and not state.with_field:
-            beside = _beside_field(rows, columns, structures, sums, state, factor)
-            if beside is not None:
-                state, factor, sums = _settled(rows, columns, structures, sums, beside, factor)
-        if choice + 1 == _MAX_CHOICES:
-            break
-        noise = _noise_of(rows.weighted(factor), columns, state)
-        weighed = bool(np.abs(factor - start).mean() >= _SETTLED_CHOICE)
-        if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
-            rows = rows._replace(noise=noise, root=noise.roots(levers, rows.shown))
-            sums = rows.weighted(factor).sums(columns)
-        elif not weighed:
-            break
+            sums = _reweighted(rows, columns, sums, factor, new)
+        factor = new
+    if moved:
+        state, factor = _settled(rows, columns, structures, state, factor)
     return state, factor, rows
 
 
@@ -406,22 +415,13 @@ def _some(rows, n):
 
 
 def _beside_field(rows, columns, structures, sums, state, factor):
-    """The choice beside the field, or None; sums of the field alone say whether it is searched."""
+    """As `beside_field`, with sums of the field alone."""
     problem = Problem(sums, structures)
     pairs = problem.pairs_and_shares(state.lines, True)[0]
     few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
-    some = sums_of_pairs(sums, pairs)
-    if rows.codes is not None:
-        # With offsets, rows of the Gram matrix of all candidates cost more than a matrix of these.
-        rows = rows.weighted(factor)
-        waves = columns_of(rows.arm, Terms(few.terms.harmonics, False, False, False))
-        of_extra = rows.arm.n_joints + np.arange(len(few.terms.extra))
-
-        def waves_at(X):
-            return waves.at(np.delete(X, of_extra, axis=1))
-
-        gram = less_constants(*explicit_gram(rows, waves_at)[:2])
-        some = some._replace(rows=sums_of_gram(gram, len(pairs), sums.n_observations).rows)
+    # With offsets, rows of the Gram matrix of all candidates cost more than sums of these.
+    again = rows.codes is not None
+    some = rows.weighted(factor).sums(few) if again else sums_of_pairs(sums, pairs)
     alone = state._replace(lines=lines, pairs=lines)
     return beside_field(problem, state, Problem(some, of_field), alone)
 
@@ -434,11 +434,25 @@ def of_pairs(columns, structures, lines, pairs):
     return few, structures, np.flatnonzero(np.isin(pairs, lines))
 
 
-def _settled(rows, columns, structures, sums, state, factor):
-    """A choice with robust weights that have settled: state, weights, and sums at these weights."""
-    pairs, before = state.pairs, factor
+def _settled(rows, columns, structures, state, factor, sums=None):
+    """A choice with robust weights that have settled: state and factors of the weights.
+
+    `sums` are those of all that is offered, with these factors. None: the choice was made with
+    other noise, and follows that of the rows first.
+    """
+    pairs = state.pairs
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
-    some, expected = sums_of_pairs(sums, pairs), _expected(rows, few)
+    expected = _expected(rows, few)
+
+    def followed(some):
+        found = refit(some, structures, state, lines, _REFIT_STEPS)
+        return found._replace(lines=state.lines, pairs=pairs)
+
+    if sums is None:
+        some = rows.weighted(factor).sums(few)
+        state = followed(some)
+    else:
+        some = sums_of_pairs(sums, pairs)
     for _ in range(_ROUNDS):
         left = rows.whitening(factor).centred(rows.y - expected(state))
         left = left if rows.root is None else np.einsum("nij,nj->ni", rows.root, left)
@@ -448,11 +462,8 @@ def _settled(rows, columns, structures, sums, state, factor):
         if np.all(factor == old):
             break
         some = _reweighted(rows, few, some, old, factor)
-        found = refit(some, structures, state, lines, _REFIT_STEPS)
-        state = found._replace(lines=state.lines, pairs=pairs)
-    if np.any(factor != before):
-        sums = _reweighted(rows, columns, sums, before, factor)
-    return state, factor, sums
+        state = followed(some)
+    return state, factor
 
 
 def _reweighted(rows, columns, sums, old, new):
@@ -461,6 +472,8 @@ def _reweighted(rows, columns, sums, old, new):
     Where positions have offsets all rows of a position change together.
     """
     changed = old != new
+    if not changed.any():
+        return sums
     if rows.codes is not None:
         changed = np.isin(rows.codes, rows.codes[changed])
     if rows.lengths or changed.mean() > _MANY_CHANGED:

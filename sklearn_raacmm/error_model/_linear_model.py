@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, own_angles
+from sklearn_raacmm.arm import Arm, own_angles, random_poses
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
@@ -342,11 +342,11 @@ class LinearModel:
         calibration has them (an inner constraint, as geodesists have it in free networks). Kept at
         other poses instead, lengths of simulated gauges are too short by 5 to 19 um.
         """
-        layout, coef = self.layout, self.coef
+        coef = self.coef
         if keep_scale:
-            points = group_means(layout.points(X), codes, weights)
-            scale_of = self._scale_of(points, layout.means(X, codes, weights))
-            coef = coef - layout.scale * (scale_of @ coef)
+            found = self.layout.points(X), self.predict(X)[0]
+            points, moved = (group_means(values, codes, weights) for values in found)
+            coef = coef - self.layout.scale * self._scale_of(points, moved[:, :, None])
         return replace(self, coef=coef).with_seen()
 
     def with_seen(self) -> Self:
@@ -365,8 +365,9 @@ class LinearModel:
         if self.terms.kinematics:
             scale_of, i = self._scale_of(points, columns), _n_motions(self.layout.alone)
             seen[i] = scale_of @ self.half / (scale_of @ of_place[:, i])
-        left = columns @ self.half - there @ seen
-        return replace(self, seen=seen + np.linalg.lstsq(there, left, rcond=_LEAST_SHOWN)[0])
+        inverse = np.linalg.pinv(there, rcond=_LEAST_SHOWN)
+        left = (inverse @ columns) @ self.half - (inverse @ there) @ seen
+        return replace(self, seen=seen + left)
 
     def with_scale_sd(self, scale_sd: float) -> Self:
         """Model that knows the common scale of all distances to this standard deviation.
@@ -397,7 +398,7 @@ class LinearModel:
         spread = points - points.mean(axis=0)
         size = np.square(spread).sum()
         if not self.terms.kinematics or not size > 0:
-            return np.zeros(len(self.coef))
+            return np.zeros(columns.shape[-1])
         return spread.ravel() @ columns.reshape(spread.size, -1) / size
 
     def joint_covariance(
@@ -530,7 +531,7 @@ def unseen_of_table(columns):
     """
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
     kinematic = np.flatnonzero([c.family == KINEMATICS for c in columns.others])
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    angles = random_poses(columns.arm, _POSES)
     own = columns.at(angles)[:, :, columns.n_waves + kinematic].reshape(3 * _POSES, -1)
     size = np.linalg.norm(own, axis=0)
     size[size == 0] = 1.0
@@ -550,7 +551,7 @@ def _n_motions(columns):
 def _fields_of_causes(columns):
     """The same for the columns that are neither harmonics nor extra; which fields they make."""
     columns = columns_of(columns.arm, columns.terms._replace(extra=()))
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, columns.arm.n_joints))
+    angles = random_poses(columns.arm, _POSES)
     of_place, amount = _fields(columns.points(angles), columns.up)
     own = columns.at(angles).reshape(len(of_place), -1)
     size = np.linalg.norm(own, axis=0)

@@ -29,11 +29,13 @@ def check_same_table(old, new):
             f"the correction is of an arm of {kinds[0]}, and is to be moved to {kinds[1]}: only "
             "the probe may differ."
         )
-    if old.couplings != new.couplings:
-        raise ValueError(
-            f"couplings of the correction's arm are {old.couplings} and those of the new arm "
-            f"{new.couplings}: only the probe may differ."
-        )
+    for name in ("couplings", "joint_types"):
+        one, other = getattr(old, name), getattr(new, name)
+        if one != other:
+            raise ValueError(
+                f"{name} of the correction's arm are {one} and those of the new arm {other}: only "
+                "the probe may differ."
+            )
     for name in _TABLE:
         one, other = getattr(old, name), getattr(new, name)
         far = np.flatnonzero(np.abs(one - other) > _ROUNDING)

@@ -94,22 +94,27 @@ def joint_noise(
     scale /= np.average(rank + np.zeros(n), weights=weights)
     if not (scale > 0 and seen.any()):
         return even
-    # Of each noise the covariance that one of it has at each row; symmetric, so that a product of
-    # nine numbers is a trace.
-    shapes = np.empty((n_joints + 1, n, 3, 3))
-    np.einsum("nij,nkj->jnik", levers, levers, out=shapes[:-1])
-    shapes[-1] = np.eye(3) - beside
-    flat, left = shapes.reshape(n_joints + 1, -1), left / np.sqrt(scale)
+    # Of each noise the covariance that one of it has at each row, which is the last index; it is
+    # symmetric, so that a product of nine numbers is a trace.
+    shapes = np.empty((n_joints + 1, 3, 3, n))
+    np.einsum("nij,nkj->jikn", levers, levers, out=shapes[:-1])
+    others = np.moveaxis(np.broadcast_to(beside, (n, 3, 3)), 0, 2)
+    shapes[-1] = np.eye(3)[:, :, None] - others
+    flat, left = shapes.reshape(n_joints + 1, -1), left.T / np.sqrt(scale)
+    one, other = np.array([1, 2, 0]), np.array([2, 0, 1])
     free = 1 - np.minimum(taken, _MOST_TAKEN)
     v = 0.5 / np.where(np.append(seen, True), size, np.inf)
     v[:-1] /= np.count_nonzero(seen)
     v[:-1][~seen] = v[:-1][seen].mean()
     share = v * size
     for _ in range(_STEPS):
-        precision = np.linalg.inv((v @ flat).reshape(n, 3, 3) + beside)
-        pull = np.einsum("nij,nj->ni", precision, left)
-        squares = flat @ (weights[:, None, None] * pull[:, :, None] * pull[:, None]).ravel()
-        determined = free * (flat @ (weights[:, None, None] * precision).ravel())
+        covariance = (v @ flat).reshape(3, 3, n) + others
+        precision = covariance[one][:, one] * covariance[other][:, other]
+        precision -= covariance[one][:, other] * covariance[other][:, one]  # its cofactors
+        precision /= (covariance[0] * precision[0]).sum(axis=0)
+        pull = (precision * left).sum(axis=1)
+        squares = flat @ (weights * pull[:, None] * pull).ravel()
+        determined = free * (flat @ (weights * precision).ravel())
         guess = float(1 / np.mean(1 / v[:-1]))
         squares, determined = v**2 * squares, v * determined
         v = evidence_variance(squares, np.maximum(determined, _TINY))

@@ -32,7 +32,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.arm import Arm, own_angles
+from sklearn_raacmm.arm import Arm, phases
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
 from sklearn_raacmm.measurements import Form, known_length
@@ -138,7 +138,7 @@ def candidate_sums(rows, columns):
     whitened: Any = rows.whitening()
     angles = rows.X
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
-    own_of_joints = own_angles(rows.arm, angles)
+    own_of_joints = phases(rows.arm, angles[:, :n_joints])
     spans = []  # joint, orders, and which of those offered they are
     for joint in np.unique(offered[:, 0]).tolist():
         pairs = np.flatnonzero(offered[:, 0] == joint)
@@ -228,21 +228,23 @@ def without_motions(sums, columns):
     """
     if not columns.terms.kinematics:
         return sums
-    keep = beside_motions(columns.alone)
-    return sums._replace(
-        gram=keep @ sums.gram @ keep, moment=keep @ sums.moment, cross=keep @ sums.cross
-    )
+    motions = motions_of(columns.alone)
+
+    def beside(products):
+        return products - motions @ (motions.T @ products)
+
+    gram = beside(beside(sums.gram).T)
+    return sums._replace(gram=gram, moment=beside(sums.moment), cross=beside(sums.cross))
 
 
 @lru_cache(maxsize=64)
-def beside_motions(columns):
-    """Projection (m, m) of coefficients to what is no motion of the base and no scale."""
+def motions_of(columns):
+    """Orthonormal coefficients (m, k) that move the base, or scale the arm."""
     # What comes before the first joint in the modified convention moves the arm, too.
     before = ["a1", "alpha1", "beta1"] * (columns.arm.convention == "modified")
     moving = [columns.names.index(name) for name in [*BASE_MOTIONS, *before]]
     unit = np.eye(len(columns.names))
-    motions = np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
-    return unit - motions @ motions.T
+    return np.linalg.qr(np.column_stack([unit[:, moving], columns.scale]))[0]
 
 
 def length_equations(rows, columns):

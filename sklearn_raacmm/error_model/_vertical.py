@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from sklearn_raacmm.error_model._columns import LOAD, columns_of
-from sklearn_raacmm.error_model._sums import beside_motions, explicit_gram, less_constants
+from sklearn_raacmm.error_model._sums import explicit_gram, less_constants, motions_of
 from sklearn_raacmm.inference import root_of
 from sklearn_raacmm.utils import stage
 
@@ -100,8 +100,9 @@ def _left_of_gravity(rows, columns, loads, state):
 
     gram = less_constants(*explicit_gram(rows, columns_at)[:2])
     if rows.codes is not None and not rows.known and columns.terms.kinematics:
+        motions = motions_of(columns.alone)
         keep = np.eye(len(gram))
-        keep[n_waves:n, n_waves:n] = beside_motions(columns.alone)
+        keep[n_waves:n, n_waves:n] -= motions @ motions.T
         gram = keep @ gram @ keep
     gram /= state.noise_variance
     rest = np.setdiff1d(np.arange(n), loads)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles
+from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles, phases, scale_of, slides_of
 from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
@@ -45,10 +45,15 @@ class _Chain:
         self.trust = None
 
     def angles(self):
-        """Joint angles in rad."""
+        """Joint angles in rad, and mm of what slides."""
         n = self.arm.n_joints
         angles = self.x if self.p.size(self.x) == n else self.p.take(self.x, np.arange(n))
-        return angles if self.unit == "rad" else self.p("mul", angles, np.pi / 180)
+        if self.unit == "rad":
+            return angles
+        per_degree = np.pi / 180
+        if "P" in self.arm.joint_types:
+            per_degree = scale_of(self.arm.joint_types, per_degree)
+        return self.p("mul", angles, per_degree)
 
     def own_angles(self):
         """Angle of each joint itself in rad, where some are sums of what is given."""
@@ -58,12 +63,27 @@ class _Chain:
         unit = np.eye(self.arm.n_joints)
         return self.p.affine(angles, own_angles(self.arm, unit).T)
 
+    def phases(self):
+        """What waves of each joint's error are waves of, rad."""
+        if "P" not in self.arm.joint_types:
+            return self.own_angles()
+        alone = self.arm.replace(couplings=())
+        return self.p("mul", self.own_angles(), phases(alone, np.ones((1, alone.n_joints)))[0])
+
     def frames(self):
         """Axes and origin of every frame, 12 numbers each, the base first."""
-        arm = self.arm
-        theta = self.p("add", self.p("mul", self.own_angles(), arm.joint_signs), arm.theta_offset)
+        p, arm, own = self.p, self.arm, self.own_angles()
+        signs = arm.joint_signs * scale_of(arm.joint_types, 1.0, 0.0)
+        theta = p("add", p("mul", own, signs), arm.theta_offset)
         table = np.stack([np.cos(arm.alpha), np.sin(arm.alpha), arm.a, arm.d], axis=1)
-        return self.p("frames", theta, table=table, convention=arm.convention)
+        frames = p("frames", theta, table=table, convention=arm.convention)
+        for j in slides_of(arm.joint_types):  # all origins behind it go along its axis
+            axis = 12 * (j + (arm.convention == "modified")) + 6 + np.arange(3)
+            way = p("mul", p("mul", p.take(own, [j] * 3), arm.joint_signs[j]), p.take(frames, axis))
+            behind = np.zeros((12 * (arm.n_joints + 1), 3))
+            behind.reshape(-1, 12, 3)[j + 1 :, 9:] = np.eye(3)
+            frames = p("add", frames, p.affine(way, behind))
+        return frames
 
     def probe(self):
         """Centre of the probe in the base frame, mm."""
@@ -309,7 +329,8 @@ def linear_model(chain, linear, fading):
 
 def _small_doubt(chain, linear, fading):
     factors = np.ones(chain.p.size(chain.x))
-    factors[: chain.arm.n_joints] = np.pi / 180 if chain.unit == "deg" else 1.0
+    unit = np.pi / 180 if chain.unit == "deg" else 1.0
+    factors[: chain.arm.n_joints] = scale_of(chain.arm.joint_types, unit)
     poses = poses_from_far_to_near(
         chain.model, lambda rows: linear.predict_with_doubt(rows * factors)[2]
     )
@@ -341,7 +362,7 @@ def _of_joints(chain, vectors, joints, about, series, means):
     orders = np.arange(1, q // 2 + 1)
     waves = p(
         "waves",
-        chain.own_angles(),
+        chain.phases(),
         joint=np.repeat(joints, q),
         order=np.tile(np.concatenate([orders, -orders]), n),
     )
@@ -378,7 +399,7 @@ def _sizes(chain, linear, table, vectors):
     n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
     sizes = p.constant(table["unit"])
     if np.any(table["order"]):
-        waves = p("waves", chain.own_angles(), joint=table["joint"], order=table["order"])
+        waves = p("waves", chain.phases(), joint=table["joint"], order=table["order"])
         sizes = p("mul", sizes, waves)
     loaded = np.flatnonzero(np.isin(table["kind"], OF_LOADS))
     if len(loaded):
@@ -398,6 +419,15 @@ def _sizes(chain, linear, table, vectors):
                 part = p("mul", part, p.constant(up[c]))
             torque = part if torque is None else p("add", torque, part)
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
+    grown = np.flatnonzero(table["kind"] == Effect.GROW)
+    if len(grown):
+        places, to, way = chain.frames(), 12 * table["load"][grown] + 9, None
+        axis = 12 * table["frame"][grown] + 3 * table["axis"][grown]
+        for k in range(3):
+            far = p("sub", p.take(places, to + k), p.take(places, to - 12 + k))
+            part = p("mul", p.take(places, axis + k), far)
+            way = part if way is None else p("add", way, part)
+        sizes = p("mul", sizes, _at_columns(p, m, grown, way))
     values = p.take(chain.x, arm.n_joints + np.arange(len(extra)))
     pushed = np.flatnonzero(table["kind"] == Effect.PUSH)
     if len(pushed):

@@ -13,7 +13,7 @@ positive and negative, in the metric of columns at poses from far to near.
 
 import numpy as np
 
-from sklearn_raacmm.arm import own_angles
+from sklearn_raacmm.arm import phases
 from sklearn_raacmm.error_model import Effect
 from sklearn_raacmm.export._steps import typical_rows
 
@@ -33,27 +33,26 @@ _ANGLES = 4096
 
 def axis_numbers(table, n_joints):
     """Which axis each column of a table turns about or goes along: turns first."""
-    shifts = np.isin(table["kind"], (Effect.SHIFT, Effect.LEAN))
+    shifts = np.isin(table["kind"], (Effect.SHIFT, Effect.LEAN, Effect.GROW))
     return 3 * (n_joints + 1) * shifts + 3 * table["frame"] + table["axis"]
 
 
 def poses_from_far_to_near(model, doubt, n=_POSES, seed=0):
-    """Poses (rows of X): random ones, and where each goes to have less doubt, input by input.
+    """Poses (rows of X): random ones, and where each goes to have less doubt, an input at a time.
 
     `doubt` is a function of rows. A fitted model does not keep its poses: they were where it has
-    little doubt.
+    little doubt. Each step draws all inputs anew and changes the one that lowers the doubt most.
     """
-    rows = typical_rows(model, n, seed)
-    known, found = doubt(rows), [rows]
-    for _ in range(_STEPS):
-        rows = rows.copy()
-        for i in range(rows.shape[1]):
-            seed += 1
-            moved = rows.copy()
-            moved[:, i] = typical_rows(model, n, seed)[:, i]
-            then = doubt(moved)
-            better = then < known
-            rows[better], known[better] = moved[better], then[better]
+    rows, *steps = typical_rows(model, n, seed, 1 + _STEPS)
+    known, found, of_row = doubt(rows), [rows], np.arange(n)
+    one_input = np.eye(rows.shape[1], dtype=bool)[:, None]
+    for drawn in steps:
+        moved = np.where(one_input, drawn, rows)
+        doubts = doubt(moved.reshape(-1, rows.shape[1])).reshape(-1, n)
+        best = doubts.argmin(axis=0)
+        least = doubts[best, of_row]
+        rows = np.where((least < known)[:, None], moved[best, of_row], rows)
+        known = np.minimum(known, least)
         found.append(rows)
     return np.concatenate(found)
 
@@ -92,7 +91,7 @@ def small_doubt(linear, fading, angles):
     parts = [_series(table, block, covariance) for block in blocks]
     means = np.array([mean for mean, _ in parts])
     series = np.reshape([row for _, row in parts], (len(blocks), 2 * _ORDERS))
-    of_blocks, angles = np.zeros(len(angles)), own_angles(linear.arm, angles)
+    of_blocks, angles = np.zeros(len(angles)), phases(linear.arm, angles)
     for block, joint, mean, row in zip(blocks, joints, means, series, strict=True):
         phase = np.outer(angles[:, joint], np.arange(1, _ORDERS + 1))
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)

@@ -11,7 +11,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.arm import Arm, in_unit, random_poses
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
@@ -96,15 +96,22 @@ def n_inputs(model):
     return int(next(leaves(model))[1].n_features_in_)
 
 
-def typical_rows(model, n, seed=0):
-    """Rows (n, n_inputs) that a fitted model may see: angles, or features like those of the fit."""
-    rng = np.random.default_rng(seed)
+def typical_rows(model, n, seed=0, n_draws=None):
+    """Rows (n, n_inputs) that a fitted model may see: angles, or features like those of the fit.
+
+    With `n_draws` so many times n rows, (n_draws, n, n_inputs).
+    """
+    rows = _typical_rows(model, n * (n_draws or 1), np.random.default_rng(seed))
+    return rows if n_draws is None else rows.reshape(n_draws, n, -1)
+
+
+def _typical_rows(model, n, rng):
     arm, unit = find_arm(model)
     size = n_inputs(model)
     if arm is not None and size >= arm.n_joints:
-        turns = rng.uniform(-np.pi, np.pi, (n, arm.n_joints))
+        turns = random_poses(arm, n, rng)
         extra = [rng.choice(known, n) for _, known in extra_columns(model)]
-        return np.column_stack([np.rad2deg(turns) if unit == "deg" else turns, *extra])
+        return np.column_stack([in_unit(turns, arm.joint_types, unit), *extra])
     rows = rng.normal(size=(n, size))
     for _, step in leaves(model):
         if isinstance(step, StandardScaler):

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: F401  (used by the other subpackages)
+
 from sklearn_raacmm.inference._linear import (
     Extra,
     GramRows,
@@ -20,22 +22,4 @@ from sklearn_raacmm.inference._linear import (
 from sklearn_raacmm.inference._rows import Whitening, whitening
 from sklearn_raacmm.inference._search import beside_field, search, search_at
 
-__all__ = [
-    "Extra",
-    "GramRows",
-    "Problem",
-    "State",
-    "Structures",
-    "Sums",
-    "Whitening",
-    "beside_field",
-    "combined",
-    "evidence_variance",
-    "refit",
-    "root_of",
-    "search",
-    "search_at",
-    "sums_of_gram",
-    "sums_of_pairs",
-    "whitening",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -111,11 +111,7 @@ class State(NamedTuple):
         """Rise of the log evidence by each pair, beside all others, (k,)."""
         m = len(self.coef) - 2 * len(self.pairs)
         half = self.half[m:].reshape(-1, 2, max(len(self.half), 1))
-        covariance = half @ half.swapaxes(1, 2)
-        coef = self.coef[m:].reshape(-1, 2)
-        fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(covariance), coef)
-        shrunk = np.linalg.slogdet(covariance)[1] - 2 * np.log(self.prior[m::2])
-        return 0.5 * (fit + shrunk)
+        return gains_of(self.coef[m:], half @ half.swapaxes(1, 2), self.prior[m:])
 
     def gain_of(self, columns: np.ndarray) -> float:
         """Rise of the log evidence by some columns together, beside all others, in nats.
@@ -128,6 +124,17 @@ class State(NamedTuple):
         covariance = half @ half.T
         fit = w @ np.linalg.solve(covariance, w)
         return float(0.5 * (fit + np.linalg.slogdet(covariance)[1]))
+
+
+def gains_of(coef: np.ndarray, blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Rise of the log evidence by each of k pairs, beside all others, (k,).
+
+    By their coefficients (2 k,), the blocks (k, 2, 2) of the posterior covariance, and the prior
+    variances (2 k,).
+    """
+    coef = coef.reshape(-1, 2)
+    fit = np.einsum("bi,bij,bj->b", coef, np.linalg.inv(blocks), coef)
+    return 0.5 * (fit + np.linalg.slogdet(blocks)[1] - 2 * np.log(prior[::2]))
 
 
 def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
@@ -430,12 +437,11 @@ def _without_rounding(sums):
         return sums
     size = np.maximum(size, _NO_SIZE * size.max())
     value, vectors = np.linalg.eigh(sums.gram / np.outer(size, size))
-    kept = value > _ROUNDING * value[-1]
-    seen = vectors[:, kept]
-    root = size[:, None] * seen * np.sqrt(value[kept])
-    to_seen = seen.T / size
-
-    def clean(products):
-        return size.reshape(-1, *[1] * (products.ndim - 1)) * (seen @ (to_seen @ products))
-
-    return sums._replace(gram=root @ root.T, moment=clean(sums.moment), cross=clean(sums.cross))
+    is_seen = value > _ROUNDING * value[-1]
+    if is_seen.all():
+        return sums
+    root = size[:, None] * vectors[:, is_seen] * np.sqrt(value[is_seen])
+    unseen = vectors[:, ~is_seen]
+    to_unseen, unseen = unseen.T / size, size[:, None] * unseen
+    moment, cross = (v - unseen @ (to_unseen @ v) for v in (sums.moment, sums.cross))
+    return sums._replace(gram=root @ root.T, moment=moment, cross=cross)

@@ -23,6 +23,7 @@ from sklearn_raacmm.inference._linear import (
     Problem,
     State,
     columns_of,
+    gains_of,
     root_of,
 )
 
@@ -72,23 +73,21 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     """The choice beside the field, where the data speak for it against a state of lines alone.
 
     It is searched for where its rise of the evidence, beside all that is there, and the prices of
-    those lines that it may replace come to its own price.
+    those lines that it may replace come to its own price: else None. The state as it was where the
+    search finds nothing better.
     `of_field` is the problem with no other candidates than the lines and the field's, which costs
     less, and `alone` the state in it.
     """
     structures = problem.structures
-    if structures.share is None:
-        return None
+    assert structures.share is not None
     size, rise = _first_size(of_field, alone)
     saved = structures.price[state.lines] @ (structures.share[state.lines] > 0)
     if rise + saved < structures.field_price:
         return None
     variance = np.append(state.variance[:-1], size)
     found = search(problem, problem.state(state.lines, True, variance, state.noise_variance))
-    before = problem.with_variances(state)
-    if net_evidence(problem, found) < net_evidence(problem, before) + structures.field_price:
-        return None
-    return found
+    least = net_evidence(problem, problem.with_variances(state)) + structures.field_price
+    return found if net_evidence(problem, found) >= least else state
 
 
 def net_evidence(problem: Problem, state: State) -> float:
@@ -150,16 +149,33 @@ def _pruned(problem, state):
     """The state without lines whose loss the others make good; at its variances.
 
     All of them but the best go at once, then that one where it is needless still: each of two
-    lines that are the same is needless beside the other.
+    lines that are the same is needless beside the other. To lose a line is to observe that its
+    coefficients have a smaller variance before the data, that of the field, or that they are 0:
+    the covariance of the lines says what the others then are.
     """
-    while True:
-        is_line = np.isin(state.pairs, state.lines, assume_unique=True)
-        net = state.gains[is_line] - problem.structures.price[state.lines]
+    lines, price = state.lines, problem.structures.price
+    is_line = np.isin(state.pairs, lines, assume_unique=True)
+    own = len(problem.structures.family) + columns_of(np.flatnonzero(is_line))
+    coef, prior = state.coef[own], state.prior[own]
+    covariance = state.half[own] @ state.half[own].T
+    while len(lines):
+        i = np.arange(len(coef)).reshape(-1, 2)
+        blocks = covariance[i[:, :, None], i[:, None]]
+        net = gains_of(coef, blocks, prior) - price[lines]
         needless = np.count_nonzero(net <= 0)
         if not needless:
-            return state
+            break
         worst = np.argsort(net, kind="stable")[: max(needless - 1, 1)]
-        state = problem.with_lines(state, np.delete(state.lines, worst))
+        out, kept = i[worst].ravel(), np.delete(i, worst, axis=0).ravel()
+        variance = state.variance[problem.line]
+        # That of an observation of 0 after which the prior is the field's.
+        noise = prior[out] * (prior[out] - variance) / variance
+        across = covariance[np.ix_(kept, out)]
+        seen = np.linalg.solve(covariance[np.ix_(out, out)] + np.diag(noise), across.T).T
+        coef, prior = coef[kept] - seen @ coef[out], prior[kept]
+        covariance = covariance[np.ix_(kept, kept)] - seen @ across.T
+        lines = np.delete(lines, worst)
+    return state if len(lines) == len(state.lines) else problem.with_lines(state, lines)
 
 
 def _first_size(problem, state):

@@ -3,6 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+# ruff: noqa: F401  (used by the other subpackages)
+
 from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
     EQUAL,
@@ -39,39 +41,4 @@ from sklearn_raacmm.measurements._order import (
 from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
-__all__ = [
-    "EQUAL",
-    "FAR",
-    "KINDS",
-    "LEAST_ROWS",
-    "PRICE",
-    "UNITS",
-    "Form",
-    "Linearised",
-    "Measurements",
-    "angle_faults",
-    "base_motions",
-    "best_split",
-    "check_features",
-    "check_length",
-    "check_targets",
-    "directions_of",
-    "drift_of",
-    "explanations",
-    "find_dwells",
-    "find_poses",
-    "given_causes",
-    "known_length",
-    "likeliest",
-    "linearise",
-    "linearised",
-    "medians_of",
-    "moved_positions",
-    "of_own_points",
-    "order_explained_by",
-    "probe_offsets",
-    "touch_findings",
-    "touch_weights",
-    "with_forms",
-    "within_turn",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

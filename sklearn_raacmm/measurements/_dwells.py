@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.utils import Finding, group_means
 
-# A row joins the run while every joint is within this of the run's running mean, in rad, and runs
-# of so many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real
+# A row joins the run while every joint is within this of the run's running mean, in rad or mm, and
+# runs of so many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real
 # series none are merged (``tests/measurements/test_order.py``).
 _STILL_RAD, _LEAST = 1e-3, 3
 # No encoder has such digits: rows that are closer are copies.
@@ -57,23 +58,24 @@ class Dwells(NamedTuple):
 
 
 def find_dwells(
-    angles: np.ndarray, codes: np.ndarray | None = None, copies_count: bool = False
-) -> Dwells:
-    """Find the rows that are one pose, by angles (n, n_joints) in rad, in their order.
+    angles: np.ndarray, codes: np.ndarray | None = None, copies_count: bool = False,
+    joint_types: str = "",
+) -> Dwells:  # fmt: skip
+    """Find the rows that are one pose, by angles (n, n_joints) in rad or mm, in their order.
 
     Rows of different `codes` (n,) are different poses. Where copies count, runs of equal rows stay:
     a row that is repeated has the weight of its repeats.
     """
     n = len(angles)
     codes = np.zeros(n, dtype=int) if codes is None else codes
-    step = np.abs(within_turn(np.diff(angles, axis=0))).max(axis=1, initial=0.0)
+    step = np.abs(within_turn(np.diff(angles, axis=0), joint_types)).max(axis=1, initial=0.0)
     # Both ends of a step are within the limit of one mean.
     breaks = np.flatnonzero(~(step <= 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1
     new = np.ones(n, dtype=bool)
     for low, high in pairwise([0, *breaks, n]):
         if high - low < _LEAST:
             continue
-        runs = _runs(within_turn(angles[low:high] - angles[low]))
+        runs = _runs(within_turn(angles[low:high] - angles[low], joint_types))
         for first, end in pairwise([*low + np.array(runs), high]):
             is_copy = copies_count and np.ptp(angles[first:end], axis=0).max() < _COPY_RAD
             if end - first >= _LEAST and not is_copy:
@@ -95,13 +97,14 @@ def _runs(angles):
 
 
 def find_poses(
-    angles: np.ndarray, codes: np.ndarray | None = None, points: np.ndarray | None = None
-) -> Dwells:
+    angles: np.ndarray, codes: np.ndarray | None = None, points: np.ndarray | None = None,
+    joint_types: str = "",
+) -> Dwells:  # fmt: skip
     """Find the rows that are one pose, copies of rows among them.
 
     As `find_dwells`; rows are no copies if their measured points (n, 3) differ.
     """
-    dwells = find_dwells(angles, codes)
+    dwells = find_dwells(angles, codes, joint_types=joint_types)
     codes = np.zeros(len(angles)) if codes is None else codes
     columns = [dwells.mean_angles(angles), codes[dwells.first][:, None]]
     if points is not None:
@@ -115,6 +118,8 @@ def find_poses(
     return Dwells(pose, dwells.first[first[order]], n_copies)
 
 
-def within_turn(angles: np.ndarray) -> np.ndarray:
-    """Angles in rad from -pi to pi."""
-    return np.remainder(angles + np.pi, 2 * np.pi) - np.pi
+def within_turn(angles: np.ndarray, joint_types: str = "") -> np.ndarray:
+    """Angles in rad from -pi to pi; what slides stays as it is, mm."""
+    found, slides = np.remainder(angles + np.pi, 2 * np.pi) - np.pi, slides_of(joint_types)
+    found[..., slides] = angles[..., slides]
+    return found

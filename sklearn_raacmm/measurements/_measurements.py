@@ -74,6 +74,7 @@ class Measurements:
     extra: dict[str, Any] = field(default_factory=dict)
     poses: Any = None
     stated: tuple[Any, ...] = ()
+    joint_types: str = ""
     # What follows from these, of use to a calibration.
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
@@ -97,6 +98,7 @@ class Measurements:
         extra: dict[str, Any] | None = None,
         angle_unit: str = "rad",
         n_joints: int | None = None,
+        joint_types: str | None = None,
     ) -> "Measurements":
         """Check what was measured, and take rows in which the arm stood still as one.
 
@@ -108,6 +110,8 @@ class Measurements:
             As in :func:`learn_correction`.
         n_joints : int, default=None
             Joints of the arm, where a sentence shall say that their number is wrong.
+        joint_types : str, default=None
+            Those of an :class:`Arm` with joints that slide, which are in mm. None: all turn.
 
         Returns
         -------
@@ -125,9 +129,10 @@ class Measurements:
         """
         n_joints = np.shape(angles)[-1] if n_joints is None and np.ndim(angles) else n_joints
         # Within one turn, lest a warning of far angles be repeated by everything that follows.
-        angles = within_turn(check_angles(angles, n_joints or 0, angle_unit))
+        types = joint_types or ""
+        angles = within_turn(check_angles(angles, types or n_joints or 0, angle_unit), types)
         n = len(angles)
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = {"joint_types": types}
         if points is not None:
             points = floats("points", points, 3)
             if len(points) != n:
@@ -156,7 +161,7 @@ class Measurements:
         parts = (whole.index, whole.tools, whole.stations)
         columns = [np.zeros(n), *(part for part in parts if part is not None)]
         codes = np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
-        return whole._of_poses(find_poses(angles, codes, points))
+        return whole._of_poses(find_poses(angles, codes, points, types))
 
     @classmethod
     def taken(cls, angles: Any, groups: Any = None, **given: Any) -> "Measurements":

@@ -33,7 +33,9 @@ _LEAST_DIFFERENT, _LARGE_MM = 10, 0.02
 _MOST_OF_ONE, _LEAST_POSES = 0.25, 10
 
 
-def directions_of(angles: ArrayLike, *, at: ArrayLike | None = None) -> np.ndarray:
+def directions_of(
+    angles: ArrayLike, *, at: ArrayLike | None = None, joint_types: str | None = None
+) -> np.ndarray:
     """Direction from which each joint came, from the order of the poses.
 
     Parameters
@@ -43,6 +45,8 @@ def directions_of(angles: ArrayLike, *, at: ArrayLike | None = None) -> np.ndarr
     at : array-like of shape (n_poses,), default=None
         Rows of the poses that were logged, where `angles` are a stream of all that the encoders
         have shown: between two poses a joint may turn round. None: each row is a pose.
+    joint_types : str, default=None
+        Those of an :class:`Arm` with joints that slide, which are in mm. None: all turn.
 
     Returns
     -------
@@ -64,9 +68,10 @@ def directions_of(angles: ArrayLike, *, at: ArrayLike | None = None) -> np.ndarr
     [[0.0], [-1.0]]
     """
     angles = np.asarray(angles, dtype=float)
-    angles = check_angles(angles, angles.shape[1] if angles.ndim == 2 else 0, "rad")
+    types = joint_types or ""
+    angles = check_angles(angles, types or (angles.shape[1] if angles.ndim == 2 else 0), "rad")
     # From 359 to 1 degree a joint has most likely gone the short way.
-    steps = within_turn(np.diff(angles, axis=0, prepend=angles[:1]))
+    steps = within_turn(np.diff(angles, axis=0, prepend=angles[:1]), types)
     if at is not None:
         rows = np.asarray(at)
         if (

@@ -86,7 +86,7 @@ class RBFNetRegressor(VersionedRegressor):
         that is more probable.
 
     max_centers : int, default=None
-        Most centres found. None: 2000, or all of up to 10 000 rows.
+        Most centres that a fit takes. None: 2000, or all of up to 10 000 rows.
 
     shared : bool or "scaled", default=False
         Whether outputs share a network, by the trace of the error reduction in units of `y`, where
@@ -500,8 +500,7 @@ class RBFNetRegressor(VersionedRegressor):
         return {name: value for name, value in super().__getstate__().items() if name != "_packed"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # A file from before this parameter: such networks saw the features.
-        super().__setstate__({"inputs": "raw"} | state)
+        super().__setstate__(state)
         if "networks_" in vars(self):
             if not all(isinstance(network, Network) for network in self.networks_):
                 raise ValueError("The file is damaged: networks_ holds something else.")

@@ -13,11 +13,14 @@ from sklearn_raacmm.network import _read
 from sklearn_raacmm.network._blocks import ArrayChunks
 from sklearn_raacmm.network._posterior import pack, predict_mean
 from sklearn_raacmm.network._search import EXACT_ROWS, MARGIN, MARGIN_OF_TARGET
-from sklearn_raacmm.utils import Finding, many_without_weight
+from sklearn_raacmm.utils import (
+    TUKEY_CUT,
+    Finding,
+    many_without_weight,
+    robust_scale,
+    tukey_weights,
+)
 
-# Residual, in standard deviations, from which a row has no weight; while none is as far off, all
-# rows have theirs in full. 4e-8 of normal residuals are: one table of 10 000 rows in 2600 has one.
-CUT = 5.5
 # Fits at most: slips are clear after the second, and what comes and goes near the limit is not.
 MAX_FITS = 4
 # Nats for each target by which the robust loss has to lead: tails lead by less, slips of 1 mm by
@@ -29,10 +32,10 @@ WORTH = 0.05
 # Mean change of the weights at which they have settled.
 SETTLED = 5e-3
 # Weighted mean square over the variance, of normal residuals: E[w z^2] / E[w] with
-# w = (1 - z^2 / CUT^2)^2, by the moments 1, 3 and 15 (what is beyond CUT is 4e-8).
-NORMAL_SQUARE = (1 - 6 / CUT**2 + 15 / CUT**4) / (1 - 2 / CUT**2 + 3 / CUT**4)
-# Standard deviation of a normal variable over its median absolute value.
-_SD_OF_MEDIAN = 1.482602218505602
+# w = (1 - z^2 / TUKEY_CUT^2)^2, by the moments 1, 3 and 15 (what is beyond is 4e-8).
+NORMAL_SQUARE = (1 - 6 / TUKEY_CUT**2 + 15 / TUKEY_CUT**4) / (
+    1 - 2 / TUKEY_CUT**2 + 3 / TUKEY_CUT**4
+)
 
 
 def biweights(residuals, weights, codes=None):
@@ -45,13 +48,10 @@ def biweights(residuals, weights, codes=None):
         own = codes == code
         residuals[own] -= np.median(residuals[own & counted], axis=0)
     size = np.abs(residuals)
-    scale = _SD_OF_MEDIAN * np.median(size[counted], axis=0)
     # An output that is met exactly by half of the rows has no scale.
-    known = scale > 1e-12 * size.max(axis=0, initial=0.0)
-    far = (size[:, known] / scale[known]).max(axis=1, initial=0.0)
-    if not np.any(far[counted] > CUT):
-        return np.ones(len(size))
-    return np.square(np.maximum(1 - np.square(far / CUT), 0.0))
+    known = np.median(size[counted], axis=0) > 1e-12 * size.max(axis=0, initial=0.0)
+    of_outputs = [tukey_weights(left[:, None], weights) for left in residuals.T[known]]
+    return np.min([np.ones(len(size)), *of_outputs], axis=0)
 
 
 def reweigh(estimator, blocks, codes):
@@ -110,10 +110,10 @@ def _heavy_tails(Y, residuals, factor) -> Iterator[Finding]:
     for y, left in zip(Y.T, residuals.T, strict=True):
         gain = yeojohnson_llf(yeojohnson_normmax(y), y) - yeojohnson_llf(1.0, y)
         if gain > MARGIN + MARGIN_OF_TARGET * n:
-            size = np.abs(left[far]).max() / (_SD_OF_MEDIAN * np.median(np.abs(left)))
+            size = np.abs(left[far]).max() / robust_scale(np.abs(left), 1)
             yield Finding(
                 "heavy-tails",
-                f"The targets have heavy tails: {len(far)} of {n} rows lie more than {CUT:g} "
+                f"The targets have heavy tails: {len(far)} of {n} rows lie more than {TUKEY_CUT:g} "
                 f"standard deviations of the others off, up to {size:.3g}.",
                 "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
                 "transformer=PowerTransformer()).",

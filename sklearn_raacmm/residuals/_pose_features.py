@@ -20,6 +20,7 @@ from sklearn_raacmm.arm import (
     check_angles,
     check_arm,
     points_of,
+    slides_of,
 )
 from sklearn_raacmm.utils import (
     Floats,
@@ -133,11 +134,16 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         ------
         ValueError
             If the number of columns is not the arm's number of joints, or `X` holds NaN or
-            infinity; if the pose is asked for, and the arm's base axis is neither upright nor
-            upside down.
+            infinity; if a joint slides; if the pose is asked for, and the arm's base axis is
+            neither upright nor upside down.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
         self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
+        if slides := slides_of(self.arm_.joint_types):
+            raise ValueError(
+                f"joint {slides[0] + 1} of the arm slides, and these features are angles of joints "
+                "that turn: take ArmResidualRegressor, which knows both."
+            )
         across = float(np.hypot(*self.arm_.up[:2]))
         if self.joints == "pose" and across > _MOST_ACROSS:
             shown = ", ".join(f"{value:.2g}" for value in self.arm_.up)
@@ -172,7 +178,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
-        angles = check_angles(X, self.arm_.n_joints, self.angle_unit)
+        angles = check_angles(X, self.arm_.joint_types, self.angle_unit)
         turns = np.floor((angles - self.turn_start_) / _TURN)
         if turns.any():
             angles = angles - _TURN * turns
@@ -353,7 +359,7 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
 def _corners(arm, angles, angle_unit):
     """Shoulder, elbow and wrist, (3, n) each, mm."""
     check_arm(arm)
-    angles = check_angles(angles, arm.n_joints, angle_unit)
+    angles = check_angles(angles, arm.joint_types, angle_unit)
     first, last = arm.pose_frames
     # The axis of joint i runs through the origin of frame i - 1, in the modified convention of i.
     elbow = arm.pose_joints[1] - (arm.convention == "standard")

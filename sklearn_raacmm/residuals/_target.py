@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any, Literal, Self, overload
 
 import numpy as np
@@ -229,7 +228,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     def _findings(self, X, y, codes, direction, unasked):
         """What residuals (n, 3) show of themselves, and of positions that nobody named."""
         weights, arm = np.ones(len(y)), self._arm()
-        angles = None if arm is None else check_angles(X, arm.n_joints, "rad")
+        angles = None if arm is None else check_angles(X, arm.joint_types, "rad")
         offsets = codes is not None and are_deviations(y, codes, weights)
         yield from check_targets(y, weights, arm, angles, codes, offsets)
         if unasked and arm is None:
@@ -365,26 +364,11 @@ class CylindricalResidualTarget(PointCorrectionMixin):
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
-        sparse, multi_output = _taken_by(self._get_regressor())
+        inner = get_tags(self._get_regressor())
         tags.regressor_tags.poor_score = True
-        tags.input_tags.sparse = sparse
-        tags.target_tags.multi_output = multi_output
+        tags.input_tags.sparse = inner.input_tags.sparse
+        tags.target_tags.multi_output = inner.target_tags.multi_output
         return tags
-
-
-def _taken_by(regressor):
-    """Whether a regressor takes sparse X, and several targets.
-
-    A pipeline asks for our tags twice in every prediction, and one inside copies most of its own.
-    """
-    if type(regressor) is Pipeline:
-        # Of "passthrough", or what is no list of steps, scikit-learn knows what to make.
-        with suppress(ValueError, AttributeError, TypeError, IndexError):
-            inner = [get_tags(step) for _, step in regressor.steps]
-            sparse = all(tags.input_tags.sparse for tags in inner)
-            return sparse, inner[-1].target_tags.multi_output
-    tags = get_tags(regressor)
-    return tags.input_tags.sparse, tags.target_tags.multi_output
 
 
 def _poses(X, y, groups, codes, fit_params) -> Any:

@@ -35,6 +35,7 @@ from sklearn_raacmm.utils._findings import (
     Finding as Finding,  # "as" for type checkers of those who import it from here
     FindingError as FindingError,
     FindingWarning as FindingWarning,
+    are_findings_ignored,
     call_collecting,
     collected_findings,
     ignored_findings,
@@ -45,6 +46,7 @@ from sklearn_raacmm.utils._findings import (
     whole_fit,
 )
 from sklearn_raacmm.utils._rows import (
+    CENTRED,
     TUKEY_CUT,
     align,
     are_deviations,
@@ -59,6 +61,7 @@ from sklearn_raacmm.utils._rows import (
     natural_order,
     numbered_by_rows,
     robust_scale,
+    share_of_means,
     slip_factors,
     tukey_weights,
 )

@@ -8,13 +8,14 @@ A finding is made once, and is the same in every place that shows it.
 
 import logging
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
 from functools import partial, wraps
 from inspect import signature
 from time import perf_counter
+from types import MappingProxyType
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -23,13 +24,11 @@ from sklearn_raacmm.utils._estimators import Function, fit_context, warn_user
 
 _LOGGER = logging.getLogger("sklearn_raacmm")
 
-# Where findings are collected instead of warned of; None outside of `collected_findings`.
-_COLLECTED: ContextVar[Any] = ContextVar("collected findings", default=None)
-# Codes that a call accepts, and whether it refuses what has to be repaired: no part of a call does.
-_NOTHING: tuple[tuple[str, ...], bool] = ((), False)
-_ACCEPTED: ContextVar[Any] = ContextVar("accepted findings", default=_NOTHING)
-# Numbers of the rows in the user's file; None: rows are counted from 0.
-_ROW_NUMBERS: ContextVar[Any] = ContextVar("numbers of the rows", default=None)
+# Of the call that runs: "collected", where findings go instead of being warned of; "accepted",
+# codes; "refuses", whether it refuses what has to be repaired, which no part of a call does;
+# "ignored", where nobody will read them; "row_numbers", in the user's file, where rows are not
+# counted from 0.
+_STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
 
@@ -88,38 +87,50 @@ class Finding:
 
     def report(self) -> None:
         """Refuse the data, collect the finding, or warn of it; of a note nobody is warned."""
-        collected, (accepted, refuses) = _COLLECTED.get(), _ACCEPTED.get()
-        if self.weight == "repair" and self.code in accepted:
+        state = _STATE.get()
+        if self.weight == "repair" and self.code in state.get("accepted", ()):
             return replace(self, weight="doubt").report()
-        if self.weight == "repair" and refuses:
+        if self.weight == "repair" and state.get("refuses"):
             # In words that hold for `accept=` and for `--accept`.
             advice = f'{self.advice} Otherwise accept "{self.code}" to go on.'
             raise FindingError(replace(self, advice=advice, weight="refuse"))
         if self.weight == "refuse":
             raise FindingError(self)
-        if collected is not None:
+        if (collected := state.get("collected")) is not None:
             if self not in collected:
                 collected.append(self)
         elif self.weight != "note":
             warn_user(FindingWarning(self))
 
 
-@contextmanager
-def numbered_rows(numbers: Any) -> Iterator[None]:
+class _Within:
+    """Change the state for what runs within.
+
+    It is no generator: one that is interrupted and closed later would change the state of others.
+    """
+
+    def __init__(self, **changes: Any) -> None:
+        self._changes = changes
+
+    def __enter__(self) -> Any:
+        self._token = _STATE.set({**_STATE.get(), **self._changes})
+        return self._changes.get("collected")
+
+    def __exit__(self, *error: Any) -> None:
+        _STATE.reset(self._token)
+
+
+def numbered_rows(numbers: Any) -> AbstractContextManager[None]:
     """Let findings that are made within name their rows by these numbers (n,).
 
     Those of the lines of a file, by which whoever reads the findings knows the rows.
     """
-    token = _ROW_NUMBERS.set(numbers)
-    try:
-        yield
-    finally:
-        _ROW_NUMBERS.reset(token)
+    return _Within(row_numbers=numbers)
 
 
 def row_numbers(rows: Iterable[Any]) -> tuple[int, ...]:
     """Numbers by which findings name some rows: counted from 0, or as `numbered_rows` says."""
-    numbers = _ROW_NUMBERS.get()
+    numbers = _STATE.get().get("row_numbers")
     return tuple(int(row if numbers is None else numbers[row]) for row in rows)
 
 
@@ -139,20 +150,12 @@ class FindingError(ValueError):
         self.finding = finding
 
 
-class collected_findings:  # noqa: N801  (a context manager, as those of the standard library)
+def collected_findings() -> AbstractContextManager[list[Finding]]:
     """Collect the findings that are made within, instead of warning.
 
-    ``with collected_findings() as found`` gives a list, with each finding once; notes, too. It
-    is no generator: one that is interrupted and closed later would end the collection of others.
+    ``with collected_findings() as found`` gives a list, with each finding once; notes, too.
     """
-
-    def __enter__(self) -> list[Finding]:
-        found: list[Finding] = []
-        self._token = _COLLECTED.set(found)
-        return found
-
-    def __exit__(self, *error: Any) -> None:
-        _COLLECTED.reset(self._token)
+    return _Within(collected=[])
 
 
 def call_collecting(
@@ -165,16 +168,18 @@ def call_collecting(
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
     codes = [accept] if isinstance(accept, str) else accept or ()
-    accepted = (*_ACCEPTED.get()[0], *codes), accept is not None and _COLLECTED.get() is None
+    before = {**_STATE.get()}
+    refuses = accept is not None and before.get("collected") is None
+    own = before | {"accepted": (*before.get("accepted", ()), *codes), "refuses": refuses}
 
     def inside():
+        _STATE.set(own)
         found: list[Finding] = []
-        _ACCEPTED.set(accepted)
         try:
             with collected_findings() as found:
                 result = function()
         except ValueError as error:
-            _ACCEPTED.set(_NOTHING)
+            _STATE.set(before | {"accepted": (), "refuses": False})
             # One of them may be the reason; that which is raised is not said twice.
             for finding in found:
                 if finding is not getattr(error, "finding", None):
@@ -235,9 +240,14 @@ def whole_fit(*, prefer_skip_nested_validation: bool) -> Callable[[Function], Fu
 @contextmanager
 def ignored_findings() -> Iterator[None]:
     """Leave out findings and warnings of parts of the data: those of all rows are shown."""
-    with collected_findings(), warnings.catch_warnings():
+    with _Within(collected=[], ignored=True), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         yield
+
+
+def are_findings_ignored() -> bool:
+    """Whether nobody will read what is found here, so that it need not be looked for."""
+    return bool(_STATE.get().get("ignored"))
 
 
 def stage(name: str) -> Callable[[Function], Function]:

@@ -31,7 +31,7 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 # Mean residuals of positions, as a share of what the scatter within positions explains, below which
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
-_CENTRED = 0.5
+CENTRED = 0.5
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
@@ -172,20 +172,21 @@ def centred(
     return values if codes is None else values - group_means(values, codes, weights)[codes]
 
 
-def are_deviations(
-    y: np.ndarray, codes: np.ndarray, weights: np.ndarray, share: float = _CENTRED
-) -> bool:
-    """Whether residuals (n, ...) are known up to a constant at each position: small means there.
+def are_deviations(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> bool:
+    """Whether residuals (n, ...) are known up to a constant at each position: small means there."""
+    return share_of_means(y, codes, weights) < CENTRED
 
-    By the mean squares of positions' means, as a share of what the scatter within positions
-    explains; of means with slips or without them.
+
+def share_of_means(y: np.ndarray, codes: np.ndarray, weights: np.ndarray) -> float:
+    """Mean squares of positions' means of residuals (n, ...), over what scatter alone explains.
+
+    Of means with slips or without them, whichever is less: they may be deviations from either.
     """
     y = y.reshape(len(y), -1)
-    if _share_of_means(y, codes, weights) < share:
-        return True
-    factor = slip_factors(y, codes, weights)
-    # They may be deviations from means without slips.
-    return bool(np.any(factor < 1) and _share_of_means(y, codes, weights * factor) < share)
+    shares, factor = [_share_of_means(y, codes, weights)], slip_factors(y, codes, weights)
+    if np.any(factor < 1):
+        shares.append(_share_of_means(y, codes, weights * factor))
+    return min(shares)
 
 
 def _share_of_means(y, codes, weights):

@@ -10,6 +10,7 @@ import functools
 import json
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -319,6 +320,18 @@ def test_demo(monkeypatch, tmp_path, capsys):
     assert "A simulated single-point test" in printed.out
     assert "decimal commas, utf-8; header in row 2" in printed.err
     assert opened == [(tmp_path / "demo" / "report.html").as_uri()]
+
+
+@pytest.mark.exhaustive
+def test_the_readme_shows_what_the_demo_prints(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    page = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"raacmm demo\n```\n\n```text\n(.*?)```", page, re.DOTALL)
+    lines = [line for line in shown.splitlines() if line != "..."]
+    assert len(lines) == 3
+    assert [line for line in lines if line not in printed] == []
 
 
 def test_arm_from_every_source(tmp_path, capsys, monkeypatch):

@@ -16,6 +16,7 @@ from scipy.io import savemat
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.app import TableError, _commands, main, read_table
+from sklearn_raacmm.app._tables import read_points
 
 RAD = np.array([
     [0.10, -1.20, 1.30, -0.40, 0.50, 0.60], [0.20, -1.10, 1.20, -0.30, 0.40, 0.50],
@@ -91,6 +92,14 @@ def echo(begin, end, separator):
     return text
 
 
+def sexagesimal(value):
+    """An angle in degrees as theodolites show it."""
+    seconds = round(abs(value) * 3600, 2)
+    whole = f"{int(seconds // 3600)}°{int(seconds // 60 % 60):02d}'{seconds % 60:05.2f}"
+    return f"-{whole}" if value < 0 else whole
+
+
+EACH = ["A_1", "A_2", "B_1", "B_2"]  # names of single poses
 STATES = np.c_[RAD[:, ORDER], 0 * RAD, 9 * RAD]
 PROGRAM = {
     # KUKA System Software 8.x, operating and programming instructions: structure E6AXIS in a .dat.
@@ -274,6 +283,55 @@ KINDS = {
     "exponents of fortran": with_points("".join(
         " ".join(f"{v:.9E}".replace("E", "D") for v in row) + "\n" for row in DEG)),
     "ls, names of places": {"text": of_places(PROGRAM["fanuc ls"])},
+    # Cells of instruments and of spreadsheets.
+    "degrees, minutes, seconds": {"text": as_table(Q, [[sexagesimal(v) for v in r] for r in DEG])},
+    "korean": {"text": as_table([f"관절{i}(도)" for i in range(1, 7)]), "encoding": "cp949"},
+    "commanded and actual": {"text": as_table(
+        [f"J{i} {what}" for i in range(1, 7) for what in ("cmd", "act")],
+        [np.c_[row + 1, row].ravel() for row in DEG])},
+    "a unit below each name": with_points(joined([Q, ["rad"] * 6, *RAD], "\t")),
+    "statistics below": {"text": as_table(Q) + "".join(
+        f"\n{name}," + ",".join(map(str, row)) for name, row in
+        (("Mean", DEG.mean(0)), ("Std. Dev.", DEG.std(0)), ("Max", DEG.max(0))))},
+    "names again above each place": {"text": "".join(
+        f"cone {lab}\n{joined([Q, *rows])}\n" for lab, rows in (("A", DEG[:2]), ("B", DEG[2:]))),
+        "labels": ["cone A"] * 2 + ["cone B"] * 2},
+    "numbers of points behind places": {"text": joined(
+        [["name", *Q], *([name, *r] for name, r in zip(EACH, DEG, strict=True))], " ")},
+    # Programs, and what controllers and languages print.
+    "urscript": with_points("def prog():\n" + lists(
+        "  movej([{}], a=1.4)\n  sleep(0.5)\n  movel(p[1, 2, 3, 4, 5, 6])", RAD) + "end\n"),
+    "melfa": with_points(lists("NUMBER0 Mov JP{NUMBER}").replace("{", "").replace("}", "")
+                         + lists("JPNUMBER=({},0.00,0.00)")),
+    "comau": {"text": "VAR\n" + "  A_0 : JOINTPOS FOR ARM[1]\n" * 4 + "BEGIN\n"
+              + lists("  LABEL_NUMBER := {{}}") + "END\n"},
+    "kawasaki": {"text": ".JOINTS\n" + lists("#LABEL_NUMBER {}").replace(",", "") + ".END\n",
+                 "labels": ["#A", "#A", "#B", "#B"]},
+    "c": with_points("const double q[4][6] = {\n" + lists("  {{}},") + "};\n"),
+    "mathematica": with_points("{" + lists("{{}}, ").replace("\n", "").rstrip(", ") + "}\n"),
+    "numpy, printed": with_points(np.array2string(DEG, max_line_width=40) + "\n"),
+    "numpy, its repr": with_points("q_deg = " + repr(DEG)),
+    "lists after their names": with_points(lists(
+        "2024-03-01 12:00:0NUMBER,123 INFO angles: [{}] pose: [1, 2, 3, 4, 5, 6]")),
+    "lua": {"text": lists('  {name = "LABEL_NUMBER", joint = {{}}, pose = {1, 2, 3, 4, 5, 6}},')},
+    "names of joints behind places": {"text": "".join(
+        f"{lab}: " + ", ".join(f"{n}={v}" for n, v in zip(NAMES, row, strict=True)) + "\n"
+        for lab, row in zip(LABELS, DEG, strict=True))},
+    "names before numbers": {
+        "text": "".join(
+            f"PT {i} " + " ".join(f"{n} {v}" for n, v in zip([*"XYZ", *Q], row, strict=True)) + "\n"
+            for i, row in enumerate(np.c_[POINTS, DEG])),
+        "options": {"points": ["x", "y", "z"]}},
+    "sections of an ini file": {"text": "".join(
+        f"[{name}]\n" + "".join(f"J{j}={v}\n" for j, v in enumerate(row, 1)) + "\n"
+        for name, row in zip(EACH, DEG, strict=True))},
+    "lists in cells": with_points("time,name,position\n" + "".join(
+        f'{i},"{ALPHABETICAL}","{row.tolist()}"\n' for i, row in enumerate(RAD[:, ORDER]))),
+    "json, names of columns": with_points(json.dumps(
+        {"columns": Q, "index": [*range(4)], "data": DEG.tolist()})),
+    "json lines, torques, too": {"text": "".join(json.dumps(
+        {"place": lab, "q": row.tolist(), "dq": [0.5] * 6, "tau_J": [1.5] * 6}) + "\n"
+        for lab, row in zip(LABELS, DEG, strict=True))},
 }  # fmt: skip
 
 
@@ -494,6 +552,14 @@ POINT_FILES = {
     "motive": ("Format Version,1.23,Length Units,Meters\n\n,,Marker,Marker,Marker\n,,1,1,1\n"
         "Frame,Time (Seconds),X,Y,Z\n" + joined(
         [i, i / 120, *point] for i, point in enumerate(POINTS / 1000)), None),
+    "a row for each coordinate": ("Name,Axis,Nominal,Measured,Dev\n" + joined(
+        [f"p{i}", axis, value + 1, value, -1]
+        for i, point in enumerate(POINTS) for axis, value in zip("XYZ", point, strict=True)), None),
+    "metres above": ("Tracker 1\nCoordinates in metres\n\n" + joined(
+        ([f"p{i}", *point] for i, point in enumerate(POINTS / 1000)), " "), None),
+    "thousands parted": ("id;X;Y;Z\n" + joined(([f"p{i}", *(
+        f"{value:,.4f}".replace(",", "_").replace(".", ",").replace("_", ".") for value in point)]
+        for i, point in enumerate(POINTS)), ";"), None),
     "json": (json.dumps([{"name": f"p{i}", "measured": dict(zip("xyz", point, strict=True))}
                          for i, point in enumerate(POINTS.tolist())]), None),
 }  # fmt: skip
@@ -569,6 +635,48 @@ def test_an_external_axis_that_moves_is_named(tmp_path):
         table = read_table(tmp_path / "log.csv", 6, points=write_points(tmp_path / "points.txt"))
         said = "Column E1 varies by 1500: an external axis moves the base"
         assert (said in " ".join(table.notes)) == moves
+
+
+def test_what_looks_like_a_kind_and_is_none(tmp_path):
+    """Words before numbers, longer lists beside the joints, and a place called as a statistic."""
+    path = tmp_path / "log.txt"
+    path.write_text(
+        joined(
+            [
+                ["a", "b", "c", "X", "Y", "Z"],
+                *([f"point {i}", f"set {i + 1}", f"day {i + 2}", *p] for i, p in enumerate(POINTS)),
+            ]
+        )
+    )
+    np.testing.assert_allclose(read_points(path)[1], POINTS)
+    frames = np.arange(48.0).reshape(4, 12)
+    path.write_text(
+        joined(
+            [
+                ["station", *Q, "frame"],
+                *(
+                    [lab, *q, f"[{' '.join(map(str, f))}]"]
+                    for lab, q, f in zip(LABELS, DEG, frames, strict=True)
+                ),
+            ],
+            ";",
+        )
+    )
+    np.testing.assert_allclose(read_table(path, 6).angles, DEG)
+    path.write_text(as_table(Q).replace("A,", "Range,").replace("B,", "total,"))
+    assert read_table(path, 6).positions.tolist() == ["Range"] * 2 + ["total"] * 2
+
+
+def test_a_line_for_each_joint(tmp_path):
+    """Tables and arrays of MATLAB that lie on their side."""
+    many = np.tile(DEG, (6, 1))
+    rows = joined([f"J{i}", *column] for i, column in enumerate(many.T, 1))
+    (tmp_path / "log.csv").write_text(rows)
+    savemat(tmp_path / "log.mat", {"log": {"q": many.T, "t": np.arange(24.0)}})
+    for name in ("log.csv", "log.mat"):
+        table = read_table(tmp_path / name, 6, labelled=False)
+        np.testing.assert_allclose(table.angles, many)
+        assert table.angle_unit == "deg"
 
 
 def test_the_order_of_strange_names_is_not_guessed(tmp_path):

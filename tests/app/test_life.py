@@ -1,6 +1,7 @@
 """The words for the life of an arm: register, update, move, check; by cones and by a tracker."""
 
 import functools
+import html
 import io
 import json
 import os
@@ -156,7 +157,7 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     assert step["after_mm"] < step["before_mm"]
     # Report, card and points are those of the new model; the points of before are kept.
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.index("<h1>Learnt") < page.index(f"Update on {step['date']}: mean deviation")
+    assert page.index("<h1>Learnt") < page.index(f"Updated on {step['date']}: mean deviation")
     for when in ("before", "after"):
         assert f">{1000 * step[f'{when}_mm']:.1f}</td>" in page
     fingerprint = describe(saved.model)["fingerprint"]
@@ -179,8 +180,14 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     page = (out / "report.html").read_text(encoding="utf-8")
     assert re.findall(r"<h\d>(.*?)</h\d>", page) == ["Learnt", "Since it was learnt"]
     assert re.findall(r"<tr><td>(.*?)</td>", page) == ["update", "move", "check"]
+    # The sentence of the check stands below the title, and its point in the chart.
     (sentence,) = re.findall(r"<strong>(.*?)</strong>", page)
-    assert sentence.startswith(f"Check on {step['date']}: it ")
+    checked = Correction.load(out).facts["history"][-1]
+    assert sentence == html.escape(f"Checked on {step['date']}. {checked['said']}", quote=False)
+    assert checked["said"] in printed
+    assert ('class="verdict good"' in page) == checked["holds"]
+    assert page.count("<circle") == checked["holds"]
+    assert page.count('var(--bad)" stroke') == (not checked["holds"])
 
 
 def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):
@@ -313,7 +320,8 @@ def test_faults_get_one_sentence(folder, tmp_path, refused, learnt, words, sente
 def test_a_plan_that_the_arm_reaches(tmp_path, capsys):
     """The table is one that `raacmm learn` reads, and its poses do reach their cones."""
     words = ["plan", "--arm", "aacmm6", "--out", tmp_path, "--cones", "3", "--poses", "5"]
-    code, printed = run(capsys, *words)
+    limits = "-170,170,-120,20,-150,150,-170,170,-120,120,-170,170"
+    code, printed = run(capsys, *words, f"--limits={limits}")
     assert code == 0
     assert "spread" in printed
     table = read_table(tmp_path / "plan.csv", 6)
@@ -322,9 +330,15 @@ def test_a_plan_that_the_arm_reaches(tmp_path, capsys):
         own = points[table.positions == label]
         # Angles are written to 0.01 degrees: 0.3 mm at the reach of 1.9 m, several joints.
         assert np.abs(own - own.mean(axis=0)).max() < 1.5
+    low, high = np.array(limits.split(","), dtype=float).reshape(-1, 2).T
+    assert ((low - 0.01 <= table.angles) & (table.angles <= high + 0.01)).all()
+    ends = [points[table.positions == f"bar {end}"].mean(axis=0) for end in ("left", "right")]
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(500, abs=1)
     page = (tmp_path / "plan.html").read_text()
     assert page.count("<tr>") == 3 + 15 + 2
     assert "<svg" in page
+    assert "For the arm aacmm6 with 6 joints" in page
+    assert page.count('<td class="blank">') == 15
 
 
 @pytest.fixture

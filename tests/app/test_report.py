@@ -63,7 +63,8 @@ def numbers_of(result):
     found += (sds / np.hypot(c, s)).tolist()
     counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 0]
     counts += (result.outliers["row"] + 500).tolist()
-    shown = [100 * scores.coverage, scores.std_factor, *scores.summary["ratio"], 40.0]
+    shown = [100 * scores.coverage, scores.std_factor, *scores.summary["ratio"], 40.0, 400, 0.01]
+    shown += [len(result.calibration.length_errors_mm) - 3]  # lengths that are not named
     return np.concatenate([um, *table, found, counts, shown])
 
 
@@ -101,6 +102,13 @@ def test_the_page_says_what_it_is_about(read_page, result, page):
     ):  # fmt: skip
         assert shown in text, shown
     assert "Scale: points of one position" not in text  # lengths are known
+    # In this order: what it is of, whether it holds, what it gained, what set the scale.
+    order = [
+        "Correction of aacmm6, serial number <17>", "Not checked since it was learnt", "as given",
+        "What set the scale of the arm: 0 to 1, 400.000 mm (sd 0.01 mm)", "Each position",
+    ]  # fmt: skip
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
 
 
 def test_no_network_and_no_names_twice(read_page, page):
@@ -129,6 +137,7 @@ def test_a_tracker_and_a_model_without_harmonics(read_page, tmp_path):
     assert with_labels <= 80
     assert "Harmonics" not in text
     assert "Scale:" not in text
+    assert "What set the scale of the arm: the points of a tracker." in text
 
 
 def test_what_a_screen_reader_needs_is_there(page):

@@ -183,7 +183,7 @@ FORK = '<joint name="f" type="fixed"><parent link="l3"/><child link="finger"/></
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (change(PANDA, 'name="j3" type="revolute"', 'name="j3" type="prismatic"'), "'j3' is prism"),
+        (change(PANDA, 'name="j3" type="revolute"', 'name="j3" type="planar"'), "'j3' is planar"),
         (change(PANDA, "</robot>", FORK), r"2 links .* tip \(finger, l8\); say which is the tip"),
         (change(PANDA, "<robot", "<!DOCTYPE robot><robot"), "document type or entities"),
         (change(PANDA, "</robot>", ""), "not valid XML"),
@@ -196,7 +196,7 @@ FORK = '<joint name="f" type="fixed"><parent link="l3"/><child link="finger"/></
         ("<sdf></sdf>", "not a URDF: its outermost element is 'sdf'"),
         ('<mujoco model="a"/>', "'mujoco', that of MuJoCo's MJCF: take the URDF"),
         ("<robot></robot>", "has no joints"),
-        (urdf(("j", "revolute", "0 0 1", "0 0 0", "")), "has 1 revolute joints"),
+        (urdf(("j", "revolute", "0 0 1", "0 0 0", "")), "has 1 moving joints"),
     ],
 )
 def test_what_is_no_such_arm_is_named(text, message):

@@ -9,7 +9,7 @@ ARM = Arm.from_name("aacmm6")
 
 
 def test_poses_reach_their_cones_from_above():
-    plan = plan_poses(ARM, 4, 8, random_state=1)
+    plan = plan_poses(ARM, 4, 8, lean_deg=60, random_state=1)
     points = ARM.forward(plan.angles)
     assert np.abs(points - plan.positions[plan.groups - 1]).max() < 1e-6
     assert plan.minutes == pytest.approx((4 * 60 + 32 * 6) / 60)
@@ -22,7 +22,7 @@ def test_poses_reach_their_cones_from_above():
 
 
 def test_places_are_within_reach_and_the_plan_is_the_same_again():
-    plan, again = (plan_poses(ARM, 3, 6, lean_deg=None) for _ in range(2))
+    plan, again = (plan_poses(ARM, 3, 6) for _ in range(2))
     away = np.linalg.norm(plan.positions, axis=1) / ARM.reach_mm
     assert (away >= 0.25).all()
     assert (away <= 0.85).all()
@@ -45,3 +45,17 @@ def test_the_order_is_one_of_short_ways():
 def test_what_cannot_be_reached_is_said():
     with pytest.raises(ValueError, match="only 0 of 8 places that were tried are reached"):
         plan_poses(ARM, 2, 5, lean_deg=0.0)
+
+
+def test_a_bar_lies_level_and_its_seats_are_two_of_the_cones():
+    plan = plan_poses(ARM, 4, 5, bar_mm=400, random_state=2)
+    first, second = (plan.positions[i - 1] for i in plan.bar)
+    assert np.linalg.norm(second - first) == pytest.approx(400)
+    assert second[2] == first[2]
+    assert np.abs(ARM.forward(plan.angles) - plan.positions[plan.groups - 1]).max() < 1e-6
+    assert plan_poses(ARM, 2, 5).bar == ()
+
+
+def test_a_bar_that_is_longer_than_the_arm_reaches_is_refused():
+    with pytest.raises(ValueError, match="both ends of a bar of 9000 mm in 5 poses: give a short"):
+        plan_poses(ARM, 2, 5, bar_mm=9000)

@@ -298,6 +298,8 @@ def test_an_arm_of_which_only_the_layout_is_known(seed):
         assert np.sqrt(np.square(off).sum(axis=1).mean()) < 0.2
         signs.append(sign)
     assert sorted(signs) == [-1, 1]
+    # Nothing shows the height of the shoulder: what bends at the base turns about its foot.
+    assert found.d[0] == pytest.approx(np.abs(found.d).max() / 2, rel=0.01)
     scatter = calibrate(found, angles, test.groups, lengths=test.lengths).typical_scatter_mm
     right = calibrate(test.nominal_arm, test.data, test.groups, lengths=test.lengths)
     assert scatter < 1.02 * right.typical_scatter_mm

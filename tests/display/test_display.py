@@ -6,17 +6,11 @@ import sys
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.datasets import make_gauge, make_single_point
-from sklearn_raacmm.display import (
-    HarmonicDisplay,
-    LengthErrorDisplay,
-    RepeatabilityDisplay,
-    ResidualDisplay,
-)
+from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.display import HarmonicDisplay, RepeatabilityDisplay
 from sklearn_raacmm.metrics import repeatability_interval
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -35,16 +29,6 @@ def plt():
 @pytest.fixture(scope="module")
 def cone():
     return make_single_point(3, 8)
-
-
-@pytest.fixture(scope="module")
-def gauge():
-    return make_gauge((500, 300), n_placements=2, n_poses=3)
-
-
-@pytest.fixture(scope="module")
-def bars(gauge):
-    return {"groups": gauge.groups, "pairs": gauge.pairs, "lengths": gauge.lengths}
 
 
 @pytest.fixture(scope="module")
@@ -112,82 +96,15 @@ def test_repeatability_has_intervals(cone):
     assert len(without.ax_.collections) == 0
 
 
-def test_length_errors_each_length_on_its_axes(gauge, bars, model):
-    display = LengthErrorDisplay.from_estimator(
-        model, gauge.data, gauge.points, **bars, perfect=gauge.simulation.perfect_correction
-    )
-    assert [ax.get_title() for ax in display.axes_] == ["300 mm", "500 mm"]
-    corrected = gauge.points - model.predict(gauge.data)
-    for ax, size in zip(display.axes_, (300, 500), strict=True):
-        for name, points in {"before": gauge.points, "after": corrected}.items():
-            errors = []
-            for pair, length in zip(gauge.pairs, gauge.lengths, strict=True):
-                if length == size:
-                    a, b = (points[gauge.groups == end].mean(axis=0) for end in pair)
-                    errors.append(np.linalg.norm(b - a) - size)
-            shown = drawn(ax, display.unit_)
-            assert_allclose(shown[name], errors, atol=1e-9)
-        assert np.abs(shown["noise floor"]).max() < 0.02
-    # One length for all.
-    some = gauge.lengths == 500
-    one = LengthErrorDisplay.from_predictions(
-        gauge.points, corrected * 0, groups=gauge.groups, pairs=gauge.pairs[some], lengths=500.0
-    )
-    assert_allclose(one.before, display.before[some])
-    assert one.axes_.shape == (1,)
-
-
-def test_residuals_turn_with_the_arm(cone, model):
-    display = ResidualDisplay.from_estimator(
-        model, cone.data, cone.target, arm=cone.arm, groups=cone.groups
-    )
-    # The arm turned about its base axis with its residuals: the same picture.
-    turn = 0.7
-    rotation = Rotation.from_euler("z", turn).as_matrix()
-    angles = cone.data + turn * np.eye(6)[0]
-    turned = ResidualDisplay.from_predictions(
-        np.rad2deg(angles), cone.target @ rotation.T, model.predict(cone.data) @ rotation.T,
-        arm=cone.arm, groups=cone.groups, angle_unit="deg",
-    )  # fmt: skip
-    for part in ("before", "after", "pose"):
-        assert_allclose(getattr(turned, part), getattr(display, part), atol=1e-9)
-    # Lengths survive the rotation; what is left has no mean at any position.
-    assert_allclose(np.linalg.norm(display.before, axis=1), np.linalg.norm(cone.target, axis=1))
-    left = cone.target - model.predict(cone.data)
-    first = left[cone.groups == 0]
-    assert_allclose(
-        np.linalg.norm(display.after[cone.groups == 0], axis=1),
-        np.linalg.norm(first - first.mean(axis=0), axis=1),
-    )
-    # Rows are components, columns angles.
-    x, y = display.axes_[2, 0].get_lines()[0].get_data()
-    assert_allclose(x, np.rad2deg(cone.data[:, 2]))
-    assert_allclose(y, cone.target[:, 2] * {"mm": 1, "µm": 1000}[display.unit_])
-    # Nine of ten dots lie in the band, whose lines are drawn last.
-    low, high = (line.get_ydata() for line in display.axes_[2, 0].get_lines()[2:4])
-    assert low.shape == high.shape == (1,)  # 24 poses: one bin
-    assert np.mean((low[0] < y) & (y < high[0])) == pytest.approx(0.9, abs=0.07)
-    assert display.axes_[2, 2].get_xlabel() == "theta_dis (deg)"
-
-
-def test_given_axes_are_used(plt, cone, gauge, bars, model):
-    _, axes = plt.subplots(4, 3)
+def test_given_axes_are_used(plt, cone, model):
+    _, axes = plt.subplots(1, 2)
     correction = model.predict(cone.data)
-    one = draw_repeatability(cone.points, correction, groups=cone.groups, ax=axes[0, 0])
-    assert one.ax_ is axes[0, 0]
-    two = LengthErrorDisplay.from_predictions(
-        gauge.points, 0 * gauge.points, **bars, axes=axes[0, 1:]
-    )
-    assert list(two.axes_) == list(axes[0, 1:])
-    three = ResidualDisplay.from_predictions(
-        cone.data, cone.target, correction, arm=cone.arm, axes=axes[1:]
-    )
-    assert list(three.axes_.ravel()) == list(axes[1:].ravel())
+    one = draw_repeatability(cone.points, correction, groups=cone.groups, ax=axes[0])
+    assert one.ax_ is axes[0]
     assert len(plt.get_fignums()) == 1
-    three.figure_.canvas.draw()
-    with pytest.raises(ValueError, match="3 axes were given, but 9 are needed"):
-        three.plot(axes[0])
-    assert one.plot().ax_ is not axes[0, 0]  # drawn again
+    with pytest.raises(ValueError, match="2 axes were given, but 1 are needed"):
+        one.plot(axes)
+    assert one.plot().ax_ is not axes[0]  # drawn again
 
 
 def test_one_unit_in_a_figure():
@@ -204,15 +121,10 @@ def test_one_unit_in_a_figure():
 
 def test_a_perfect_arm_is_drawn_without_warnings():
     points = np.repeat([[500.0, 0, 0], [800.0, 0, 0]], 3, axis=0)
-    groups = np.repeat(["a", "b"], 3)
     labels = np.repeat(["$x^{1", "$x^{2"], 3)  # no formulae
     display = draw_repeatability(points, 0 * points, groups=labels)
     display.figure_.canvas.draw()
-    display = LengthErrorDisplay.from_predictions(
-        points, 0 * points, groups=groups, pairs=[["a", "b"]], lengths=300.0
-    )
-    display.figure_.canvas.draw()
-    assert display.before.tolist() == [0.0]
+    assert display.before.tolist() == [0.0, 0.0]
 
 
 def test_matplotlib_is_imported_when_something_is_drawn():

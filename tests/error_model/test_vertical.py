@@ -164,7 +164,7 @@ def test_what_the_data_found_belongs_to_one_mount(on_a_wall):
 
 def test_the_probe_of_a_plan_leans_from_the_vertical():
     arm = Arm.from_name("aacmm6", up=(1, 0, 0))
-    plan = plan_poses(arm, 2, 4, random_state=0)
+    plan = plan_poses(arm, 2, 4, lean_deg=60, random_state=0)
     line = plan.positions[plan.groups - 1] - arm.frames(plan.angles)[:, -1, :, 3]
     lean = np.degrees(np.arccos(-line[:, 0] / np.linalg.norm(line, axis=1)))
     assert lean.max() <= 60

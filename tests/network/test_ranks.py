@@ -107,7 +107,7 @@ def test_outputs_may_see_different_inputs():
     assert_allclose(model.predict(X), np.column_stack(parts), rtol=0, atol=1e-9)
 
 
-def test_files_keep_ranks_and_older_files_have_none():
+def test_files_keep_ranks():
     X, y, _ = table(120)
     model = RBFNetRegressor(20, inputs="ranks", random_state=0).fit(X, y)
     assert_array_equal(pickle.loads(pickle.dumps(model)).predict(X), model.predict(X))
@@ -115,13 +115,3 @@ def test_files_keep_ranks_and_older_files_have_none():
     for damaged in (network.ranks[:, :2], network.ranks[network.ranks[:, 0] > 0]):
         with pytest.raises(ValueError, match="The file is damaged: ranks of Network"):
             object.__new__(type(network)).__setstate__(network.__getstate__() | {"ranks": damaged})
-    older = RBFNetRegressor(20, inputs="raw", random_state=0).fit(X, y)
-    state = {name: value for name, value in older.__getstate__().items() if name != "inputs"}
-    part = older.networks_[0].__getstate__()
-    del part["ranks"]
-    state["networks_"] = (object.__new__(type(network)),)
-    state["networks_"][0].__setstate__(part)
-    again = object.__new__(RBFNetRegressor)
-    again.__setstate__(state)
-    assert again.get_params() == older.get_params()
-    assert_array_equal(again.predict(X), older.predict(X))

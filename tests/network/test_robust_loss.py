@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._robust_loss import CUT, NORMAL_SQUARE
-from sklearn_raacmm.utils import collected_findings
+from sklearn_raacmm.network._robust_loss import NORMAL_SQUARE
+from sklearn_raacmm.utils import TUKEY_CUT, collected_findings
 
 
 def truth(X):
@@ -51,8 +51,8 @@ def test_without_outliers_nothing_changes():
 
 
 def test_constant_of_the_noise_by_quadrature():
-    z = np.linspace(-CUT, CUT, 200_001)
-    density, weight = np.exp(-0.5 * z**2), (1 - (z / CUT) ** 2) ** 2
+    z = np.linspace(-TUKEY_CUT, TUKEY_CUT, 200_001)
+    density, weight = np.exp(-0.5 * z**2), (1 - (z / TUKEY_CUT) ** 2) ** 2
     expected = np.sum(density * weight * z**2) / np.sum(density * weight)
     assert expected == pytest.approx(NORMAL_SQUARE, rel=1e-5)
 

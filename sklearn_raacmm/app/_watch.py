@@ -1,0 +1,197 @@
+"""The word `watch`: what a table that still grows shows by now, on a page that renews itself."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import monotonic, process_time, sleep, strftime, thread_time
+from typing import Any
+
+import numpy as np
+
+from sklearn_raacmm.app._files import correction_files, find_rows, in_rad, load_arm, load_correction
+from sklearn_raacmm.app._report import render
+from sklearn_raacmm.app._sources import TableError, check_installed
+from sklearn_raacmm.arm import phases
+from sklearn_raacmm.calibration import calibrate
+from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.utils import (
+    TUKEY_CUT,
+    check_places,
+    encode_groups,
+    one_blas_thread,
+    robust_scale,
+    write_whole,
+)
+
+# Seconds: without a new row, after which it stops; between two looks; after which a last line that
+# has no end is read. Share of a core that it takes at most.
+_SILENCE_S, _LOOK_S, _HALF_LINE_S, _SHARE = 3600.0, 0.1, 1.0, 0.2
+# A slip is so many standard deviations away, as in `slip_factors`. Farther than so many mm a row is
+# in another place: no two cones stand closer.
+_SLIP_SDS, _APART_MM = 2 * TUKEY_CUT, 20.0
+# Rows from which on an arm is calibrated, and by which factor they grow until the next time.
+_FIRST_ROWS, _GROWTH = 20, 1.1
+# What is enough: cones, poses in each, and 2S at cones left out over that at cones learnt from. A
+# choice.
+_CONES, _POSES, _NEAR_ENOUGH = 8, 10, 1.2
+# Finished cones from which on a correction is tried, or checked; seconds that the first time costs.
+_LEAST_LEARNT, _LEAST_CHECKED, _FIRST_COST_S = 5, 2, 2.0
+# Degrees of a bin of a joint's range, and rows of the strip.
+_BIN_DEG, _STRIP = 15, 60
+
+
+def watch(options):
+    """Follow a growing table until Ctrl-C, or until no row has come for an hour."""
+    check_installed("jinja2")
+    if not (options.arm or options.model):
+        raise TableError("say which arm it is: --arm ARM, or --model FOLDER.")
+    own = correction_files(options.model) if options.model else [options.arm]
+    check_places([options.out], [options.table, *own])
+    saved = load_correction(options.model) if options.model else None
+    seen = _Seen(saved.arm if saved else load_arm(options.arm), saved)
+    table, layout, size, read, grown = Path(options.table), None, 0, 0, monotonic()
+    named: list[str] = []
+    print(f"Open {options.out} in a browser: the page renews itself. Ctrl-C ends this.", flush=True)
+    with warnings.catch_warnings(), ThreadPoolExecutor(1) as pool:
+        warnings.simplefilter("ignore")  # what there is to say is on the page
+        try:
+            while seen.job or monotonic() - grown < _SILENCE_S:
+                begun, now = process_time(), table.stat().st_size if table.is_file() else 0
+                if now != size:
+                    size, grown = now, monotonic()
+                quiet = monotonic() - grown > _HALF_LINE_S
+                is_new = size != read and (quiet or table.read_bytes()[-1:] in (b"\n", b"\r"))
+                if is_new:
+                    try:
+                        if layout is None or layout.source.table is not None:
+                            layout = find_rows(options, seen.arm)
+                            layout.labelled = False  # the last label may be in one row so far
+                        seen.take(layout.read())
+                        read = size
+                    except ValueError as error:
+                        if quiet:  # or a line is being written: it is read again
+                            read, seen.said = size, str(error)
+                if seen.work(pool) or is_new:
+                    shown = vars(seen) | {"title": table.name, "time": strftime("%H:%M:%S")}
+                    write_whole({options.out: render("_watch.html", **shown)})
+                for row, text in seen.wrong:
+                    if row not in named:
+                        print(f"{strftime('%H:%M:%S')} {row} {text}", flush=True)
+                        named.append(row)
+                sleep(max(_LOOK_S, (process_time() - begun) * (1 / _SHARE - 1)))
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+    print(f"{seen.n_rows} rows in {len(seen.cones)} cones. {seen.said}")
+    return 0, {"rows": seen.n_rows, "cones": len(seen.cones), "wrong": named, "enough": seen.enough}
+
+
+class _Seen:
+    """What a test that goes on has shown so far; its page shows the public attributes."""
+
+    def __init__(self, arm, saved):
+        self.arm, self._nominal, self._saved = arm, arm, saved
+        self.n_rows, self.cones, self.wrong, self.strip, self.joints = 0, [], [], [], []
+        self.said, self.enough, self.least_poses = "Waiting for the first rows.", False, _POSES
+        self._next_rows, self._judged, self._cost_s = _FIRST_ROWS, 0, _FIRST_COST_S
+        self._start = monotonic(), process_time()
+        self.job: Any = None
+
+    def take(self, table):
+        """Judge all rows of the table as it is now."""
+        self._angles, self.n_rows = in_rad(table), len(table.angles)
+        labels, codes = encode_groups(table.positions)
+        # Cones are counted as they came.
+        order = np.argsort(np.unique(codes, return_index=True)[1])
+        labels, self._codes = labels[order], np.argsort(order)[codes]
+        if self._saved is not None:
+            change = self._saved.model.predict(self._saved.inputs(self._angles))
+        else:
+            change = 0.0
+            if self.n_rows >= self._next_rows:
+                self._next_rows = _GROWTH * self.n_rows
+                self.arm = calibrate(self._nominal, self._angles, self._codes).arm
+        self._judge(self.arm.forward(self._angles) - change, labels, table.rows)
+        bins = np.floor(np.rad2deg(phases(self.arm, self._angles)) / _BIN_DEG).astype(int)
+        self.joints = [np.unique(column).tolist() for column in bins.T]
+
+    def _judge(self, points, labels, rows):
+        """Find slips and wrong labels."""
+        codes, counts, each = self._codes, np.bincount(self._codes), range(len(labels))
+        centres = np.array([np.median(points[codes == i], axis=0) for i in each])
+        apart = np.linalg.norm(points[:, None] - centres, axis=2)
+        away = apart[np.arange(self.n_rows), codes]
+        own = np.array([robust_scale(away[codes == i], 3) for i in each])
+        # One or two points show no scatter of their cone: all together do.
+        limit = _SLIP_SDS * np.maximum(robust_scale(away, 3), own * (counts > 2))[codes]
+        limit = np.minimum(limit, _APART_MM)
+        apart[np.arange(self.n_rows), codes] = np.inf
+        other = apart.argmin(axis=1)
+        # Of two cones at one place the one with fewer rows has the wrong name.
+        fewer = (counts[codes] < counts[other]) | (away > limit)
+        elsewhere = (apart.min(axis=1) < limit) & fewer
+        self._kept = (away <= limit) & ~elsewhere
+        self.wrong = []
+        for i in np.flatnonzero(~self._kept):
+            if elsewhere[i]:
+                text = f"is where {labels[other[i]]} is: is its label wrong?"
+            else:
+                text = f"is {away[i]:.1f} mm from its cone: a slip, or a wrong label? Repeat it."
+            self.wrong.append((f"row {rows[i]} ({labels[codes[i]]})", text))
+        self.cones = [*zip(labels.tolist(), *centres.T.tolist(), counts.tolist(), strict=True)]
+        strip = rows.tolist(), away.tolist(), limit.tolist(), self._kept.tolist()
+        self.strip = [*zip(*strip, strict=True)][-_STRIP:]
+
+    def work(self, pool):
+        """Try a correction of the finished cones, or check one, where the share allows it."""
+        done = self.job is not None and self.job.done()
+        if done:
+            self.enough, self.said, self._cost_s = self.job.result()
+            self.job = None
+        finished = len(self.cones) - 1
+        least = _LEAST_LEARNT if self._saved is None else _LEAST_CHECKED
+        spare = _SHARE * (monotonic() - self._start[0]) - (process_time() - self._start[1])
+        if not self.job and finished >= max(least, self._judged + 1) and spare > self._cost_s:
+            self._judged = finished
+            counts = np.bincount(self._codes[self._kept], minlength=finished + 1)
+            rows = self._kept & (self._codes < finished) & (counts[self._codes] > 2)
+            self.job = pool.submit(self._tried, self._angles[rows], self._codes[rows])
+        return done
+
+    @one_blas_thread
+    def _tried(self, angles, codes):
+        """Whether rows of finished cones are enough, why, and what it costs to say so."""
+        begun, way = thread_time(), self._learn if self._saved is None else self._check
+        try:
+            enough, said = way(angles, codes, len(np.unique(codes)))
+        except ValueError as error:
+            enough, said = False, str(error)
+        return enough, said, thread_time() - begun
+
+    def _learn(self, angles, codes, n_cones):
+        """What a correction leaves at every third cone, learnt from the others."""
+        out = np.isin(codes, np.unique(codes)[2::3])
+        arm = calibrate(self._nominal, angles[~out], codes[~out]).arm
+        points = arm.forward(angles)
+        y = position_residuals(points[~out], codes[~out])
+        model = ArmResidualRegressor(arm).fit(angles[~out], y, groups=codes[~out])
+        after = points - model.predict(angles)
+        parts = (points, out), (after, out), (after, ~out)
+        was, now, own = (single_point_repeatability(p[rows], codes[rows]) for p, rows in parts)
+        near, few = bool(now <= _NEAR_ENOUGH * own), n_cones < _CONES
+        return near and not few, (
+            f"At cones that it has not seen a correction by now leaves 2S {now:.3f} mm, where "
+            f"calibration leaves {was:.3f} mm, and {own:.3f} mm at its own {n_cones}: further "
+            f"cones {'gain little' if near else 'will help'}." + f" Take {_CONES} or more." * few
+        )
+
+    def _check(self, angles, codes, n_cones):
+        """What a check says."""
+        found = self._saved.check(angles, codes)
+        suspect = f"suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe."
+        said = "the correction holds." if found.holds else f"{suspect} {found.advice}"
+        return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"

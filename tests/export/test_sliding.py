@@ -1,0 +1,29 @@
+"""Files of corrections of arms with joints that slide."""
+
+import numpy as np
+import pytest
+
+from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm.arm import in_unit, random_poses
+
+from ._chains import ways_out
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_every_file_computes_as_predict_does(tmp_path, unit, convention):
+    arm = Arm.from_degrees(
+        a=[0, 0, 50, 60], alpha=[20, 90, 0, -90], d=[30, 40, 20, 120], joint_types="PRPR",
+        probe=(30, 20, 150), limits=[(0, 900), (-3, 3), (-100, 300), (-2, 2)],
+        joint_signs=[1.0001, 1, -1, 1], convention=convention, couplings=[(4, 2, 1)],
+    )  # fmt: skip
+    q, rng = random_poses(arm, 150), np.random.default_rng(0)
+    y = 0.05 * np.sin(2 * np.pi * q[:, [0]] / 10 + np.arange(3)) + rng.normal(0, 0.01, (150, 3))
+    y += arm.jacobian(q)[:, :, 1] * 1e-4 * np.cos(q[:, [1]])
+    X = in_unit(q, arm.joint_types, unit)
+    model = ArmResidualRegressor(arm, angle_unit=unit, orders=20).fit(X, y, groups=False)
+    mean, std = model.predict(X, return_std=True)
+    assert np.any(mean)
+    for name, found, spread in ways_out(tmp_path, model, X, std=True):
+        np.testing.assert_allclose(found, mean, rtol=0, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(spread, std, rtol=0, atol=1e-12, err_msg=name)
