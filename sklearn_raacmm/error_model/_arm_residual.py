@@ -72,16 +72,15 @@ class ArmResidualRegressor(PointCorrectionMixin):
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered at most as many orders as it has different
-        angles. Where these do not repeat, it is offered all orders above 72, too. A list offers
-        these orders only. One turn of a slide is twice its travel, and waves of 4 mm and more are
-        offered.
+        angles; where these do not repeat, all above 72, too. A list offers these orders only. One
+        turn of a slide is twice its travel, and waves of 4 mm and more are offered.
     causes : list of str, default=("gravity", "kinematics", "wobble")
-        Which of these causes are in the model. Wobble of a slide: it is not straight, and tilts.
+        Which of these causes are in the model.
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset of any size. True:
-        every position has one, as where `y` are deviations from the position's own mean. False: no
-        position has one. "auto": True where the means of `y` over the positions are zero; else the
-        evidence finds how large the offsets are.
+        every position has such an offset: choose it where `y` are deviations from the position's
+        own mean. False: no position has one. "auto": True where the means of `y` over the positions
+        are zero; else the evidence finds how large the offsets are.
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not
