@@ -147,10 +147,9 @@ def _print_lack(saved, new):
 
 def _print_doubts(correction, angles, positions=None):
     """Say of which causes most is not known of points at these poses."""
-    most = [*correction.doubts(angles, positions).items()][:_MOST_DOUBTS]
+    most = [*correction.doubts(angles, positions)][:_MOST_DOUBTS]
     if most:
-        parts = ", ".join(f"{name} ({share:.0%})" for name, share in most)
-        print(f"What is not known of these points is most of: {parts}.")
+        print(f"Causes that the model knows least about at these poses: {', '.join(most)}.")
 
 
 def _rms(vectors):

@@ -5,6 +5,7 @@
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic, process_time, sleep, strftime, thread_time
 from typing import Any
@@ -108,12 +109,14 @@ class _Seen:
         # Cones are counted as they came.
         order = np.argsort(np.unique(codes, return_index=True)[1])
         labels, self._codes = labels[order], np.argsort(order)[codes]
+        change: Any = 0.0
         if self._saved is not None:
             change = self._saved.model.predict(self._saved.inputs(self._angles))
-        else:
-            change = 0.0
-            if self.n_rows >= self._next_rows:
-                self._next_rows = _GROWTH * self.n_rows
+        elif self.n_rows >= self._next_rows:
+            self._next_rows = _GROWTH * self.n_rows
+            with suppress(
+                ValueError
+            ):  # of rows that no calibration explains the arm stays as it was
                 self.arm = calibrate(self._nominal, self._angles, self._codes).arm
         self._judge(self.arm.forward(self._angles) - change, labels, table.rows)
         bins = np.floor(np.rad2deg(phases(self.arm, self._angles)) / _BIN_DEG).astype(int)
@@ -148,8 +151,8 @@ class _Seen:
 
     def work(self, pool):
         """Try a correction of the finished cones, or check one, where the share allows it."""
-        done = self.job is not None and self.job.done()
-        if done:
+        done = bool(self.job and self.job.done())
+        if self.job and done:
             self.enough, self.said, self._cost_s = self.job.result()
             self.job = None
         finished = len(self.cones) - 1
@@ -192,6 +195,5 @@ class _Seen:
     def _check(self, angles, codes, n_cones):
         """What a check says."""
         found = self._saved.check(angles, codes)
-        suspect = f"suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe."
-        said = "the correction holds." if found.holds else f"{suspect} {found.advice}"
+        said = "it holds." if found.holds else f"suspect: {found.suspect}. {found.advice}"
         return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"

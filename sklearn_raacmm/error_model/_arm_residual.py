@@ -72,11 +72,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
     orders : int, array-like of int, or one array-like of int per joint, default=400
         Highest order of the harmonics offered, for every joint, up to 1000: strain-wave gears show
         at multiples of their ratio. A joint is offered at most as many orders as it has different
-        angles. Where its angles do not repeat, as in poses taken by hand, it is offered all orders
-        above 72, too. A list offers these orders only. One turn of a slide is twice its travel, and
-        waves of 4 mm and more are offered.
+        angles; where these do not repeat, all above 72, too. A list offers these orders only. One
+        turn of a slide is twice its travel, and waves of 4 mm and more are offered.
     causes : list of str, default=("gravity", "kinematics", "wobble")
-        Which of these causes are in the model. Wobble of a slide: it is not straight, and tilts.
+        Which of these causes are in the model.
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset of any size. True:
         every position has such an offset: choose it where `y` are deviations from the position's

@@ -97,14 +97,28 @@ def test_a_correction_in_use_is_checked(test, tmp_path):
         @staticmethod
         def check(angles, codes):
             asked.append((len(angles), len(np.unique(codes))))
-            return type("Found", (), {"holds": True, "suspect": "nothing", "size_mm": 0.0})
+            return type("Found", (), {"holds": True})
 
     seen = _watch._Seen(arm, Saved)
     seen.take(as_table(angles, labels))
     enough, said, _ = seen._tried(angles[:24], np.repeat([0, 1], 12))
     assert enough
-    assert said == "Checked with 24 poses in 2 cones: the correction holds."
+    assert said == "Checked with 24 poses in 2 cones: it holds."
     assert asked == [(24, 2)]
+
+
+def test_rows_that_no_calibration_explains_are_judged_all_the_same(test, monkeypatch):
+    def refuse(*_):
+        raise ValueError("They belong to another table.")
+
+    monkeypatch.setattr(_watch, "calibrate", refuse)
+    arm, angles, labels = test
+    seen = _watch._Seen(arm, None)
+    seen.take(as_table(angles, labels))
+    assert seen.arm is arm
+    assert "row 65 (cone 2)" in dict(seen.wrong)
+    # A wrong table is told, too, where a correction is tried.
+    assert seen._tried(angles, seen._codes)[:2] == (False, "They belong to another table.")
 
 
 def test_which_arm_it_is_has_to_be_said(refused, tmp_path):
