@@ -41,7 +41,7 @@ def test_the_share_is_that_of_models_that_never_saw_a_group(ratio):
         f, d = centred(f, codes, w), centred(Y[:, i], codes, w)
         share = np.sum(w * d * f) / np.sum(w * f * f)
         pulls = np.bincount(codes, w * (d - share * f) * f)
-        share = np.clip(share - np.linalg.norm(pulls) / np.sum(w * f * f), 0, 1)
+        share = np.clip(share - 2 * np.linalg.norm(pulls) / np.sum(w * f * f), 0, 1)
         assert_allclose(found[i], share, rtol=1e-9)
         assert_allclose(left[i], np.sum(w * (d - share * f) ** 2) / (w.sum() - 5), rtol=1e-9)
 
