@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
-from sklearn_raacmm.app import main, read_table
+from sklearn_raacmm.app import _report, main, read_table
 from sklearn_raacmm.app._life import save_step
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
@@ -196,6 +196,7 @@ def test_without_the_extra_for_pages(folder, tmp_path, capsys, monkeypatch):
     Correction.load(folder / "cones").save(out)
     before = (out / "correction.json").read_bytes()
     monkeypatch.setitem(sys.modules, "jinja2", None)
+    _report._environment.cache_clear()  # which tests before this one have filled
     monkeypatch.setattr(Correction, "update", None)
     code, printed = run(capsys, "update", folder / "more.csv", "--model", out)
     assert (code, "jinja2 must be installed: pip install jinja2." in printed) == (2, True)
