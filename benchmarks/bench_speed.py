@@ -9,6 +9,8 @@ Everything runs on one thread, what is compared by turns; printed are medians of
 compared with the same model of low orders only. ``calibrate``: beside what a laboratory writes in
 an afternoon, `scipy.optimize.least_squares` over the same parameters, without priors, standard
 deviations and outliers. ``python``: `predict` of one row beside that of scikit-learn's `Ridge`.
+``price``: fits of a UR10 with a tracker and its goals as groups, and `learn_correction`, over the
+time of a product of two 1500 x 1500 matrices just before; with what the fits leave at other poses.
 ``row``: a fitted model in C (timed in a loop in C), in ONNX and in Python, and the files' sizes;
 with ``--data FOLDER``, what the real data are in, a UR10 with a tracker is there, too.
 """
@@ -28,7 +30,7 @@ from pathlib import Path
 
 import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import UR10, learn_tracked, read_ur10
+from _arm_folds import DATA, UR10, learn_tracked, mean_deviation, read_ur10
 from _problems import GENERATED, Problem, generated, waves
 from scipy.linalg import lapack
 from scipy.optimize import least_squares, minimize
@@ -44,6 +46,7 @@ from sklearn_raacmm import (
     PoseFeatures,
     RBFNetRegressor,
     calibrate,
+    learn_correction,
 )
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import export_c, load_c, to_onnx
@@ -355,6 +358,33 @@ def table(n_rows, data_home):
     return [*head, *body, "", note]
 
 
+def price(args):
+    matrix = np.random.default_rng(0).normal(size=(1500, 1500))
+
+    def timed(call):
+        product = best(lambda: matrix @ matrix)
+        start = time.process_time()
+        found = call()
+        seconds = time.process_time() - start
+        return found, f"{seconds:.2f} s, {seconds / product:.0f} products"
+
+    warnings.simplefilter("ignore", UserWarning)
+    test = make_single_point(14, 25, bars=[500], random_state=0)
+    known = test.nominal_arm, test.data, test.groups
+    print("learn_correction, 14 positions of 25 poses:", end=" ")
+    print(timed(lambda: learn_correction(*known, lengths=test.lengths))[1])
+    angles, points, goals = read_ur10("A", args.data or DATA)
+    order = np.random.default_rng(0).permutation(len(angles))
+    others = order[3000:4000]
+    for n_rows in (300, 1000, 3000):
+        rows = order[:n_rows]
+        known = calibrate(UR10, angles[rows], points=points[rows])
+        fit = partial(ArmResidualRegressor(known.arm).fit, groups=goals[rows])
+        model, text = timed(partial(fit, angles[rows], known.residuals_mm))
+        left = known.residuals(angles[others], points[others]) - model.predict(angles[others])
+        print(f"UR10, {n_rows} poses: {text}; {mean_deviation(left):.4f} mm left at other poses")
+
+
 def row(args):
     lines = table(args.rows, args.data)
     print("\n".join(lines))
@@ -384,7 +414,7 @@ def python(args):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = {"fit": fit, "calibrate": calibrations, "python": python, "row": row}
+    parts = {"fit": fit, "calibrate": calibrations, "python": python, "row": row, "price": price}
     parser.add_argument("part", choices=parts)
     problems = ["arm", "waves", *GENERATED]
     parser.add_argument("--problem", default="fourier3", choices=problems, help="of fit")

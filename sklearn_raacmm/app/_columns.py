@@ -393,7 +393,11 @@ class Columns:
             shown = ", ".join(self.header[i] for i in found)
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
-        ways = [i for i, name in enumerate(self.names) if _WAY.fullmatch(name) and i not in taken]
+        ways: list[int] = []
+        for pattern in (_EXTERNAL, _WAY) if slides else ():  # x may be a point's, E1 is an axis
+            if len(ways) != len(slides):
+                named = enumerate(self.names)
+                ways = [i for i, name in named if pattern.fullmatch(name) and i not in taken]
         if slides and len(ways) == len(slides):
             shown = ", ".join(self.header[i] for i in ways)
             self.notes.append(f"Joints that slide: {shown}.")

@@ -91,8 +91,8 @@ def read_table(
         numbered from 0 or 1, such as q1 to q6.
     position : str, default=None
         Name of the column of the positions' labels. None: one called so, or the only one of text;
-        with `points` one called so, or none. In a robot's program the names of points without their
-        last number, P1 of P1_1 and P1_2, where there are several of each.
+        with `points` one called so, or none. Where each row has a name of its own, these without
+        their last number, P1 of P1_1 and P1_2, where there are several of each.
     points : list of three str or path-like, default=None
         Names of the columns of a tracker's x, y and z; or a file of points, which are matched by
         their names, or else by their order. None: there are none.

@@ -20,7 +20,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_raacmm.arm import random_poses, slides_of
-from sklearn_raacmm.correction._condition import condition, log_density, narrowed
+from sklearn_raacmm.correction._condition import condition, log_density, narrowed, thin
 from sklearn_raacmm.correction._rows import (
     Shown,
     n_coordinates,
@@ -92,7 +92,6 @@ def changed_model(linear, rows, log_noise=LOG_NOISE, date=None, named=None, posi
     """
     linear = as_prior(linear)
     model, half, after = _conditioned(linear, rows, log_noise, named=named)
-    half = np.asarray(np.linalg.qr(half.T, mode="r")).T  # as many columns hold the same covariance
     errors, noise, std = after.left_out
     # Until new poses say otherwise errors exceed what is expected as those of the old model do.
     logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
@@ -101,7 +100,7 @@ def changed_model(linear, rows, log_noise=LOG_NOISE, date=None, named=None, posi
     positions = positions_of(rows) if positions is None else positions
     model = replace(
         model.with_noise(after.noise_sd**2),
-        half=half,
+        half=thin(half),
         seen=NOTHING_SEEN,
         noise_scale=noise_scale,
         std_scale=std_scale,
@@ -415,7 +414,7 @@ def _pooled(linears, layout):
         aligned[0].with_noise(noise),
         layout=layout.with_harmonics(np.array(pairs, dtype=int)),
         coef=trust * mean,
-        half=np.asarray(np.linalg.qr(half.T, mode="r")).T,
+        half=thin(half),
         ranges=np.array([np.min(low, axis=0), np.max(high, axis=0)]),
         informed_half=None,
         log_bayes_factor=np.zeros(len(pairs)),

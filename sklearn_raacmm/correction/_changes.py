@@ -22,6 +22,7 @@ from scipy.special import logsumexp
 
 from sklearn_raacmm.arm import own_angles, phases, slides_of
 from sklearn_raacmm.correction._change import as_prior, changes_of
+from sklearn_raacmm.correction._condition import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, place_columns, slipped_rows
 from sklearn_raacmm.utils import group_means
 
@@ -33,7 +34,8 @@ _ORDERS = (1, 2)
 _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
 # Changes of which an update names so many, one after another, before whole families may change: a
 # choice. Names of those that its prior can hold; of others the families tell.
-_MOST_NAMED, _HELD = 3, ("probe", "offset of joint", "harmonics of joint")
+_MOST_NAMED = 3
+_HELD = ("probe", "offset of joint", "scale of joint", "harmonics of joint")
 _OF_PLACE = ("probe", "base", "base turned")
 # What a change is called where the noise explains more than any.
 NOISE = "noise"
@@ -48,7 +50,7 @@ def likeliest_change(
     the `causes` are divided by the noise and have no part along nuisances, which leave the rows so
     many degrees of `freedom`.
     """
-    axes, root, _ = np.linalg.svd(known, full_matrices=False)
+    axes, root, _ = np.linalg.svd(thin(known), full_matrices=False)
     axes, value = axes[:, root > 0], np.square(root[root > 0])
     along = axes.T @ residual
     rest = residual @ residual - along @ along
@@ -61,7 +63,7 @@ def likeliest_change(
         size = np.linalg.norm(cause)
         if not size > 0:
             continue
-        unit = cause * (np.sqrt(freedom) / size)
+        unit = thin(cause) * (np.sqrt(freedom) / size)
         own = axes.T @ unit
         gains = np.empty((len(_NOISES), len(_SIZES)))
         for i, (share, outside) in enumerate(zip(precision, noise, strict=True)):
@@ -94,7 +96,7 @@ class Table:
         self.rows, self.left, correction = rows.at(used), left[used], correction[used]
         self.shown, self.causes = Shown(linear, self.rows), causes_of(self.rows)
         self.columns = linear.columns(self.rows.X)
-        self.known = self.shown.flat(self.columns) @ linear.half
+        self.known = thin(self.shown.flat(self.columns) @ linear.half)
         self.seen = {name: self.shown.flat(one, TAKEN_UP) for name, one in self.causes.items()}
         self.residual = self.shown.left(self.left, correction).ravel() / linear.noise_sd
 

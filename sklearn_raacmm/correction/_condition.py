@@ -252,8 +252,11 @@ def _prior_root(half, sd):
     p, r = half.shape
     root = np.zeros((len(sd), r + len(sd)))
     root[:p, :r], root[:, r:] = half, np.diag(sd)
-    root = root[:, np.any(root != 0, axis=0)]
-    # As many columns as rows hold the same covariance.
+    return thin(root[:, np.any(root != 0, axis=0)])
+
+
+def thin(root: np.ndarray) -> np.ndarray:
+    """Root of the same covariance with no more columns than rows."""
     return np.asarray(np.linalg.qr(root.T, mode="r")).T if root.shape[1] > len(root) else root
 
 
@@ -291,7 +294,7 @@ class Whitened:
     """
 
     def __init__(self, known: np.ndarray, nuisance: np.ndarray, n_rows: int) -> None:
-        self.axes, size, _ = np.linalg.svd(known, full_matrices=False)
+        self.axes, size, _ = np.linalg.svd(thin(known), full_matrices=False)
         self.less = 1 - 1 / np.sqrt(1 + np.square(size))
         self.log_root: float = 0.5 * float(np.log1p(np.square(size)).sum())
         basis = self.scaled(nuisance)

@@ -253,7 +253,7 @@ def check_correction(
     shares = np.r_[1.0, 1 / tests["freedom"][1:], 1.0]
     shares /= shares.sum()
     rate = false_alarm_rate * shares[-1]
-    mean, chart = _chart(linear, table, place, freedom, rate)
+    mean, chart = _chart(linear, table, nuisance, freedom, rate)
     tests = np.append(tests, np.array(mean, dtype=tests.dtype))
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds, suspect, size_mm = p_value >= false_alarm_rate, "nothing", 0.0
@@ -291,34 +291,28 @@ def check_correction(
 
 def _rms(shown, vectors):
     """Root mean square of vectors (n, 3) about their position, along what the rows show."""
-    return float(np.sqrt(np.mean(np.square(_about(shown, vectors)).sum(axis=1))))
+    about = shown(vectors[:, :, None])[: len(vectors)]
+    return float(np.sqrt(np.square(about).sum() / len(vectors)))
 
 
-def _about(shown, columns):
-    """Columns (n, 3, ...) about their positions in mm, along what the rows show."""
-    return shown.rows.along(shown.whitened.centred(columns))
-
-
-def _chart(linear, table, place, freedom, rate):
+def _chart(linear, table, nuisance, freedom, rate):
     """The test of the mean distance, and mean and range with the limits of that same test.
 
     The square of a mean or a range of distances is about a multiple of a chi-squared variable,
-    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. `place`
-    (n, 3, k) has been fitted.
+    whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. The
+    `nuisance` has been fitted.
     """
-    shown, tamed, half = table.shown, table.left, table.columns @ linear.half
-    basis = np.linalg.qr(_about(shown, place).reshape(tamed.size, place.shape[2]))[0]
-    record, tests, rng = {}, [], np.random.default_rng(0)
+    n, known, rng = table.left.size, table.known, np.random.default_rng(0)
+    basis = np.linalg.qr(nuisance[:n])[0]
+    record, tests = {}, []
 
-    def distances(values):  # (n, 3, k)
-        values = _about(shown, values).reshape(tamed.size, -1)
-        values = values - basis @ (basis.T @ values)
-        return np.linalg.norm(values.reshape(*tamed.shape, -1), axis=1)
+    def distances(values):  # of coordinates and lengths over the noise, (m, k)
+        values = values[:n] - basis @ (basis.T @ values[:n])
+        return linear.noise_sd * np.linalg.norm(values.reshape(n // 3, 3, -1), axis=1)
 
-    found = distances(tamed[:, :, None])
-    draws = half @ rng.normal(size=(half.shape[2], _DRAWS))
-    draws += linear.noise_sd * rng.normal(size=draws.shape)
-    drawn = distances(draws)
+    found = distances(table.residual[:, None])
+    noise = table.shown(rng.normal(size=(n // 3, 3, _DRAWS))).reshape(len(known), -1)
+    drawn = distances(known @ rng.normal(size=(known.shape[1], _DRAWS)) + noise)
     for name, of in (("mean", np.mean), ("range", np.ptp)):
         square, value = np.square(of(drawn, axis=0)), float(of(found, axis=0)[0])
         k, unit = 2 * np.square(square.mean()) / square.var(), square.mean()

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from sklearn_raacmm.measurements import (
     medians_of,
     with_forms,
 )
-from sklearn_raacmm.utils import encode_groups, floats, listed
+from sklearn_raacmm.utils import centred, encode_groups, floats, listed
 
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
@@ -117,7 +118,11 @@ def for_centres(measured: Measurements, points: np.ndarray) -> dict[str, Any]:
 
 def n_coordinates(rows: Rows) -> int:
     """Coordinates of the rows with weight, less the unknowns of what was touched, and lengths."""
-    counted = rows._replace(weights=(rows.weights > 0).astype(float), root=rows.shown)
+    used = rows.weights > 0
+    if rows.shown is None:
+        n_positions = 0 if rows.codes is None else len(np.unique(rows.codes[used]))
+        return int(3 * (np.count_nonzero(used) - n_positions)) + len(rows.lengths)
+    counted = rows._replace(weights=used.astype(float), root=rows.shown)
     return round(counted.whitening().n_observations) + len(rows.lengths)
 
 
@@ -163,11 +168,10 @@ class Shown:
 
     def __init__(self, linear: Any, rows: Rows) -> None:
         self.rows = rows = rows._replace(root=rows.shown)
-        self.whitened = rows._replace(weights=np.ones(len(rows.X))).whitening()
         self.noise_sd, n_lengths = linear.noise_sd, len(rows.lengths)
         self.rank = np.r_[rows.rank + np.zeros(len(rows.X)), np.ones(n_lengths)]
-        self.n_unknown = round(self.rank[: len(rows.X)].sum() - self.whitened.n_observations)
-        self.n_coordinates = int(self.rank.sum()) - self.n_unknown
+        self.n_coordinates = n_coordinates(rows._replace(weights=np.ones(len(rows.X))))
+        self.n_unknown = int(self.rank.sum()) - self.n_coordinates
         self.expected, self.errors = np.zeros((len(rows.X), 3)), np.zeros(n_lengths)
         if rows.lengths:
             self.expected = linear.predict(rows.X)[0]
@@ -189,14 +193,14 @@ class Shown:
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, 3, k) in mm as whitened rows, (n + l, 3, k)."""
-        found = self.whitened.deviations(columns)
+        found = self._beside(columns)
         if not len(self.errors):
             return found
         return np.concatenate([found, self._of_lengths(self._moved(columns))])
 
     def left(self, left: np.ndarray, correction: np.ndarray) -> np.ndarray:
         """What a correction (n, 3) leaves of rows, `left`, and of lengths, whitened (n + l, 3)."""
-        found = self.whitened.deviations(left[:, :, None])
+        found = self._beside(left[:, :, None])
         if len(self.errors):
             errors = self.errors[:, None] + self._moved((self.expected - correction)[:, :, None])
             found = np.concatenate([found, self._of_lengths(errors)])
@@ -210,6 +214,17 @@ class Shown:
         found = self(columns).reshape(3 * len(self.rank), columns.shape[2]) / self.noise_sd
         alone = np.linalg.norm(columns, axis=(0, 1)) / self.noise_sd
         return np.where(np.linalg.norm(found, axis=0) > least * alone, found, 0.0)
+
+    @cached_property
+    def whitened(self) -> Any:
+        """`Whitening` of the rows, all of which count alike."""
+        return self.rows._replace(weights=np.ones(len(self.rows.X))).whitening()
+
+    def _beside(self, columns):
+        """Columns (n, 3, k) without what unknowns explain of them, along what is shown."""
+        if self.rows.shown is None:  # means of positions, without products of single rows
+            return centred(columns, self.rows.codes)
+        return self.whitened.deviations(columns)
 
     def _moved(self, columns):
         """What columns (n, 3, k) do to the known lengths, (l, k) in mm."""

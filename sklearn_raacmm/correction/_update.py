@@ -145,12 +145,9 @@ def update_correction(
     >>> max(tau, key=tau.get)
     'harmonics of joint 3'
     """
-    return updated_model(model, new_rows(model, X, y, groups, lengths, features), date)
-
-
-def updated_model(model: Any, rows: Rows, date: Any) -> Any:
-    """The same for rows that have been checked."""
-    linear, updated = model.linear_model_, deepcopy(model)
+    rows = new_rows(model, X, y, groups, lengths, features)
+    linear: Any = model.linear_model_
+    updated: Any = deepcopy(model)
     if few := why_too_few(rows):
         said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()

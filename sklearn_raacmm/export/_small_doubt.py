@@ -72,7 +72,7 @@ def small_doubt(linear, fading, angles):
     between = covariance.copy()
     for block in blocks:
         between[np.ix_(block, block)] = 0.0
-    columns = np.concatenate([linear.columns(part) for part in np.array_split(angles, 20)])
+    columns = np.concatenate([linear.columns(part) for part in np.array_split(angles, 4)])
     flat = columns.reshape(-1, columns.shape[2])
     exact = _over_axes(np.square(flat @ linear.fading_half)).sum(axis=1)
     size = fading.size_mm**2

@@ -27,7 +27,6 @@ from sklearn_raacmm.network._likelihood import (
     left_out,
     log_likelihood,
     minimise,
-    objective,
     of_noise,
     used_share,
 )
@@ -53,9 +52,9 @@ HOPELESS = 0.3
 # few rows could not tell from noise another chance.
 REVIVED = 3.0
 # Nats by which any other choice than the first has to lead, and for each target: a rougher kernel,
-# ranks as inputs, constants of groups. Lest noise be followed, and centres be taken by the hundred
-# for 1 % of the error (``benchmarks/bench_accuracy.py --margins``). What trails by as much is not
-# searched further.
+# ranks as inputs, constants of groups, features left out whose width ended at its upper bound. Lest
+# noise be followed, and centres be taken by the hundred for 1 % of the error
+# (``benchmarks/bench_accuracy.py --margins``). What trails by as much is not searched further.
 MARGIN, MARGIN_OF_TARGET = 10.0, 0.02
 # Observations a feature below which leave-one-out densities count in part: the widths have been
 # chosen on the same rows.
@@ -160,6 +159,7 @@ def search(
     # log(1 + d) more: with 20 features and 10 rows 91 % of new observations are inside the 95 %
     # intervals with it, 80 % without.
     n_found = task.n_widths + np.log1p(d * (length_scale is None)) + task.constants + task.n_alphas
+    task, end = _leave_out_flat(task, end, many)
     log_width, log_alpha, ratio = task.unpack(end.theta)
     width = np.exp(log_width)
     _warn_of_narrow(task, width)
@@ -288,7 +288,7 @@ def _coarse(task, kernel, data, start=None):
     starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
     if start is not None:
         starts.append(_revived(task, task.pack(start)))
-    values = [objective(task, theta, data, kernel)[0] for theta in starts]
+    values = [judge(task, kernel, theta, data, leave_out=False).value for theta in starts]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
@@ -305,6 +305,18 @@ def _coarse(task, kernel, data, start=None):
             theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA)
         ends.append(minimise(task, theta, data, kernel, COARSE_STEPS))
     return min((judge(task, kernel, theta, data) for theta in ends), key=lambda end: end.score)
+
+
+def _leave_out_flat(task, end, data):
+    """Leave out the features whose width ended at its upper bound, where evidence asks for it."""
+    flat = end.theta[: task.n_widths] == np.log(WIDTH_BOUNDS[1])
+    if task.isotropic or not flat.any() or flat.all():
+        return task, end
+    used = task.used.copy()
+    used[used] = ~flat
+    fewer = task._replace(used=used)
+    without = judge(fewer, end.kernel, np.delete(end.theta, np.flatnonzero(flat)), data)
+    return (fewer, without) if without.value < end.value - margin(data) else (task, end)
 
 
 def _simpler(task, end, data, silent, may_be_linear):

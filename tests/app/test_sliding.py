@@ -50,6 +50,24 @@ def test_a_gantry_has_columns_x_y_and_z(tmp_path):
     np.testing.assert_allclose(table.angles, rows, rtol=1e-8)
 
 
+def test_an_axis_is_told_from_a_trackers_point(tmp_path):
+    rows = np.column_stack([random_poses(RAIL, 5), np.ones((5, 3))])
+    header = ["E1 [mm]", *(f"J{i} [rad]" for i in range(1, 7)), "X", "Y", "Z"]
+    (tmp_path / "log.csv").write_text(table_of(header, rows))
+    table = read_table(tmp_path / "log.csv", 7, labelled=False, joint_types=RAIL.joint_types)
+    np.testing.assert_allclose(table.angles, rows[:, :7], rtol=1e-8)
+
+
+def test_a_table_of_lengths_says_what_slides_and_zeros_are_in_its_unit(tmp_path, capsys):
+    (tmp_path / "dh.csv").write_text("type,a,alpha,d\nP,0,-90,100\nR,300,0,50\nR,200,0,0\n")
+    words = ["--dh", str(tmp_path / "dh.csv"), "--zero", "7,90,0", "--out", "-"]
+    assert main(["arm", *words]) == 0
+    arm = Arm.from_json(capsys.readouterr().out)
+    assert arm.joint_types == "PRR"
+    assert arm.d.tolist() == [93.0, 50.0, 0.0]
+    np.testing.assert_allclose(arm.theta_offset, [0, -np.pi / 2, 0])
+
+
 def test_behind_its_first_joint_a_robot_on_a_rail_is_the_robot():
     bare = Arm.from_name("ur10").replace(probe=RAIL.probe, name="ur10_rail")
     assert without_first(RAIL) == bare

@@ -6,7 +6,14 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
-from sklearn_raacmm.network._likelihood import covariance, exact_likelihood, left_out
+from sklearn_raacmm.network._likelihood import (
+    Task,
+    covariance,
+    exact_likelihood,
+    judge,
+    left_out,
+    objective,
+)
 from sklearn_raacmm.network._rows import Rows
 
 
@@ -85,3 +92,13 @@ def test_gradients_against_finite_differences(name, constants):
     ):
         numeric = approx_fprime(theta, part, 1e-7)
         np.testing.assert_allclose(found, numeric, atol=2e-5 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("codes", [None, np.sort(np.arange(40) % 6)])
+def test_starts_are_compared_by_what_the_search_lowers(codes):
+    data = some_data()._replace(codes=codes)
+    task = Task(np.ones(3), np.ones(3, dtype=bool), 2, constants=codes is not None)
+    for theta in (task.start(0.2, 0.1), task.start(1.0, 0.01)):
+        alone = judge(task, "matern32", theta, data, leave_out=False)
+        assert alone.value == pytest.approx(objective(task, theta, data, "matern32")[0], rel=1e-12)
+        assert alone.value == judge(task, "matern32", theta, data).value
