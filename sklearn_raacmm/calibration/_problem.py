@@ -46,7 +46,7 @@ def unpack(x, arm, tool=0) -> dict[str, Any]:
     """The parameters of one vector by their names; further tools follow the first one's probe."""
     start, slides = 4 * arm.n_joints, slides_of(arm.joint_types)
     parts = [*np.split(x[:start], 4), x[start + len(slides) + 3 * tool :][:3]]
-    found = dict(zip(FIELDS, parts, strict=True))
+    found: dict[str, Any] = dict(zip(FIELDS, parts, strict=True))
     if slides:
         signs = np.sign(arm.joint_signs)
         signs[slides] *= x[start : start + len(slides)]

@@ -15,6 +15,7 @@ those of the earlier arms nothing.
 
 from dataclasses import replace
 from datetime import date as calendar
+from typing import Any
 
 import numpy as np
 from sklearn.base import clone
@@ -117,7 +118,9 @@ def changed_model(linear, rows, log_noise=LOG_NOISE, date=None, named=None, posi
     return model, entry, after.row_weight[: len(rows.X)], after.logs
 
 
-def _conditioned(linear, rows, log_noise, start=None, means_only=False, named=None):
+def _conditioned(
+    linear, rows, log_noise, start=None, means_only=False, named=None
+) -> tuple[Any, Any, Any]:
     """Linear model with the mean and the fading that new rows ask for, and the `Posterior`.
 
     Between them a root of the covariance of its coefficients.

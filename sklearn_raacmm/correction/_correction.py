@@ -362,7 +362,7 @@ class Correction:
         """
         given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
-        measured = self._measured(angles, positions, **given)
+        measured: Any = self._measured(angles, positions, **given)
         new_base = measured.points is not None and (new_base or self.base is None)
         known = self.register(measured, free=(), accept=accept) if new_base else self
         y, today = self._shown(measured, lambda: known.residuals(measured.angles, measured.points))
@@ -422,13 +422,14 @@ class Correction:
         """
         given = {"points": points, "lengths": lengths, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
-        measured = self._measured(angles, positions, **given)
+        measured: Any = self._measured(angles, positions, **given)
         X = self.inputs(measured.angles)
         model: Any = copy(self.model)
         places = np.arange(len(X)) if measured.points is not None else measured.index
         linear: Any = getattr(model, "linear_model_", None)
-        judged = linear is not None and len(np.unique(places)) >= LEAST_POSITIONS
-        if judged:  # these poses had no part in the fit: it fades beyond the largest doubt at them
+        doubt: Any = None
+        if linear is not None and len(np.unique(places)) >= LEAST_POSITIONS:
+            # These poses had no part in the fit: it fades beyond the largest doubt at them.
             doubt = linear.predict_with_doubt(X)[2]
             model.fading_ = replace(model.fading_, known_mm=float(doubt.max()))
         of_angles = self._of_angles(model)
@@ -446,14 +447,18 @@ class Correction:
         if hasattr(model, "with_arm"):
             model = model.with_arm(found.arm)
         new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
-        if judged:  # and they say how much of it is used
+        if doubt is not None:  # and they say how much of it is used
             first = measured.poses.first
             y, today = new._shown(measured, lambda: found.residuals_mm[first])
-            rows = new_rows(model, X, y, **today)
+            codes: Any = None
+            centre: Any = None
+            if today:  # a tracker's points show the offsets of positions, too
+                rows = new_rows(model, X, y, **today)
+                y, codes, centre = rows.y, rows.codes, rows.centre
             correction, _, doubt = model.linear_model_.predict_with_doubt(X)
             before = float(model.fading_.found(doubt).mean())
-            of_poses = found.sample_weight[first], rows.codes, places, before, rows.centre
-            model.fading_ = judge(rows.y, correction, doubt, model.fading_, *of_poses)[0]
+            of_poses = found.sample_weight[first], codes, places, before, centre
+            model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
         return new
 
     def update(
@@ -496,7 +501,7 @@ class Correction:
         """
         given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
-        measured = self._measured(angles, positions, **given)
+        measured: Any = self._measured(angles, positions, **given)
         X = self.inputs(measured.angles, measured.extra)
         model: Any = copy(self.model)
 

@@ -131,9 +131,9 @@ def offered_harmonics(angles, orders, arm=None):
     n_joints = angles.shape[1]
     if isinstance(orders, Integral):
         n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
-        most = np.full(n_joints, orders)
+        most = np.full(n_joints, int(orders))
         if arm is not None and orders and (slides := slides_of(arm.joint_types)):
-            most[slides] = np.maximum(orders, turn_mm(arm)[slides] / _LEAST_PITCH_MM)
+            most[slides] = np.maximum(int(orders), turn_mm(arm)[slides] / _LEAST_PITCH_MM)
         named = [_seen_orders(*one, n_poses) for one in zip(angles.T, most.tolist(), strict=True)]
     else:
         named = list(orders)

@@ -21,7 +21,7 @@ however steep it is; one that cannot be told from 0 costs nothing.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, lapack
@@ -110,7 +110,7 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     return 0.5 * value, gradient, signal, by_theta / n_total
 
 
-def solve_and_invert(C, y, invert=True):
+def solve_and_invert(C, y, invert=True) -> tuple[Any, Any, Any]:
     """Solution of C x = y, log determinant, and half of the inverse: with its transpose all."""
     factor = cholesky(C.T, lower=True, check_finite=False)
     log_det = 2 * np.log(factor.diagonal()).sum()
