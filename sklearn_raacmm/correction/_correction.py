@@ -448,8 +448,7 @@ class Correction:
             model = model.with_arm(found.arm)
         new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
         if doubt is not None:  # and they say how much of it is used
-            first = measured.poses.first
-            y, today = new._shown(measured, lambda: found.residuals_mm[first])
+            y, today = new._shown(measured, lambda: new.residuals(measured.angles, measured.points))
             codes: Any = None
             centre: Any = None
             if today:  # a tracker's points show the offsets of positions, too
@@ -457,7 +456,7 @@ class Correction:
                 y, codes, centre = rows.y, rows.codes, rows.centre
             correction, _, doubt = model.linear_model_.predict_with_doubt(X)
             before = float(model.fading_.found(doubt).mean())
-            of_poses = found.sample_weight[first], codes, places, before, centre
+            of_poses = found.sample_weight[measured.poses.first], codes, places, before, centre
             model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
         return new
 
@@ -519,8 +518,7 @@ class Correction:
             new: Any = replace(self, model=model).register(measured, free=(), accept=accept)
             return replace(new, model=model)
         new = self.register(measured, accept=accept)
-        found = new.calibration.residuals_mm[measured.poses.first]
-        y, today = new._shown(measured, lambda: found)
+        y, today = new._shown(measured, lambda: new.residuals(measured.angles, measured.points))
         model = new.model
         updated = update_correction(model, X, y, accept=accept, date=date, **today)
         return replace(new, model=updated)
