@@ -17,7 +17,7 @@ import sklearn_raacmm  # noqa: F401
 from sklearn_raacmm.utils import _rows
 
 ROOT = Path(__file__).resolve().parent.parent
-# Files and functions that take half a second of CPU time or more, found by ``pytest --durations``.
+# Files, and functions that take a second of CPU time or more, found by ``pytest --durations``.
 SLOW = {*(ROOT / "tests" / "slow.txt").read_text(encoding="utf-8").split()}
 
 # The suite runs in parallel: two workers with two BLAS threads each on two cores wait for one

@@ -532,7 +532,7 @@ def refused_in_arm():
     yield change, "d", [[0, 0, np.inf, 0, 0, 0]], r"d\[2\] = inf is out of bounds.*100000 mm"
     yield change, "alpha", [90 + six], r"alpha\[0\] = 90 is out of bounds.*from_degrees"
     yield change, "probe", [(0, 0)], r"probe must hold 3 numbers, got shape \(2,\)"
-    sign = r"^joint_signs\[0\] = -2 is out of bounds.* at most 1\.$"
+    sign = r"^joint_signs must be -1 or 1 each, .* got -2\.$"
     yield change, "joint_signs", [-2], sign
     yield change, "joint_signs", [0.5], "joint_signs must be -1 or 1"
     kinds = "(?s)convention=.* is not one of 'standard', "

@@ -29,10 +29,11 @@ def check_fields(arm: Any) -> dict[str, Any]:
     """Fields of an `Arm` as it keeps them; each fault gets one clear sentence."""
     a = check_numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
     n = a.size
+    alpha = check_numbers("alpha", arm.alpha, n, "rad", 2 * np.pi)
     types = check_types(arm.joint_types, n)
     checked = {
         "a": a,
-        "alpha": check_numbers("alpha", arm.alpha, n, "rad", 2 * np.pi),
+        "alpha": alpha,
         "d": check_numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
         "theta_offset": check_numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
         "probe": check_numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),

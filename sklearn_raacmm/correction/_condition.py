@@ -309,6 +309,11 @@ class Whitened:
         along = self.axes.T @ values
         return values - self.axes @ (self.less * along.T).T
 
+    def as_known(self, values: np.ndarray) -> np.ndarray:
+        """Independent normal values (m, k) as values with the covariance G G', the same by any G."""
+        size = np.sqrt((1 - self.less) ** -2 - 1)
+        return self.axes @ (size * (self.axes.T @ values).T).T
+
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Values over the root, less what the nuisances explain of them."""
         values = self.scaled(values)

@@ -253,7 +253,7 @@ def check_correction(
     shares = np.r_[1.0, 1 / tests["freedom"][1:], 1.0]
     shares /= shares.sum()
     rate = false_alarm_rate * shares[-1]
-    mean, chart = _chart(linear, table, nuisance, freedom, rate)
+    mean, chart = _chart(linear, table, nuisance, whiten, freedom, rate)
     tests = np.append(tests, np.array(mean, dtype=tests.dtype))
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds, suspect, size_mm = p_value >= false_alarm_rate, "nothing", 0.0
@@ -295,14 +295,14 @@ def _rms(shown, vectors):
     return float(np.sqrt(np.square(about).sum() / len(vectors)))
 
 
-def _chart(linear, table, nuisance, freedom, rate):
+def _chart(linear, table, nuisance, whiten, freedom, rate):
     """The test of the mean distance, and mean and range with the limits of that same test.
 
     The square of a mean or a range of distances is about a multiple of a chi-squared variable,
     whose freedoms follow from draws; that of the factor of the noise has `freedom` itself. The
-    `nuisance` has been fitted.
+    `nuisance` has been fitted. `whiten` is by what the model expects.
     """
-    n, known, rng = table.left.size, table.known, np.random.default_rng(0)
+    n, rng = table.left.size, np.random.default_rng(0)
     basis = np.linalg.qr(nuisance[:n])[0]
     record, tests = {}, []
 
@@ -311,8 +311,8 @@ def _chart(linear, table, nuisance, freedom, rate):
         return linear.noise_sd * np.linalg.norm(values.reshape(n // 3, 3, -1), axis=1)
 
     found = distances(table.residual[:, None])
-    noise = table.shown(rng.normal(size=(n // 3, 3, _DRAWS))).reshape(len(known), -1)
-    drawn = distances(known @ rng.normal(size=(known.shape[1], _DRAWS)) + noise)
+    noise = table.shown(rng.normal(size=(n // 3, 3, _DRAWS))).reshape(-1, _DRAWS)
+    drawn = distances(whiten.as_known(rng.normal(size=noise.shape)) + noise)
     for name, of in (("mean", np.mean), ("range", np.ptp)):
         square, value = np.square(of(drawn, axis=0)), float(of(found, axis=0)[0])
         k, unit = 2 * np.square(square.mean()) / square.var(), square.mean()
