@@ -310,7 +310,7 @@ class Whitened:
         return values - self.axes @ (self.less * along.T).T
 
     def as_known(self, values: np.ndarray) -> np.ndarray:
-        """Independent normal values (m, k) as values with the covariance G G', the same by any G."""
+        """Independent normal values (m, k) with the covariance G G', the same by any such G."""
         size = np.sqrt((1 - self.less) ** -2 - 1)
         return self.axes @ (size * (self.axes.T @ values).T).T
 
