@@ -157,7 +157,8 @@ def interpreters():
 
 
 LOAD = """
-import sys, warnings, joblib, numpy as np, sklearn.exceptions
+import sys, warnings, joblib, numpy as np, sklearn.exceptions, threadpoolctl
+threadpoolctl.threadpool_limits(1, user_api="blas")  # as these tests do: two add up otherwise
 warnings.simplefilter("error")
 warnings.simplefilter("ignore", sklearn.exceptions.InconsistentVersionWarning)
 X = np.load(sys.argv[1])

@@ -47,6 +47,7 @@ from sklearn_raacmm.arm import in_unit, scale_of, without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
+from sklearn_raacmm.measurements import STILL_MM
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
@@ -62,8 +63,6 @@ from sklearn_raacmm.utils import (
 OK, NO_HELP = 0, 3
 # Angle in rad by which an arm has to move; learning has the same.
 _STILL = 1e-3
-# What slides by less stands still, as for a calibration, mm.
-_STILL_MM = 0.01
 # Bars that a plan takes by itself, and their largest share of the reach.
 _BARS_MM, _BAR_OF_REACH = (100, 300, 500, 1000), 0.4
 _DEMO_COLUMNS = [f"q{i} [deg]" for i in range(1, 7)]
@@ -73,7 +72,7 @@ def _without_still_slides(options, arm, layout, table):
     """Arm, layout and table without rails under the arm that stand still in all rows."""
     while arm.joint_types.startswith("P") and len(arm.joint_types.strip("P")) > 1:
         at = table.angles[:, 0]
-        if np.ptp(at) > _STILL_MM:
+        if np.ptp(at) > STILL_MM or any(1 in (i, j) for i, j, _ in arm.couplings):
             break
         name = layout.header[layout.angle_columns[0]]
         text = f"{name}, along which joint 1 slides, stands still at {at[0]:.6g} mm in all rows:"

@@ -495,7 +495,8 @@ class Arm:
         -------
         str
             The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad, of the
-            joints' own angles: the format has no `couplings`, and a warning says so. Where the arm
+            joints' own angles: the format has no `couplings` and no scales of joints that slide,
+            and a warning says so. Where the arm
             does not stand upright a link ``world`` comes first, which `from_urdf` leaves out.
         """
         return _write_text(urdf_text(self), path)
@@ -729,8 +730,6 @@ def without_first(arm: Arm) -> Arm:
     for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
         fields[name] = getattr(arm, name)[1:]
     fields["limits"] = None if arm.limits is None else arm.limits[1:]
-    if fields["limits"] is not None and not np.isfinite(fields["limits"]).any():
-        fields["limits"] = None
     fields["couplings"] = [(i - 1, j - 1, factor) for i, j, factor in arm.couplings]
     joints, frames = (tuple(np.subtract(pair, 1)) for pair in (arm.pose_joints, arm.pose_frames))
     pose: dict[str, Any] = {"pose_joints": joints, "pose_frames": frames}

@@ -158,6 +158,8 @@ def check_limits(limits: Any, n: int) -> Any:
     if np.any(wrong):
         i = int(np.argmax(wrong))
         raise ValueError(f"limits of joint {i + 1} must go from low to high, got {limits[i]}.")
+    if not np.isfinite(limits).any():
+        return None
     limits.flags.writeable = False
     return limits
 

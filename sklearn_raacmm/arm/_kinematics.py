@@ -42,10 +42,15 @@ def phases(arm: Any, angles: np.ndarray) -> np.ndarray:
     numbers of waves have the pitches of usual screws and racks.
     """
     own = own_angles(arm, angles)
-    if slides := slides_of(arm.joint_types):
-        own = own.copy()
-        own[:, slides] *= 2 * np.pi / turn_mm(arm)[slides]
-    return own
+    return own * phase_factors(arm) if slides_of(arm.joint_types) else own
+
+
+def phase_factors(arm: Any) -> np.ndarray:
+    """What makes `phases` of the `own_angles` of each joint, (n_joints,): rad for rad or mm."""
+    slides = slides_of(arm.joint_types)
+    factors = np.ones(len(arm.a))
+    factors[slides] = 2 * np.pi / turn_mm(arm)[slides]
+    return factors
 
 
 def turn_mm(arm: Any) -> np.ndarray:

@@ -153,7 +153,8 @@ def _gaps(arm, aim, turned, angles):
 def _bare(arm, aim, turned, angles, low, high):
     """The same for the arm without a correction, by shortest steps."""
     moves, turns = joint_axes(arm), scale_of(arm.joint_types, 1.0, 0.0)
-    about = 3 * (np.arange(1, arm.n_joints + 1) + arm.n_joints + (arm.convention == "modified")) + 2
+    n_turns = 3 * (arm.n_joints + 1)
+    about = moves % n_turns + n_turns
     unit = scale_of(arm.joint_types, 1.0, arm.reach_mm)  # of a slide: as large as one radian
     angles, open_ = angles.copy(), np.arange(len(aim))
     for _ in range(_STEPS):

@@ -57,7 +57,7 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     arm = cls(
         **fields, name=name, names=tuple(joint.name for _, joint in moving),
         joint_types=["RP"[one] for one in slides],
-        limits=limits if np.isfinite(limits).any() else None,
+        limits=limits,
         up=np.where(np.abs(up) > _PARALLEL, up, 0.0),
     )  # fmt: skip
     rounded = [joint.rounded for joint in joints if joint.rounded]
@@ -183,6 +183,7 @@ def _straighten(directions, points, tip, slides):
     """
     directions, points = list(directions), list(points)
     size = sum(np.linalg.norm(b - a) for a, b in zip(points, [*points[1:], tip], strict=True))
+    moved = -1  # the joint whose axis has been moved last
     for i in range(len(directions) - 1):
         u, v = directions[i], directions[i + 1]
         normal = np.cross(u, v)
@@ -193,8 +194,11 @@ def _straighten(directions, points, tip, slides):
         foot = abs(np.cross(gap, v) @ normal) / sine**2
         if foot <= _FARTHEST_FOOT * max(size, 1.0):
             continue
-        if slides[i] or slides[i + 1]:
-            points[i + slides[i + 1]] = points[i + 1 - slides[i + 1]]
+        if slides[i + 1]:
+            points[i + 1], moved = points[i], i + 1
+            continue
+        if slides[i] and moved != i:
+            points[i] = points[i + 1]
             continue
         turn = turn_between(v, u if u @ v > 0 else -u)
         about = points[i + 1]

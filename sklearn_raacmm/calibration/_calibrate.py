@@ -130,7 +130,7 @@ def calibrate(
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points. Needed
         wherever the correction will be used with the result.
     free : iterable of str, default=("a", "alpha", "d", "theta_offset", "probe")
-        Fields of `arm` that may change.
+        Fields of `arm` that may change; with "d" the scales of joints that slide.
     loss : {"soft_l1", "huber", "cauchy", "squared"}, default="soft_l1"
         How the distance of a point counts; "squared" is plain least squares.
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from sklearn_raacmm.arm import check_angles, scale_of
+from sklearn_raacmm.arm import scale_of
 from sklearn_raacmm.calibration._problem import rows_of
 from sklearn_raacmm.measurements import UNITS, angle_faults, touch_findings
 from sklearn_raacmm.utils import Finding
@@ -19,13 +19,7 @@ _IN_MM = "Give millimetres; in a file name the unit in the header, such as {} [m
 
 def check_measured(arm, measured):
     """Whether a calibration of this arm can be made of these: they have rows, and some scatter."""
-    check_angles(measured.angles, arm.joint_types, "rad")
-    if "P" in arm.joint_types and measured.joint_types != arm.joint_types:
-        raise ValueError(
-            f"joint_types of the arm are {arm.joint_types!r}, and of the measurements "
-            f"{measured.joint_types!r}: Measurements.of(..., joint_types=arm.joint_types) takes "
-            "mm for no angles."
-        )
+    measured.check_joints(arm)
     if not len(measured.angles):
         raise ValueError("angles are empty: there is nothing to calibrate with.")
     if measured.points is not None:

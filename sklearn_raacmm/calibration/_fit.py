@@ -29,7 +29,13 @@ from sklearn_raacmm.calibration._problem import (
 )
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.inference import evidence_variance, whitening
-from sklearn_raacmm.measurements import known_length, linearised, touch_weights, with_forms
+from sklearn_raacmm.measurements import (
+    STILL_MM,
+    known_length,
+    linearised,
+    touch_weights,
+    with_forms,
+)
 from sklearn_raacmm.utils import align, centred, group_means, robust_scale, slip_factors
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
@@ -52,8 +58,6 @@ _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 _LEAST_PIVOT = 1e-8
 # Steps of one iteration at the start, of a base: rad and mm.
 _STEP_RAD, _STEP_MM = 1e-2, 10.0
-# What slides by less stands still: a brake gives way by as much.
-_STILL_MM = 0.01
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -84,7 +88,7 @@ class Fit:
         self.loss, self.free, self.priors = loss, free, priors
         # Joints that slide, but stand still in all rows.
         ways = np.ptp(self.angles, axis=0) if len(self.angles) else np.zeros(arm.n_joints)
-        self.still = [i for i in slides_of(arm.joint_types) if ways[i] < _STILL_MM]
+        self.still = [i for i in slides_of(arm.joint_types) if ways[i] < STILL_MM]
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -100,7 +104,6 @@ class Fit:
         self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say.
-        n = arm.n_joints
         if problem.features:
             left = self._touched(points, jac, np.ones(len(points)))[1]
         else:
@@ -108,9 +111,8 @@ class Fit:
             left = jac - jac.mean(axis=0) if tracked else centred(jac, problem.index)
         felt = np.sum(left**2, axis=(0, 1))
         length = np.zeros_like(nominal)
-        rows = np.r_[:n, 2 * n : 3 * n]
-        long = are_long(nominal[rows]) & (self.kind[rows] != "slide_mm")
-        length[rows] = np.where(long, felt[rows] * nominal[rows], 0.0)
+        long = self.kind == "length_mm"
+        length[long] = felt[long] * nominal[long]
         slides = self.kind == "slide_scale"
         if slides.any():  # beside the ways that they go short links carry no scale
             length[slides] = felt[slides] * nominal[slides]
@@ -128,11 +130,13 @@ class Fit:
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
         lengths = np.array([not name.startswith(ANGLES) for name in self.names])
         kind = np.full(len(lengths), "angle_rad", dtype=object)
-        long = are_long(pack(arm)[: len(lengths)][lengths])
+        slides = slides_of(arm.joint_types)
+        of_slides = np.isin(np.arange(len(kind)) % arm.n_joints, slides)
+        # Where a slide stands says nothing of how long links are.
+        long = are_long(np.where(of_slides, 0.0, pack(arm)[: len(lengths)])[lengths])
         kind[lengths] = np.where(long, "length_mm", "short_length_mm")
         is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
-        if slides := slides_of(arm.joint_types):
-            of_slides = np.isin(np.arange(len(kind)) % arm.n_joints, slides)
+        if slides:
             kind[of_slides] = np.where(lengths, "slide_mm", "slide_rad")[of_slides]
             self.names += [f"scale{i + 1}" for i in slides]
             kind = np.r_[kind, ["slide_scale"] * len(slides)]

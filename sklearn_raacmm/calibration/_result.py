@@ -34,11 +34,13 @@ class CalibrationResult:
         The calibrated arm; with several tools, with the probe of the first.
     names : tuple of str
         Names of the parameters: the field of `Arm` and the row of the table from 1, such as
-        ``"a2"`` or ``"theta_offset4"``, and ``"probe_x"`` to ``"probe_z"``. For measured points
-        then the base: ``"base_rx"`` to ``"base_rz"`` (a rotation vector) and ``"base_x"`` to
-        ``"base_z"``. Where there are several tools or stations, the label follows in brackets.
+        ``"a2"`` or ``"theta_offset4"``; ``"scale1"``, by which the ways of joint 1 are multiplied
+        where it slides; and ``"probe_x"`` to ``"probe_z"``. For measured points then the base:
+        ``"base_rx"`` to ``"base_rz"`` (a rotation vector) and ``"base_x"`` to ``"base_z"``. Where
+        there are several tools or stations, the label follows in brackets.
     nominal, values : ndarray of shape (n_parameters,)
-        Values of the parameters before and after, mm and rad. A base has no nominal value: NaN.
+        Values of the parameters before and after, mm and rad, and scales of slides. A base has no
+        nominal value: NaN.
     standard_deviations : ndarray of shape (n_parameters,)
         Standard deviations of `values`, the prior included, mm and rad; 0 for parameters that were
         not free, infinite where nothing is known of one, NaN where there are no more coordinates
@@ -50,7 +52,8 @@ class CalibrationResult:
         The sums of parameters that the data leave open, such as ``"d2 - d3"``, mm and rad.
     prior_sd : dict
         Prior standard deviations that were used: ``"length_mm"`` of the long lengths,
-        ``"short_length_mm"``, ``"angle_rad"``, ``"probe_mm"``.
+        ``"short_length_mm"``, ``"angle_rad"``, ``"probe_mm"``; of joints that slide
+        ``"slide_mm"``, ``"slide_rad"`` and ``"slide_scale"``.
     rank, n_free, n_coordinates : int
         How many combinations of the free parameters the data can show at all, how many parameters
         were free (bases included), and how many coordinates there are, less three for each unknown

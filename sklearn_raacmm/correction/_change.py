@@ -255,13 +255,13 @@ def _of_named(linear, part, named):
     as a rule are; waves of order 2 are smaller.
     """
     orders = np.repeat(linear.terms.harmonics[:, 1], 2)
-    part = _with_names(linear, part)
+    part = with_names(linear, part)
     sizes = np.full(len(part), _KNOCK_ARCSEC)
     sizes[: len(orders)] *= np.where(orders > _NEW_ORDERS, 0.0, orders**-2.0)
     return part, np.where(np.isin(part, named), sizes, 0.0)
 
 
-def _with_names(linear, part):
+def with_names(linear, part):
     """Parts (n_columns,), of which offsets and probe have the names of `causes_of`."""
     part = part.astype("U32")
     for i, name in enumerate(linear.layout.names, start=linear.layout.n_waves):
@@ -285,7 +285,7 @@ def doubts_of(linear, angles, codes=None):
     half = linear.gauge_free_half
     columns = centred(linear.columns(angles), codes)
     shares = np.einsum("ncp,ncp->p", columns, columns @ half @ half.T)
-    part, place = np.unique(_with_names(linear, parts_of(linear)), return_inverse=True)
+    part, place = np.unique(with_names(linear, parts_of(linear)), return_inverse=True)
     shares = np.bincount(place, shares) / max(shares.sum(), 1e-300)
     return {str(part[i]): float(shares[i]) for i in np.argsort(-shares, kind="stable")}
 

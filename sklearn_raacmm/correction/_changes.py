@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from sklearn_raacmm.arm import own_angles, phases, slides_of
-from sklearn_raacmm.correction._change import as_prior, changes_of
+from sklearn_raacmm.correction._change import as_prior, changes_of, parts_of, with_names
 from sklearn_raacmm.correction._condition import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, place_columns, slipped_rows
 from sklearn_raacmm.utils import group_means
@@ -33,9 +33,8 @@ _ORDERS = (1, 2)
 # rows in units of the noise. Equally likely; finer or wider grids name the same changes.
 _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
 # Changes of which an update names so many, one after another, before whole families may change: a
-# choice. Names of those that its prior can hold; of others the families tell.
+# choice. Names of those that have columns in the model; of others the families tell.
 _MOST_NAMED = 3
-_HELD = ("probe", "offset of joint", "scale of joint", "harmonics of joint")
 _OF_PLACE = ("probe", "base", "base turned")
 # What a change is called where the noise explains more than any.
 NOISE = "noise"
@@ -118,11 +117,12 @@ def named_changes(linear: Any, rows: Any) -> list[str] | None:
         causes = {name: one for name, one in causes.items() if name not in _OF_PLACE}
     causes["arm"] = shown.flat(table.columns * changes_of(linear)[1])
     names: list[str] = []
+    held = {*with_names(linear, parts_of(linear)).tolist()}
     while True:
         name, change = likeliest_change(table.residual, known, causes, shown.n_coordinates)
         if change is None:
             return names
-        if len(names) == _MOST_NAMED or not name.startswith(_HELD):
+        if len(names) == _MOST_NAMED or name not in held:
             return None
         names.append(name)
         known = np.hstack([known, change])

@@ -689,7 +689,7 @@ class Correction:
     def _measured(self, angles, positions, **given):
         """Today's `Measurements`, of one tool and one station, checked."""
         measured = Measurements.taken(angles, positions, joint_types=self.arm.joint_types, **given)
-        check_angles(measured.angles, self.arm.joint_types, "rad")
+        measured.check_joints(self.arm)
         if measured.tools is not None or measured.stations is not None:
             raise ValueError("tools and stations are for calibrate and learn_correction.")
         if measured.points is None and measured.index is None:

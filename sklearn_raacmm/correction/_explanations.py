@@ -112,7 +112,7 @@ def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
     gains = [_gain(one, given, expected, spread_of) for one in fair]
     likely = likeliest(zip(gains, fair, strict=True))
     if not likely:
-        nats = float("-inf") if few else _evidences(linear, rows)[1]
+        nats = float("-inf") if few else _beside_change(linear, rows, of_another=True)
         if nats > PRICE:
             said = (
                 f"That the new residuals, {_rms(given):.3g} mm about the model, are of another arm "
@@ -137,11 +137,11 @@ def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
 
 def gain_of_change(model: Any, rows: Any) -> float:
     """Log evidence that the arm or its probe has changed, less that of noise of any size, nats."""
-    return -_evidences(as_prior(model.linear_model_), rows)[0]
+    return -_beside_change(as_prior(model.linear_model_), rows)
 
 
-def _evidences(linear, rows):
-    """Log evidence that nothing has changed, and of another arm, less that of a change, in nats.
+def _beside_change(linear, rows, of_another=False):
+    """Log evidence that nothing has changed, or of another arm, less that of a change, in nats.
 
     The noise is found in each: rows that scatter are no change. Nothing changed: ``r ~ N(B b, A S
     A' + s^2)`` as in `what_is_wrong`, with B of the base alone; a change: with one tau for each
@@ -157,7 +157,8 @@ def _evidences(linear, rows):
     counted = shown.rank, shown.n_unknown
     after = condition(linear, (part, size), *given, None, True, *counted)
     weights = weights * after.row_weight
-    every = np.concatenate([columns, place, shown(_table_columns(rows.arm, rows.X))], axis=2)
+    parts = [columns, place, *([shown(_table_columns(rows.arm, rows.X))] if of_another else ())]
+    every = np.concatenate(parts, axis=2)
     flat, left = rows_of(every, shown.y - columns @ linear.coef, weights)
     n, p, q = n_coordinates(weights, *counted), len(size), columns.shape[2] + place.shape[2]
 
@@ -166,11 +167,12 @@ def _evidences(linear, rows):
 
     known = np.delete(flat[:, :q], np.s_[p : p + 3], axis=1)  # the tool
     change = max(of((part, size), known), of((part, size), flat[:, :q]))
+    if not of_another:
+        return of((part[:0], size[:0]), known) - change
     whole, unknown = replace(linear, half=np.zeros((p, 0))), left + flat[:, :p] @ linear.coef
     together = np.full(p, "all"), _ALL_OF_IT * size
     tables = (np.hstack([flat[:, :q], share * flat[:, q:]]) for share in _SAME_MAKE)
-    another = max(of(together, columns, whole, unknown) for columns in tables)
-    return of((part[:0], size[:0]), known) - change, another - change
+    return max(of(together, columns, whole, unknown) for columns in tables) - change
 
 
 def _table_columns(arm, angles):
@@ -221,7 +223,6 @@ class _Spread:
         seen = np.linalg.svd(self.whiten.scaled(place), compute_uv=False)
         seen = seen[seen > 1e-8 * seen.max()]
         self.log_volume = -self.whiten.log_root - np.log(seen).sum()
-        self.log_volume += np.linalg.slogdet(shown.whitened.root)[1].sum()
         if shown.whitened.precision is not None:
             of_places = shown.whitened.precision
             self.log_volume -= 0.5 * np.log(of_places[of_places > 0]).sum()

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import orth
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.correction._change import day
@@ -77,8 +78,9 @@ class CorrectionCheck:
         How often a correction that holds looks as bad as this, all tests together.
     suspect : str
         What explains the poses best: "nothing", "offset of joint 2", "harmonics of joint 2",
-        "probe", "base" (shifted), "base turned", "drift" (a base that moves from the first row to
-        the last), "scale", "corrected already" (the residuals), or "noise" if nothing else does.
+        "scale of joint 1" (which slides), "probe", "base" (shifted), "base turned", "drift" (a base
+        that moves from the first row to the last), "scale", "corrected already" (the residuals), or
+        "noise" if nothing else does.
     advice : str
         What to do, in one sentence.
     size_mm : float
@@ -228,8 +230,9 @@ def check_correction(
     linear, correction = widened(model.linear_model_), model.predict(X)
     table = Table(linear, rows, correction)
     rows, shown, known, seen = table.rows, table.shown, table.known, table.seen
-    place = place_columns(linear.arm, rows.X, with_base=True)
-    place = place[:, :, np.repeat(["probe" in refitted, "base" in refitted], [3, 6])]
+    place = place_columns(linear.arm, rows.X, rows.codes is None)
+    kept = np.repeat(["probe" in refitted, "base" in refitted], [3, 6])
+    place = place[:, :, kept[: place.shape[2]]]
     nuisance, residual, correction = shown.flat(place), table.residual, correction[~table.slipped]
     whiten = Whitened(known, nuisance, shown.n_coordinates)
     if whiten.freedom < 3:
@@ -303,7 +306,7 @@ def _chart(linear, table, nuisance, whiten, freedom, rate):
     `nuisance` has been fitted. `whiten` is by what the model expects.
     """
     n, rng = table.left.size, np.random.default_rng(0)
-    basis = np.linalg.qr(nuisance[:n])[0]
+    basis = orth(nuisance[:n])
     record, tests = {}, []
 
     def distances(values):  # of coordinates and lengths over the noise, (m, k)

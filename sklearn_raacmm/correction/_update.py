@@ -123,7 +123,9 @@ def update_correction(
     and tool, ``y - A w0 = A dw + B b + e`` with ``dw ~ N(0, S0 + tau^2 V)``, b nearly free and e
     of a variance of at least the old one. The taus and that variance maximise the marginal
     likelihood times log-normal priors. Harmonics of the orders 1 and 2 are offered beside
-    those that the old data needed. Where the model has kinematic columns, b becomes a part of them;
+    those that the old data needed. Where single changes explain the new rows, such as the offset of
+    a joint, at most three, nothing else has changed: V is 0 but for these, and of positions b is
+    left out unless the probe is one of them. Where the model has kinematic columns, b becomes a part of them;
     otherwise register again, through the updated model.
 
     Examples
@@ -201,12 +203,18 @@ def nothing_changed(model: Any, rows: Rows, date: Any) -> bool:
 def _as_it_was(model, rows, date):
     """Note in `updates_` that rows showed noise alone."""
     left = rows.along(rows.whitening().centred(rows.y - _predicted(model, rows)))
-    noise_mm = float(np.sqrt(np.square(left).sum() / n_coordinates(rows)))
+    n = n_coordinates(rows) - len(rows.lengths)
+    noise_mm = float(np.sqrt(np.square(left).sum() / n))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)
     said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
     said += " no change: it stays as it was."
-    Finding("nothing-changed", said, weight="note").report()
+    usual_mm = max(model.linear_model_.noise_sd, LEAST_NOISE_MM)
+    if noise_mm > _STRANGE * usual_mm:
+        advice = f"The old ones did by {usual_mm:.3g} mm: are the new ones of this arm?"
+        Finding("strange-poses", said, advice, size_mm=noise_mm).report()
+    else:
+        Finding("nothing-changed", said, weight="note").report()
 
 
 def probe_is_new(model: Any, rows: Rows) -> bool:

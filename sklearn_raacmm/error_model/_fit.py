@@ -363,8 +363,8 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
     state: Any = None
     sums: Any = None
-    moved, with_field = False, structures.share is not None
-    for _ in range(_CHOICES):
+    with_field = structures.share is not None
+    for choice in range(_CHOICES):
         start = factor
         sums = rows.weighted(factor).sums(columns) if sums is None else sums
         state = search(Problem(sums, structures), state)
@@ -376,16 +376,14 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
             if found is not None and found.with_field:
                 state, new = _settled(rows, columns, structures, found, factor, sums)
         noise = _noise_of(rows.weighted(new), columns, state)
-        moved = np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE
-        if moved:
+        if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
             rows, sums = rows._replace(noise=noise, root=noise.roots(levers, rows.shown)), None
-        elif np.abs(new - start).mean() < _SETTLED_CHOICE:
+        elif choice + 1 == _CHOICES or np.abs(new - start).mean() < _SETTLED_CHOICE:
             return state, new, rows
         else:
             sums = _reweighted(rows, columns, sums, factor, new)
         factor = new
-    if moved:
-        state, factor = _settled(rows, columns, structures, state, factor)
+    state, factor = _settled(rows, columns, structures, state, factor)
     return state, factor, rows
 
 

@@ -15,6 +15,7 @@ from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_program import function
 from sklearn_raacmm.export._program import hash_program, pruned
 from sklearn_raacmm.export._proof import TOLERANCE
+from sklearn_raacmm.export._steps import but_slides
 
 # C99 promises 63 significant characters within a file; the rest is for what is appended.
 _MAX_NAME = 40
@@ -71,7 +72,9 @@ def _macros(program, name, digest, card, tables):
         "N_INPUTS": program.n_inputs,
         "N_OUTPUTS": program.n_outputs,
         "TABLE_BYTES": tables.n_bytes,
-        "INPUT_UNIT": f'"{about["angle_unit"]}"' if "arm" in about else None,
+        "INPUT_UNIT": f'"{about["angle_unit"]}{but_slides(about["slides"])}"'
+        if "arm" in about
+        else None,
         "OUTPUT_UNIT": '"mm"' if about["corrects"] else None,
     }
     if "training" in card:
@@ -101,6 +104,7 @@ def _functions(program, name, real):
 
     then = f";\n   then {', '.join(map(plain, about['extra']))}" if about.get("extra") else ""
     unit = "degrees" if about.get("angle_unit") == "deg" else "rad"
+    unit += but_slides(about.get("slides", ()))
     texts = comments(
         x=x.replace("_", " "), out=out, n=n, q=q, unit=unit, then=then, upper=name.upper()
     )

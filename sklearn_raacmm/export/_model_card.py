@@ -16,9 +16,17 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm._version import __version__
+from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import hash_program
-from sklearn_raacmm.export._steps import check_fitted, described, extra_columns, find_arm, leaves
+from sklearn_raacmm.export._steps import (
+    but_slides,
+    check_fitted,
+    described,
+    extra_columns,
+    find_arm,
+    leaves,
+)
 from sklearn_raacmm.utils import encode_groups, floats
 
 # Characters shown of a text that comes from outside.
@@ -151,7 +159,9 @@ def describe(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=None,
         steps=[described(step) for _, step in leaves(model)],
-        input=f"{n} columns" if arm is None else f"{arm.n_joints} joint angles in {unit}{then}",
+        input=f"{n} columns"
+        if arm is None
+        else f"{arm.n_joints} joint angles in {unit}{but_slides(slides_of(arm.joint_types))}{then}",
         output="residual of the probe in the base frame, mm: subtract it from the measured point"
         if arm is not None
         else "as fitted",
@@ -204,8 +214,9 @@ def _training(model, X, y, groups):
     if arm is None:
         return facts
     X, given = np.split(X, [arm.n_joints], axis=1)
-    facts[f"smallest_joint_angles_{unit}"] = X.min(axis=0).round(4).tolist()
-    facts[f"largest_joint_angles_{unit}"] = X.max(axis=0).round(4).tolist()
+    units = f"{unit}_and_mm" if slides_of(arm.joint_types) else unit
+    facts[f"smallest_joint_angles_{units}"] = X.min(axis=0).round(4).tolist()
+    facts[f"largest_joint_angles_{units}"] = X.max(axis=0).round(4).tolist()
     for (name, _), column in zip(extra_columns(model), given.T, strict=True):
         facts[f"range_of_{name.replace(' ', '_')}"] = [float(column.min()), float(column.max())]
     points = arm.forward(X, angle_unit=unit)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles, phases, scale_of, slides_of
+from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles, phase_factors, scale_of, slides_of
 from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
@@ -65,10 +65,10 @@ class _Chain:
 
     def phases(self):
         """What waves of each joint's error are waves of, rad."""
-        if "P" not in self.arm.joint_types:
-            return self.own_angles()
-        alone = self.arm.replace(couplings=())
-        return self.p("mul", self.own_angles(), phases(alone, np.ones((1, alone.n_joints)))[0])
+        own = self.own_angles()
+        if not slides_of(self.arm.joint_types):
+            return own
+        return self.p("mul", own, phase_factors(self.arm))
 
     def frames(self):
         """Axes and origin of every frame, 12 numbers each, the base first."""
@@ -129,6 +129,7 @@ def build_program(model, std=False, fade="exact", poses=None):
         label = f" {chain.arm.name}" if chain.arm.name else ""
         n = chain.arm.n_joints
         about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
+        about["slides"] = slides_of(chain.arm.joint_types)
         about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_columns(model)]}
     if chain.fade != "exact":
         about["fingerprint"] = hash_program(build_program(model))

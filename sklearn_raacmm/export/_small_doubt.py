@@ -43,7 +43,7 @@ def poses_from_far_to_near(model, doubt, n=_POSES, seed=0):
     `doubt` is a function of rows. A fitted model does not keep its poses: they were where it has
     little doubt. Each step draws all inputs anew and changes the one that lowers the doubt most.
     """
-    rows, *steps = typical_rows(model, n, seed, 1 + _STEPS)
+    rows, *steps = typical_rows(model, n * (1 + _STEPS), seed).reshape(1 + _STEPS, n, -1)
     known, found, of_row = doubt(rows), [rows], np.arange(n)
     one_input = np.eye(rows.shape[1], dtype=bool)[:, None]
     for drawn in steps:

@@ -91,21 +91,20 @@ def described(step):
     return name
 
 
+def but_slides(slides):
+    """What follows the unit of angles where joints (from 0) slide."""
+    joints = ", ".join(str(i + 1) for i in slides)
+    return f", mm of joint {joints}, which slides" if joints else ""
+
+
 def n_inputs(model):
     """Number of inputs of the first step."""
     return int(next(leaves(model))[1].n_features_in_)
 
 
-def typical_rows(model, n, seed=0, n_draws=None):
-    """Rows (n, n_inputs) that a fitted model may see: angles, or features like those of the fit.
-
-    With `n_draws` so many times n rows, (n_draws, n, n_inputs).
-    """
-    rows = _typical_rows(model, n * (n_draws or 1), np.random.default_rng(seed))
-    return rows if n_draws is None else rows.reshape(n_draws, n, -1)
-
-
-def _typical_rows(model, n, rng):
+def typical_rows(model, n, seed=0):
+    """Rows (n, n_inputs) that a fitted model may see: angles, or features like those of the fit."""
+    rng = np.random.default_rng(seed)
     arm, unit = find_arm(model)
     size = n_inputs(model)
     if arm is not None and size >= arm.n_joints:

@@ -5,7 +5,7 @@
 
 # ruff: noqa: F401  (used by the other subpackages)
 
-from sklearn_raacmm.measurements._dwells import find_dwells, find_poses, within_turn
+from sklearn_raacmm.measurements._dwells import STILL_MM, find_dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._explanations import (
     EQUAL,
     FAR,
@@ -19,12 +19,10 @@ from sklearn_raacmm.measurements._explanations import (
 from sklearn_raacmm.measurements._features import (
     KINDS,
     Form,
-    Linearised,
     check_features,
     known_length,
     linearise,
     linearised,
-    probe_offsets,
     touch_findings,
     touch_weights,
     with_forms,

@@ -8,13 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import slides_of
+from sklearn_raacmm.arm import scale_of, slides_of
 from sklearn_raacmm.utils import Finding, group_means
 
-# A row joins the run while every joint is within this of the run's running mean, in rad or mm, and
-# runs of so many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real
-# series none are merged (``tests/measurements/test_order.py``).
+# A row joins the run while every joint is within this of the run's running mean, and runs of so
+# many rows are one pose (``benchmarks/bench_check.py dwells``). Of 14 352 rows of real series none
+# are merged (``tests/measurements/test_order.py``).
 _STILL_RAD, _LEAST = 1e-3, 3
+# What slides by less stands still, mm: a brake gives way by as much.
+STILL_MM = 0.01
 # No encoder has such digits: rows that are closer are copies.
 _COPY_RAD = 1e-12
 
@@ -68,6 +70,8 @@ def find_dwells(
     """
     n = len(angles)
     codes = np.zeros(n, dtype=int) if codes is None else codes
+    if slides_of(joint_types):
+        angles = angles * scale_of(joint_types, 1.0, _STILL_RAD / STILL_MM)
     step = np.abs(within_turn(np.diff(angles, axis=0), joint_types)).max(axis=1, initial=0.0)
     # Both ends of a step are within the limit of one mean.
     breaks = np.flatnonzero(~(step <= 2 * _STILL_RAD) | (np.diff(codes) != 0)) + 1

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import check_angles
+from sklearn_raacmm.arm import Arm, check_angles, slides_of
 from sklearn_raacmm.measurements._dwells import Dwells, find_poses, within_turn
 from sklearn_raacmm.measurements._features import KINDS, check_features, probe_offsets
 from sklearn_raacmm.measurements._lengths import check_length
@@ -47,6 +47,8 @@ class Measurements:
         Which of the given rows are which row.
     stated : tuple
         `features` as given.
+    joint_types : str
+        Those of an :class:`Arm` with joints that slide, whose `angles` are mm; empty: all turn.
 
     Examples
     --------
@@ -162,6 +164,16 @@ class Measurements:
         columns = [np.zeros(n), *(part for part in parts if part is not None)]
         codes = np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
         return whole._of_poses(find_poses(angles, codes, points, types))
+
+    def check_joints(self, arm: Arm) -> None:
+        """Refuse measurements of another number of joints, or whose mm are taken for angles."""
+        check_angles(self.angles, arm.joint_types, "rad")
+        if slides_of(self.joint_types) != slides_of(arm.joint_types):
+            raise ValueError(
+                f"joint_types of the arm are {arm.joint_types!r}, and of the measurements "
+                f"{self.joint_types!r}: Measurements.of(..., joint_types=arm.joint_types) takes mm "
+                "for no angles."
+            )
 
     @classmethod
     def taken(cls, angles: Any, groups: Any = None, **given: Any) -> "Measurements":

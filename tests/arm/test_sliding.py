@@ -200,3 +200,22 @@ def test_an_arm_that_only_turns_is_the_same_with_its_types_or_without():
     again = arm.replace(joint_types="RRRRRRR")
     assert again == arm
     assert "joint_types" not in arm.to_json()
+
+
+def test_slides_between_turns_that_lean_by_little_are_read():
+    """By 1e-5 rad, of which the two turns are made parallel: it moves the probe by micrometres."""
+    joints = [
+        (R, (0, 0, 0.3), (0, 0, 0), Z),
+        (P, (0.3, 0.1, 0.1), (1e-5, 0, 0), Z),
+        (R, (0.2, -0.3, 0.1), (0, 1e-5, 0), Z),
+        (F, (0.1, 0, 0.1), (0, 0, 0), None),
+    ]
+    with pytest.warns(UserWarning, match="are taken as parallel, which moves the probe by up to"):
+        arm = Arm.from_urdf(text_of(joints))
+    q = random_poses(arm, 20)
+    assert_allclose(arm.forward(q), by_hand(joints, q), atol=0.002)
+
+
+def test_limits_without_a_number_are_none():
+    arm = Arm.from_name("ur10")
+    assert arm.replace(limits=[(None, None)] * 6) == arm.replace(limits=None)

@@ -70,3 +70,31 @@ def test_measurements_of_an_arm_that_slides_say_so():
     measured = Measurements.of(q, points=points, joint_types=RAIL.joint_types)
     assert_allclose(measured.angles[:, 0], q[:, 0])
     assert calibrate(RAIL, measured).scatter_after_mm < 0.04
+
+
+def test_where_a_rail_stands_says_nothing_of_how_long_links_are():
+    """The scale of all is that of the long links: a base 5 m away along the rail is none."""
+    far = RAIL.replace(d=RAIL.d + 5000 * (np.arange(7) == 0))
+    q = random_poses(RAIL, 60)
+    kinds = [calibrate(arm, q, points=arm.forward(q)).prior_sd for arm in (RAIL, far)]
+    assert kinds[0].keys() == kinds[1].keys() >= {"length_mm", "slide_mm", "slide_scale"}
+
+
+def test_millimetres_are_taken_for_no_angles():
+    q = random_poses(RAIL, 20)
+    of_angles = Measurements.of(q, points=RAIL.forward(q))
+    with pytest.raises(ValueError, match="takes mm for no angles"):
+        calibrate(RAIL, of_angles)
+    robot = Arm.from_name("panda", probe=(0, 0, 100))
+    q = random_poses(robot, 20)
+    of_slides = Measurements.of(q, points=robot.forward(q), joint_types="PRRRRRR")
+    with pytest.raises(ValueError, match="takes mm for no angles"):
+        calibrate(robot, of_slides)
+
+
+def test_a_rail_that_trembles_by_micrometres_stands_still():
+    rng = np.random.default_rng(0)
+    q = np.repeat(random_poses(RAIL, 20), 5, axis=0)
+    q[:, 0] += rng.uniform(-0.002, 0.002, len(q))
+    measured = Measurements.of(q, points=RAIL.forward(q), joint_types=RAIL.joint_types)
+    assert len(measured.angles) == 20

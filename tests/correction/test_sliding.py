@@ -7,6 +7,7 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     Correction,
+    Measurements,
     directions_of,
     learn_correction,
     plan_poses,
@@ -67,3 +68,11 @@ def test_planned_poses_are_along_the_rail_and_reach_their_cones():
 
 def test_steps_of_a_slide_are_no_turns():
     assert directions_of([[0.0], [4.0], [3.0]], joint_types="P").ravel().tolist() == [0, 1, -1]
+
+
+def test_measurements_of_angles_are_none_of_a_rail(learnt):
+    q, points = measured(30, 6)
+    with pytest.warns(UserWarning, match="more than two turns"):
+        measurements = Measurements.of(q, points=points)
+    with pytest.raises(ValueError, match="takes mm for no angles"):
+        learnt.check(measurements)

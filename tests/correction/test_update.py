@@ -338,3 +338,15 @@ def test_cones_name_the_joint_that_was_knocked():
         updated = update_correction(model, noisy[new], shown, **accepted)
     assert updated.updates_[0]["tau"] == {}
     assert left(updated, X) < 1.1 * left(model, X)
+
+
+def test_a_change_without_a_column_of_its_own_is_learned_by_others():
+    """A model of wobble alone has no offsets of joints: its other columns take up what they can."""
+    model = ArmResidualRegressor(ARM, orders=4, causes=["wobble"]).fit(*rows(500, 0))
+    angles, y = rows(60, 1)
+    knock = ARM.jacobian(angles)[:, :, 3] * 10 * ARCSEC
+    updated = update_correction(model, angles, y + knock)
+    other, _ = rows(400, 2)
+    truth = errors(other) + ARM.jacobian(other)[:, :, 3] * 10 * ARCSEC
+    off = [np.linalg.norm(truth - one.predict(other), axis=1).mean() for one in (model, updated)]
+    assert off[1] < 0.8 * off[0]

@@ -5,6 +5,7 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.arm import in_unit, random_poses
+from sklearn_raacmm.export import describe, export_c
 
 from ._chains import ways_out
 
@@ -27,3 +28,18 @@ def test_every_file_computes_as_predict_does(tmp_path, unit, convention):
     for name, found, spread in ways_out(tmp_path, model, X, std=True):
         np.testing.assert_allclose(found, mean, rtol=0, atol=1e-12, err_msg=name)
         np.testing.assert_allclose(spread, std, rtol=0, atol=1e-12, err_msg=name)
+
+
+def test_header_and_card_say_which_joint_is_in_mm(tmp_path):
+    arm = Arm.from_name("ur10_rail").replace(probe=(0, 0, 100))
+    q = random_poses(arm, 60)
+    X = in_unit(q, arm.joint_types, "deg")
+    model = ArmResidualRegressor(arm, angle_unit="deg", orders=2)
+    model.fit(X, np.random.default_rng(0).normal(0, 0.01, (60, 3)), groups=False)
+    export_c(model, tmp_path)
+    header = next(tmp_path.glob("*.h")).read_text(encoding="utf-8")
+    assert "degrees, mm of joint 1, which slides" in header
+    assert '_INPUT_UNIT "deg, mm of joint 1, which slides"' in header
+    card = describe(model, X)
+    assert card["input"] == "7 joint angles in deg, mm of joint 1, which slides"
+    assert card["training"]["largest_joint_angles_deg_and_mm"][0] == q[:, 0].max().round(4)
