@@ -24,7 +24,7 @@ _WORDS = {
     "mm": "毫米 millimeter millimeters millimetre millimetres",
     "m": "米 meter meters metre metres",
     "inch": "in inches",
-    "ft": "feet foot",
+    "ft": "feet",
     "counts": "count counts pulses pulse ticks inc inkremente",
 }
 _UNIT_OF_WORD = {word: unit for unit, words in _WORDS.items() for word in words.split()}
