@@ -30,7 +30,7 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._columns import MM_PER_UNIT, Columns, split_unit
 from sklearn_raacmm.app._files import (
     correction_files,
     in_rad,
@@ -74,6 +74,9 @@ _NEEDED = (
     "number", "laboratory", "country", "customer", "place", "item", "serial", "tested",
     "temperature", "authorised",
 )  # fmt: skip
+# All headings with numbers by their words alone.
+_HEADINGS = {re.split(r"[\[:]", one)[0].strip().lower(): one for one in
+             (*_LIMITS, *(heading for _, heading, _ in _ARTEFACT))}  # fmt: skip
 _ANGLE = re.compile(r"(q|j|a|theta|joint|axis)[\s_.\[-]*\d+\]?")
 
 
@@ -200,6 +203,11 @@ def _read_tables(path):
         # A day in a spreadsheet is its midnight.
         texts = [[str(c).strip().removesuffix(" 00:00:00") for c in cells] for _, cells in rows]
         heads = [_heading(cell) for cell in texts[0]] if texts else []
+        for cell, head in zip(texts[0] if texts else (), heads, strict=True):
+            meant = _HEADINGS.get(head, "") if name != "readings" else ""
+            units = {_unit(cell), _unit(meant)} - {""}
+            if len(units) == 2 and units <= MM_PER_UNIT.keys():
+                raise TableError(f"{path}: in the table {name} {cell!r} has to be {meant!r}.")
         pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in texts[1:])
         tables[name] = [dict(pair) for pair in pairs]
     return tables
@@ -236,6 +244,12 @@ def _read_readings(path, arm, sheet, rows):
 def _heading(text):
     """A heading without its unit and in small letters."""
     return re.split(r"[\[:]", text)[0].strip().lower()
+
+
+def _unit(heading):
+    """The unit in square brackets of a heading, or ""."""
+    found = re.search(r"\[[^\]/]*\]", heading)
+    return split_unit(f"x {found[0]}")[1] if found else ""
 
 
 def _number(path, row, heading, factor):

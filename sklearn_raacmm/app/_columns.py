@@ -23,6 +23,7 @@ _WORDS = {
     "gon": "gons grades neugrad",
     "mm": "毫米 millimeter millimeters millimetre millimetres",
     "m": "米 meter meters metre metres",
+    "um": "µm μm",
     "inch": "in inches",
     "ft": "feet",
     "counts": "count counts pulses pulse ticks inc inkremente",
@@ -33,8 +34,8 @@ _ANGLES = {
     "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
     "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
-_MM_PER_UNIT = {
-    "": 1.0, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "µm": 1e-3, "inch": 25.4, "ft": 304.8,
+MM_PER_UNIT = {
+    "": 1.0, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4, "ft": 304.8,
 }  # fmt: skip
 # A unit that stands above the table for all of it: "// Units: Inches, Degrees", "LINEAR  METRE",
 # "points in m". Of words that mean other things, too, the sentence's part has to end there.
@@ -43,7 +44,7 @@ _STATED = re.compile(
     r"(?!(?:m|in|turns|ft)\b(?!\s*(?:[,;/)]|and\b|$)))([^\W\d]+)(?:[\s,;/]+(?:and\s+)?([^\W\d]+))?",
     re.IGNORECASE,
 )
-_UNITS = (*_UNIT_OF_WORD, *_ANGLES, *filter(None, _MM_PER_UNIT), "s", "ms", "-", "°c")
+_UNITS = (*_UNIT_OF_WORD, *_ANGLES, *filter(None, MM_PER_UNIT), "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*(?!\d+\s*[\])]?$)([^\])/]+?)\s*[\])]?$|^(.*?)(°)$|"
@@ -360,20 +361,20 @@ class Columns:
     def points(self, rows, columns):
         """Points (n_rows, 3) of some rows, in mm."""
         units = sorted({self.units[i] for i in columns})
-        if units == [""] and (stated := self._stated(_MM_PER_UNIT)):
+        if units == [""] and (stated := self._stated(MM_PER_UNIT)):
             units = [stated]
             self.notes.append(f"Points in {stated}, as {self.path} says above them.")
-        if len(units) != 1 or units[0] not in _MM_PER_UNIT:
+        if len(units) != 1 or units[0] not in MM_PER_UNIT:
             raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
-        return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
+        return MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
 
     def mm_per_unit(self, column):
         """Millimetres in the unit of a column of a joint that slides."""
         unit = self.units[column]
         if not unit and column in self._fields("position").values() and self._fields("name"):
             unit = "m"  # sensor_msgs/JointState
-        if unit and unit in _MM_PER_UNIT:
-            return _MM_PER_UNIT[unit]
+        if unit and unit in MM_PER_UNIT:
+            return MM_PER_UNIT[unit]
         said = f"its header says {unit!r}" if unit else "its header does not say"
         name = self.header[column]
         raise TableError(

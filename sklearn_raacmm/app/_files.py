@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.app._columns import MM_PER_UNIT, split_unit
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
 from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
 from sklearn_raacmm.arm import Arm, scale_of
@@ -305,16 +306,21 @@ def read_places(path, sd=None):
 
 
 def _read_rows(path, n_labels, n_numbers, sd, what):
-    """Yield labels, numbers and a standard deviation of each row, the header left out."""
-    dialect, begun = find_source(path, n_numbers), False
+    """Yield labels, numbers and standard deviation of each row, mm; a header names other units."""
+    dialect, begun, n_values = find_source(path, n_numbers), False, n_numbers + 1
+    mm = n_values * [1.0]
     for number, cells in dialect.rows():
         values: list[Any] = [dialect.number(cell) for cell in cells[n_labels:]]
-        values = [*values, *(n_numbers + 1) * [None]][: n_numbers + 1]
+        values = [*values, *n_values * [None]][:n_values]
         if None in values[:n_numbers]:
             if begun or any(value is not None for value in values):
                 raise TableError(f"{path}: row {number} must hold {what}.")
-            continue  # the header, or what stands above it
+            # The header, or what stands above it.
+            mm = [MM_PER_UNIT.get(split_unit(cell)[1], 1.0) for cell in cells[n_labels:]]
+            mm = [*mm, *n_values * [1.0]]
+            continue
         begun = True
+        values = [value and value * one for value, one in zip(values, mm, strict=False)]
         if values[-1] is None and sd is None:
             raise TableError(
                 f"{path}: row {number} has no standard deviation in mm in its last column; say it "

@@ -203,6 +203,20 @@ def test_a_spreadsheet_says_the_same_as_json(learned, data, judged, tmp_path, ca
     assert set(said["expected"]) == {one.name for one in judged[0].values}
 
 
+@pytest.mark.parametrize(("table", "column", "wrong"), [
+    ("artefacts", 4, "U [mm], k = 2"), ("artefacts", 3, "size [m]"), ("limits", 1, "A [mm]"),
+])  # fmt: skip
+def test_a_heading_in_another_unit_is_refused(data, tmp_path, refused, table, column, wrong):
+    tables = tables_of(data.run)
+    right = tables[table][0][column]
+    tables[table][0][column] = wrong
+    run = write_folder(tmp_path / "run", tables)
+    refused(f"{wrong!r} has to be {right!r}", "accept", run, "--arm", "aacmm6")
+    tables[table][0][column] = right.replace("[um]", "[µm]")
+    run = write_folder(tmp_path / "same", tables)
+    assert list(_accept._read_tables(run)) == list(tables)
+
+
 def test_points_without_an_arm_and_a_limit_that_is_missed(data, tmp_path, capsys):
     run = replace(data.run, points=data.arm.forward(data.run.angles))
     path = write_folder(tmp_path / "run", tables_of(run, {"2S far": (1e-4, 0.0, np.inf)}))

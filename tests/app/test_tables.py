@@ -143,6 +143,9 @@ def test_lengths(write):
     expected = [("1", "2", 500.02, 0.01), ("2", "B", 300.0, 0.01)]
     assert read_lengths(write("von;bis;L [mm];s\n1;2;500,02;0,01\n2;B;300;0,01\n")) == expected
     assert read_lengths(write("1,2,500.02\n2,B,300\n"), sd=0.01) == expected
+    for micro in ("um", "µm", "μm"):
+        text = f"from;to;L [m];sd [{micro}]\n1;2;0,50002;10\n2;B;0,3;10\n"
+        assert [(a, b, round(mm, 9), sd) for a, b, mm, sd in read_lengths(write(text))] == expected
     for text, message in (
         ("1;2;500,02\n", "row 1 has no standard deviation.*--length-sd"),
         ("1;2;500,02;1\n1;2\n", "row 2 must hold two labels and a length"),
