@@ -74,9 +74,6 @@ _NEEDED = (
     "number", "laboratory", "country", "customer", "place", "item", "serial", "tested",
     "temperature", "authorised",
 )  # fmt: skip
-# All headings with numbers by their words alone.
-_HEADINGS = {re.split(r"[\[:]", one)[0].strip().lower(): one for one in
-             (*_LIMITS, *(heading for _, heading, _ in _ARTEFACT))}  # fmt: skip
 _ANGLE = re.compile(r"(q|j|a|theta|joint|axis)[\s_.\[-]*\d+\]?")
 
 
@@ -199,15 +196,15 @@ def _read_tables(path):
             with open(file, encoding=encoding) as lines:
                 separator = max(";\t,", key=next(lines, "").count)
             tables[file.stem] = Dialect(file, encoding, separator).rows()
+    meant = {_heading(head): head for head in (*_LIMITS, *(one[1] for one in _ARTEFACT))}
     for name, rows in tables.items():
         # A day in a spreadsheet is its midnight.
         texts = [[str(c).strip().removesuffix(" 00:00:00") for c in cells] for _, cells in rows]
         heads = [_heading(cell) for cell in texts[0]] if texts else []
         for cell, head in zip(texts[0] if texts else (), heads, strict=True):
-            meant = _HEADINGS.get(head, "") if name != "readings" else ""
-            units = {_unit(cell), _unit(meant)} - {""}
-            if len(units) == 2 and units <= MM_PER_UNIT.keys():
-                raise TableError(f"{path}: in the table {name} {cell!r} has to be {meant!r}.")
+            units = {_unit(cell), _unit(meant.get(head, ""))} - {""}
+            if name != "readings" and len(units) == 2 and units <= MM_PER_UNIT.keys():
+                raise TableError(f"{path}: in the table {name} {cell!r} has to be {meant[head]!r}.")
         pairs = (itertools.zip_longest(heads, row[: len(heads)], fillvalue="") for row in texts[1:])
         tables[name] = [dict(pair) for pair in pairs]
     return tables
