@@ -95,7 +95,8 @@ _IN_RADIANS = re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?sta
 _STATISTICS = re.compile(
     r"(mean|average|avg|std|stdev|st(andar)?d\.? ?dev(iation|\.)?|rms|min|max|range|median|sum|"
     r"total|mittelwert|standardabweichung|spannweite|minimum|maximum|moyenne|media|promedio)\W*"
-    r"(values?|of .*|min(imum)?)?\W*"
+    r"(values?|of .*|min(imum)?)?\W*",
+    re.IGNORECASE,
 )
 # What loggers write for a number that is missing.
 _NOT_MEASURED = (999, 9999, 99999, 999999)
@@ -289,18 +290,24 @@ class Columns:
         Comments are left out; so are rows at the end without a number in any of these columns, and
         rows of means and other statistics of the columns, which a note then names.
         """
-        held, found, before, statistics = [], False, set(), []
+        held, found, before, statistics = [], False, [], []
+        # Statistics are named in the first column, or in one that has other cells than numbers.
+        first = enumerate(zip_longest(*(cells for _, cells in self.first), fillvalue=""))
+        texts_at = [i for i, of in first if not i or None in map(self.source.number, of)]
+        is_statistic = _STATISTICS.fullmatch
         for number, cells in self._headed(self.source.rows()):
-            texts = {cell.lower() for cell in cells if isinstance(cell, str) and cell[:1].isalpha()}
-            word = next(filter(_STATISTICS.fullmatch, texts - before), None)
+            texts = [cells[i] for i in texts_at if i < len(cells) and str(cells[i])[:1].isalpha()]
+            word = None
+            if texts != before:
+                word = next((t for t in texts if t not in before and is_statistic(t)), None)
             # A statistic has one row: what is in two is a label.
-            if statistics and statistics[-1][2] in texts & before:
+            if statistics and statistics[-1][2] in before and statistics[-1][2] in texts:
                 held.append(statistics.pop()[:2])
             before = texts
-            has_number = word is None and self._has_number(cells, columns)
+            has_number = self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
                 continue
-            if word is not None and self._has_number(cells, columns):
+            if word is not None and has_number:
                 statistics.append((number, cells, word))
                 continue
             held.append((number, cells))
