@@ -149,7 +149,8 @@ def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin, a, d, cos_alpha, sin_alpha = table = _rows_of_table(arm, angles)
     if len(angles) == 1:
-        return _frames_of_numbers(arm.convention, cos[:, 0].tolist(), sin[:, 0].tolist(), *table[2:])
+        of_row = cos[:, 0].tolist(), sin[:, 0].tolist(), *table[2:]
+        return _frames_of_numbers(arm.convention, *of_row)
     out = np.zeros((len(a) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
     x, y, z, origin = out[0]
@@ -169,7 +170,7 @@ def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
 
 
 def _frames_of_numbers(convention, cos, sin, a, d, cos_alpha, sin_alpha):
-    """`frame_columns` of one row by Python's numbers, see `carried`: half the time, the same bits."""
+    """`frame_columns` of one row, by Python's numbers as in `carried`: half the time, equal bits."""
 
     def turned(c, s, u, v):
         return (
