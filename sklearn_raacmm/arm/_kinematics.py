@@ -170,7 +170,7 @@ def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
 
 
 def _frames_of_numbers(convention, cos, sin, a, d, cos_alpha, sin_alpha):
-    """`frame_columns` of one row, by Python's numbers as in `carried`: half the time, equal bits."""
+    """`frame_columns` of one row, by numbers as in `carried`: half the time, and equal bits."""
 
     def turned(c, s, u, v):
         return (
