@@ -120,7 +120,7 @@ def write_log(path, readings, cones):
 def quick_model():
     """The first stage alone: the whole default takes half a minute, and is tested elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
-        quick = functools.partial(learn_correction, model=ArmResidualRegressor(orders=2))
+        quick = functools.partial(learn_correction, model=ArmResidualRegressor(orders=3))
         patch.setattr(_commands, "learn_correction", quick)
         yield
 
@@ -583,7 +583,7 @@ def test_touches_are_learnt_through_the_command(tmp_path, capsys, refused):
         lines.append(",".join(cells))
     (tmp_path / "t.csv").write_text("\n".join(lines) + "\n")
     first = ["learn", f"{tmp_path}/t.csv", "--arm", f"{tmp_path}/arm.json", "--out"]
-    words = [*first, f"{tmp_path}/out", "--folds", "2", "--kind", "what", "--tip-diameter", "4"]
+    words = [*first, f"{tmp_path}/out", "--folds", "3", "--kind", "what", "--tip-diameter", "4"]
     for ball in range(4):  # what an option says goes before the column
         words += ["--feature", f"F{ball}:sphere:30:0.001:outside"]
     refused("--feature needs the label", *words, "--feature", "F5:sphere:30")
