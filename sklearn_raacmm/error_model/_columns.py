@@ -163,11 +163,12 @@ def _gravity(arm):
     u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. The end of a
     cantilever slopes, too, about the axis of the torque that a load at its beginning would have
     about its end. Hence the frame before, in a smaller unit, but for the last frame: with it a
-    longer probe than the one that was learnt came out four times worse.
+    longer probe than the one that was learnt came out four times worse. What carries the part
+    instead of the probe, see `Arm.seen_from`, has no columns.
     """
-    n, unit = arm.n_joints, ARCSEC / arm.reach_mm
-    for frame, axis in product(range(n + 1), range(3)):
-        before = range(max(frame - 1, 0), frame) if frame < n else ()
+    n, first, unit = arm.n_joints, arm.up_frame, ARCSEC / arm.reach_mm
+    for frame, axis in product(range(first, n + 1), range(3)):
+        before = range(max(frame - 1, first), frame) if frame < n else ()
         for load in [*before, *range(frame + 1, n + 2)]:
             at = "probe" if load > n else f"frame {load}"
             name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
@@ -275,6 +276,11 @@ def _of_extra(arm, extra):
             yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / arm.reach_mm)
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
+        if arm.up_frame and kind in ("payload", "base"):
+            raise ValueError(
+                f"extra names {name!r}, which needs a vertical that stands still in the base: as "
+                "seen from a positioner it turns."
+            )
         if kind in ("temperature", "time"):
             yield from _temperature(arm, name, by, reference[0])
         elif kind == "base":
@@ -345,7 +351,7 @@ class Columns:
             self.others = alone.others
         self.names: list[str] = [column.name for column in self.others]
         self.family: np.ndarray = np.array([c.family for c in self.others], dtype=int)
-        # Unit vector against gravity in the base frame: the arm's, or what the data have found.
+        # Unit vector against gravity in `up_frame`: the arm's, or what the data have found.
         self.up: np.ndarray = np.array(terms.up) if terms.up else arm.up
 
     def with_harmonics(self, pairs: np.ndarray) -> "Columns":
@@ -399,6 +405,11 @@ class Columns:
             levers *= scale_of(self.arm.joint_types, 1.0, _METRE)
         return levers
 
+    def upright(self, vectors: np.ndarray) -> np.ndarray:
+        """Directions against gravity in the base frame, (n, 3), of the `axis_vectors` of poses."""
+        start = 3 * (self.arm.n_joints + 1 + self.arm.up_frame)
+        return vectors[:, :, start : start + 3] @ self.up
+
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Columns at rows, (n, 3, n_columns)."""
         plan = self._plan
@@ -422,7 +433,8 @@ class Columns:
         ]
         factor = np.tile(plan.unit, (len(angles), 1))
         if len(plan.loads):
-            factor[:, plan.loads] *= _torques(plan, self.up, vectors, places)
+            up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
+            factor[:, plan.loads] *= _torques(plan, up, vectors, places)
         if len(plan.grows):
             along = np.take(vectors, plan.which[plan.grows], axis=2)
             far = places[:, :, plan.grows_to] - places[:, :, plan.grows_to - 1]
@@ -485,7 +497,7 @@ class _Plan:
 def _torques(plan, up, vectors, places):
     """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
     torques = 0.0
-    for k in np.flatnonzero(up):
+    for k in (k for k in range(3) if np.any(up[k])):
         pair = (k + 1) % 3, (k + 2) % 3
         x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
         ux, uy = (vectors[:, i, plan.load_x] for i in pair)

@@ -127,7 +127,7 @@ def machine(request):
     return joints, types, q
 
 
-@pytest.mark.filterwarnings("ignore:The first axis does not start from the file's base")
+@pytest.mark.filterwarnings("ignore:The first axis does not start from the given base")
 def test_points_are_those_of_homogeneous_matrices(machine):
     joints, types, q = machine
     arm, wanted = Arm.from_urdf(text_of(joints)), by_hand(joints, q)
@@ -151,7 +151,7 @@ def test_points_are_those_of_homogeneous_matrices(machine):
     )
 
 
-@pytest.mark.filterwarnings("ignore:The first axis does not start from the file's base")
+@pytest.mark.filterwarnings("ignore:The first axis does not start from the given base")
 def test_the_jacobian_is_that_of_differences(machine):
     joints, _, q = machine
     arm = Arm.from_urdf(text_of(joints))
