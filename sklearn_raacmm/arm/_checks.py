@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -101,7 +100,7 @@ def check_couplings(value, n, types):
 
 def check_up_frame(value, n):
     """A whole number from 0 to the number of joints."""
-    if not (isinstance(value, Integral) and 0 <= value <= n):
+    if not (isinstance(value, int | np.integer) and 0 <= value <= n):
         raise ValueError(f"up_frame must be a whole number from 0 to {n}, got {value!r:.60}.")
     return int(value)
 
