@@ -470,7 +470,7 @@ class Columns:
             (start, end, vectors[:, :, which] * unit, wave[:, start:end])
             for start, end, which, unit in plan.runs
         ]
-        factor = np.tile(plan.unit, (len(angles), 1))
+        factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.loads):
             up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
             factor[:, plan.loads] *= _torques(plan, up, vectors, places)
@@ -536,7 +536,9 @@ class _Plan:
 def _torques(plan, up, vectors, places):
     """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
     torques = 0.0
-    for k in (k for k in range(3) if np.any(up[k])):
+    for k in (0, 1, 2):
+        if up.ndim == 1 and up[k] == 0:
+            continue
         pair = (k + 1) % 3, (k + 2) % 3
         x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
         ux, uy = (vectors[:, i, plan.load_x] for i in pair)
