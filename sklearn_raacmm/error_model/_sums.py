@@ -113,9 +113,10 @@ class Rows(NamedTuple):
         return None if self.shown is None else self._judged
 
     def _judged(self, values, weights):
-        """Vectors (n, 3) less what unknowns explain of them, as long as those of three numbers."""
+        """Vectors (n, 3, ...) less what unknowns explain, as long as those of three numbers."""
         centred = self._replace(weights=weights, root=self.shown).whitening().centred(values)
-        return self.along(centred) * np.sqrt(3 / np.reshape(self.rank, (-1, 1)))
+        rank = np.reshape(self.rank, (-1, *[1] * (values.ndim - 1)))
+        return self.along(centred) * np.sqrt(3 / rank)
 
     def sums(self, columns):
         """`Sums` over the rows, the harmonics of the columns being the candidates."""
