@@ -125,8 +125,8 @@ def update_correction(
     likelihood times log-normal priors. Harmonics of the orders 1 and 2 are offered beside
     those that the old data needed. Where single changes explain the new rows, such as the offset of
     a joint, at most three, nothing else has changed: V is 0 but for these, and of positions b is
-    left out unless the probe is one of them. Where the model has kinematic columns, b becomes a part of them;
-    otherwise register again, through the updated model.
+    left out unless the probe is one of them. Where the model has kinematic columns, b becomes a
+    part of them; otherwise register again, through the updated model.
 
     Examples
     --------

@@ -420,7 +420,7 @@ class Columns:
             (start, end, vectors[:, :, which] * unit, wave[:, start:end])
             for start, end, which, unit in plan.runs
         ]
-        factor = np.tile(plan.unit, (len(angles), 1))
+        factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.loads):
             factor[:, plan.loads] *= _torques(plan, self.up, vectors, places)
         if len(plan.grows):
@@ -485,7 +485,9 @@ class _Plan:
 def _torques(plan, up, vectors, places):
     """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
     torques = 0.0
-    for k in np.flatnonzero(up):
+    for k in (0, 1, 2):
+        if up[k] == 0:
+            continue
         pair = (k + 1) % 3, (k + 2) % 3
         x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
         ux, uy = (vectors[:, i, plan.load_x] for i in pair)

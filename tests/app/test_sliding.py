@@ -73,6 +73,7 @@ def test_behind_its_first_joint_a_robot_on_a_rail_is_the_robot():
     assert without_first(RAIL) == bare
 
 
+@pytest.mark.usefixtures("quick_model")
 def test_a_rail_that_stands_still_is_as_none_to_the_last_bit(tmp_path, capsys):
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")
