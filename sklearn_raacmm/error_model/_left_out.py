@@ -41,8 +41,8 @@ _PER_FEW_POSITIONS = 1.0
 # positions left out have widened the standard deviation, where that is less
 # (``benchmarks/bench_few_poses.py``).
 _MOST, _OF_WIDENED = 1.0, 0.3
-# Of what the table of an arm does to touches along what it does most: less is the scale, whose column
-# are the residuals themselves.
+# Part of what a table does most to touches. What does less is the scale, whose column are the
+# residuals themselves.
 _LEAST_OF_TABLE = 1e-3
 # A gain of less than this share of the deviation is none.
 _LEAST_GAIN = 1e-3
