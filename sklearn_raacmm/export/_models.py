@@ -415,12 +415,16 @@ def _sizes(chain, linear, table, vectors):
         axis = torque_axis(table[loaded])
         axis = 12 * (axis // 3) + 3 * (axis % 3)
         up, torque = linear.layout.up, None
-        for c in np.flatnonzero(up).tolist():
+        for c in range(3) if arm.up_frame else np.flatnonzero(up).tolist():
             pair = (c + 1) % 3, (c + 2) % 3
             x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in pair)
             ux, uy = (p.take(places, axis + k) for k in pair)
             part = p("sub", p("mul", uy, x), p("mul", ux, y))
-            if up[c] != 1:
+            if arm.up_frame:  # as seen from a positioner the vertical turns with a frame
+                axes = p.take(chain.frames, 12 * arm.up_frame + np.arange(9))
+                upright = p.affine(axes, np.kron(up, np.eye(3)))
+                part = p("mul", part, p.take(upright, np.full(len(loaded), c)))
+            elif up[c] != 1:
                 part = p("mul", part, p.constant(up[c]))
             torque = part if torque is None else p("add", torque, part)
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
