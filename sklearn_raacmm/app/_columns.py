@@ -428,19 +428,25 @@ class Columns:
             shown = ", ".join(self.header[i] for i in found)
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
-        ways: list[int] = []
-        for pattern in (_EXTERNAL, _WAY) if slides else ():  # x may be a point's, E1 is an axis
-            if len(ways) != len(slides):
+        # Axes that the arm calls as controllers do, such as E2 and E1 of a positioner.
+        names = [name.lower() for name in joint_names or ()]
+        beside = [i for i, name in enumerate(names) if _EXTERNAL.fullmatch(name)]
+        ways = [self.names.index(names[i]) for i in beside if names[i] in self.names]
+        what = "Axes beside the robot's own"
+        if not beside or len(ways) < len(beside):
+            beside, ways, what = slides, [], "Joints that slide"
+        for pattern in (_EXTERNAL, _WAY) if beside else ():  # x may be a point's, E1 is an axis
+            if len(ways) != len(beside):
                 named = enumerate(self.names)
                 ways = [i for i, name in named if pattern.fullmatch(name) and i not in taken]
-        if slides and len(ways) == len(slides):
+        if beside and len(ways) == len(beside):
             shown = ", ".join(self.header[i] for i in ways)
-            self.notes.append(f"Joints that slide: {shown}.")
+            self.notes.append(f"{what}: {shown}.")
             found, n = np.zeros(self.n_joints, dtype=int), self.n_joints
-            found[slides], self.n_joints = ways, n - len(slides)
+            found[beside], self.n_joints = ways, n - len(beside)
             if self.n_joints:
-                turn = np.setdiff1d(np.arange(n), slides)
-                found[turn] = self._find_angles(None, (), {*taken, *ways})
+                rest = np.setdiff1d(np.arange(n), beside)
+                found[rest] = self._find_angles(None, (), {*taken, *ways})
             self.n_joints = n
             return found.tolist()
         fitting, what = self._series(), ""

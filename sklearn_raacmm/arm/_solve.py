@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._checks import scale_of
+from sklearn_raacmm.arm._checks import are_rotations, scale_of
 from sklearn_raacmm.arm._kinematics import (
     axis_vectors,
     by_given_angles,
@@ -28,8 +28,6 @@ _ROUNDS, _STEPS, _LARGEST_STEP = 20, 30, 0.5
 # Least ratio of the singular values of the Jacobian that is divided by: a stretched arm cannot move
 # outwards. Nearer than this, mm, the least falls with the gap, so that singular poses are reached.
 _LEAST_RATIO, _NEAR_MM = 1e-4, 0.1
-# Largest departure of a matrix from a rotation: six digits may have been written.
-_ROTATION = 1e-5
 # Poses tried where no start is given. Tries from a start and from so far beside it, rad: ways may
 # end beside a singular pose.
 _STARTS, _TRIES, _ASIDE = 20, 4, 0.1
@@ -48,13 +46,13 @@ def angles_for(
             f"start has {len(start)} poses for {len(points)} points: give one, or one each."
         )
     rng, shape = np.random.default_rng(0), (len(points), arm.n_joints)
-    first, last = spans_of(arm)
+    first, last = np.clip(spans_of(arm), low, high)  # limits may be beyond half a turn
     aside = _ASIDE * scale_of(arm.joint_types, 1.0, arm.reach_mm)
     angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
     open_ = np.arange(len(points))
     for again in range(_STARTS if start is None else _TRIES):
         if start is None:
-            own = rng.uniform(np.maximum(low, first), np.minimum(high, last)) * (again > 0)
+            own = rng.uniform(first, last) * (again > 0)
         else:
             own = start + rng.normal(0, aside, shape) * (again > 0)
         own, rows = np.broadcast_to(own, shape)[open_], open_
@@ -130,8 +128,7 @@ def _check_orientations(orientations, n):
             "orientations must be a rotation matrix for each point, "
             f"({n}, 3, 3), got {found.shape}."
         )
-    off = np.abs(found @ found.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.flatnonzero((off > _ROTATION) | (np.linalg.det(found) < 0))
+    wrong = np.flatnonzero(~are_rotations(found))
     if len(wrong):
         raise ValueError(
             f"{len(wrong)} of {n} orientations are no rotations; the first is that of row "

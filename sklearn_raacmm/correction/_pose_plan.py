@@ -175,8 +175,7 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
     """Poses that reach a place, as different as may be, or None where there are too few."""
     low, high = limits_of(arm)
     size = (_STARTS * n_poses, arm.n_joints)
-    first, last = spans_of(arm)
-    start = rng.uniform(np.maximum(low, first), np.minimum(high, last), size)
+    start = rng.uniform(*np.clip(spans_of(arm), low, high), size)
     aim = np.broadcast_to(place, (len(start), 3))
     found, _ = solve(arm, aim, start)
     found = found[~np.isnan(found[:, 0])]
@@ -196,9 +195,11 @@ def _stands(arm, angles, place, lean_deg):
     line = place - frames[:, -1, :, 3]
     length = np.linalg.norm(line, axis=1)
     # A probe of no length has no direction.
-    upright = (-line @ arm.up >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
-    half = arm.n_joints // 2
-    return upright & (frames[:, half:-1, :, 3] @ arm.up >= place @ arm.up).all(axis=1)
+    up = frames[:, arm.up_frame, :, :3] @ arm.up
+    leaning = np.einsum("ni,ni->n", line, up)
+    upright = (-leaning >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
+    wrist = frames[:, (arm.n_joints + arm.up_frame) // 2 : -1, :, 3] - place
+    return upright & (np.einsum("nfi,ni->nf", wrist, up) >= 0).all(axis=1)
 
 
 def _spread(points, n, first=()):

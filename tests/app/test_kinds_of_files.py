@@ -650,6 +650,7 @@ def test_joint_3_of_a_fanuc_is_shown_from_the_horizontal(tmp_path, monkeypatch, 
     assert said.count("its own angle is J3 + J2") == 1
 
 
+@pytest.mark.usefixtures("quick_model")
 def test_the_axis_that_moves_the_base_is_found(tmp_path, capsys):
     """A robot on a track: by how much and where to E1 moves it, in the tracker's frame."""
     arm, rng = Arm.from_name("irb120"), np.random.default_rng(0)
