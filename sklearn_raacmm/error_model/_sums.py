@@ -139,7 +139,7 @@ def candidate_sums(rows, columns):
         rows = rows.at(np.argsort(rows.codes, kind="stable"))
         parts = _parts_of_positions(rows.codes)
     whitened: Any = rows.whitening()
-    angles = rows.X
+    angles, codes = rows.X, np.asarray(rows.codes)
     offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
     own_of_joints = phases(rows.arm, angles[:, :n_joints])
     spans = []  # joint, orders, and which of those offered they are
@@ -158,8 +158,9 @@ def candidate_sums(rows, columns):
         always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
         left = whitened.left(always, part)  # one side of a product is enough
         gram += always.reshape(-1, m).T @ left.reshape(-1, m)
+        of_positions: Any = None
         if whitened.basis is not None:
-            of_positions: Any = summing(rows.codes[part] - rows.codes[part][0])
+            of_positions = summing(codes[part] - codes[part][0])
         for joint, orders, pairs in spans:
             turn, wave = turns[part, :, joint], waves(own_of_joints[part, joint], orders)
             share = np.einsum("ncm,nc->nm", left, turn)
@@ -343,6 +344,8 @@ def _gram_rows(angles, turns, whitened, parts, spans, offered):
         found: Any = [0.0] * len(spans)
         joints, order = offered[pairs].T
         twice = np.repeat(joints, 2)
+        moved: Any = None
+        taken: Any = None
         for k, part in enumerate(parts):
             turn = turns[part]
             phase = order * angles[part][:, joints]
@@ -350,7 +353,7 @@ def _gram_rows(angles, turns, whitened, parts, spans, offered):
             if whitened.basis is not None:
                 moved = whitened.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
                 codes = whitened.feature[part] - whitened.feature[part][0]
-                taken: Any = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
+                taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
             for i, (joint, *_) in enumerate(spans):
                 own, along = of_part(k, i)
                 share = np.take(along, twice, axis=1) * wave
