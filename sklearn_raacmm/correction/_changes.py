@@ -14,16 +14,15 @@ compared with that of no change.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
 from sklearn_raacmm.arm import own_angles, phases, slides_of
-from sklearn_raacmm.correction._change import as_prior, changes_of, parts_of, with_names
+from sklearn_raacmm.correction._change import changes_of, parts_of, with_names
 from sklearn_raacmm.correction._condition import thin
-from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, place_columns, slipped_rows
+from sklearn_raacmm.correction._rows import TAKEN_UP, place_columns, slipped_rows
 from sklearn_raacmm.utils import group_means
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -89,18 +88,18 @@ class Table:
     root `known` (m, r) of what the model expects and `seen`, the causes, are over the noise.
     """
 
-    def __init__(self, linear: Any, rows: Any, correction: np.ndarray) -> None:
-        self.slipped, left = slipped_rows(linear, rows, rows.y - correction)
-        used = ~self.slipped & (rows.weights > 0)
-        self.rows, self.left, correction = rows.at(used), left[used], correction[used]
-        self.shown, self.causes = Shown(linear, self.rows), causes_of(self.rows)
-        self.columns = linear.columns(self.rows.X)
-        self.known = thin(self.shown.flat(self.columns) @ linear.half)
+    def __init__(self, expected: Any, correction: np.ndarray) -> None:
+        self.slipped, left = slipped_rows(expected, expected.rows.y - correction)
+        used = ~self.slipped & (expected.rows.weights > 0)
+        self.expected, self.left, correction = expected.at(used), left[used], correction[used]
+        self.rows, self.shown = self.expected.rows, self.expected.shown
+        self.causes = causes_of(self.rows)
+        self.known = thin(self.shown.flat(self.expected.spread))
         self.seen = {name: self.shown.flat(one, TAKEN_UP) for name, one in self.causes.items()}
-        self.residual = self.shown.left(self.left, correction).ravel() / linear.noise_sd
+        self.residual = self.shown.left(self.left, correction).ravel() / self.shown.noise_sd
 
 
-def named_changes(linear: Any, rows: Any) -> list[str] | None:
+def named_changes(expected: Any) -> list[str] | None:
     """Changes that new rows name, one after another; None: all columns may.
 
     The change of the highest evidence becomes a part of what the model expects, and the next is
@@ -108,14 +107,13 @@ def named_changes(linear: Any, rows: Any) -> list[str] | None:
     nothing but noise is there. Before a tracker base and tool may be off beside any change
     (``benchmarks/bench_after_the_lab.py knocks``).
     """
-    linear = widened(as_prior(linear))
-    table = Table(linear, rows, linear.predict(rows.X)[0])
+    table, linear = Table(expected.widened(), expected.mean), expected.linear
     causes, known, shown = table.seen, table.known, table.shown
-    if rows.codes is None:  # base and tool may be off beside any change
-        place = place_columns(rows.arm, table.rows.X, with_base=True)
+    if table.rows.codes is None:  # base and tool may be off beside any change
+        place = place_columns(linear.arm, table.rows.X, with_base=True)
         known = np.hstack([known, shown.flat(place)])
         causes = {name: one for name, one in causes.items() if name not in _OF_PLACE}
-    causes["arm"] = shown.flat(table.columns * changes_of(linear)[1])
+    causes["arm"] = shown.flat(table.expected.columns * changes_of(linear)[1])
     names: list[str] = []
     held = {*with_names(linear, parts_of(linear)).tolist()}
     while True:
@@ -160,17 +158,3 @@ def causes_of(rows: Any) -> dict[str, np.ndarray]:
     for j in slides_of(arm.joint_types):
         causes[f"scale of joint {j + 1}"] = jacobian[:, :, [j]] * angles[:, None, [j]]
     return causes
-
-
-def widened(linear):
-    """The model as uncertain as positions left out of this arm ask for.
-
-    Never narrower than the posterior: tests of squares bear no tails that are longer than normal
-    ones, which a factor below 1 makes up for in intervals.
-    """
-    wider = max(linear.std_scale, 1.0)
-    return replace(
-        linear.with_noise(np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance),
-        half=wider * linear.half,
-        seen=wider * linear.seen,
-    )

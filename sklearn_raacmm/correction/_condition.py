@@ -65,6 +65,7 @@ def condition(
     means_only: bool = False,
     rank: Any = 3,
     n_unknown: int = 0,
+    spread: np.ndarray | None = None,
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
@@ -80,15 +81,21 @@ def condition(
     The search begins at `start`, the `logs` of nearly the same rows, where there are some. Where
     `means_only` are asked for, what standard deviations are made of is left out. Rows show `rank`
     (n,) coordinates each, the others are 0; `n_unknown` of all coordinates were used up before.
+    Where it is known, the `spread` is ``columns @ half``, (n, c, r).
     """
     part, size = changes
     p, y = len(prior.coef), y - columns @ prior.coef
+    spread = columns @ prior.half if spread is None else spread
+    every = np.concatenate([columns, free], axis=2)
     factor, logs, rounds = np.ones(len(y)), start, 0
     while True:
-        every, known = np.concatenate([columns, free], axis=2), weights * factor
-        A, summed = rows_of(every, y, known)
+        known = weights * factor
+        A, summed, seen = rows_of(every, y, known, spread, prior.half)
         n_data = n_coordinates(known, rank, n_unknown)
-        evidence = _Evidence(prior, changes, A, summed, n_data, log_noise)
+        fixed = np.hstack([seen, A[:, p:]])
+        evidence = Evidence(
+            parts_of_rows(A, changes), fixed, summed, prior.noise_variance, n_data, log_noise
+        )
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
@@ -97,7 +104,7 @@ def condition(
         sd = np.r_[sd, np.ones(free.shape[2])]
         dual = evidence.solved(logs)[1]
         mean = np.square(sd) * (A.T @ dual)
-        mean[:p] += prior.half @ (prior.half.T @ (A[:, :p].T @ dual))
+        mean[:p] += prior.half @ (seen.T @ dual)
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
         before, factor = (
@@ -109,24 +116,31 @@ def condition(
             break
     half = left_out = None
     if not means_only:
-        half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
-        spread = every.reshape(-1, len(mean)) @ half
-        left_out = _left_out(left, spread.reshape(*y.shape, -1), weights * before, noise_sd)
+        root = _prior_root(prior.half, sd)
+        half = narrowed(root, A @ root / noise_sd)
+        after = every.reshape(-1, len(mean)) @ half
+        left_out = _left_out(left, after.reshape(*y.shape, -1), weights * before, noise_sd)
     mean[:p] += prior.coef
     return Posterior(mean, half, tau, noise_sd, before, left_out, logs)
 
 
-def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Root (p, k) of the covariance of coefficients after rows have been measured.
+def narrowed(root: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Root (p, k) of a covariance after measurements that show `seen` (m, k) of it, over the noise.
 
-    What is measured does not enter, only where: with the root F before (p, k), the rows A (m, p) in
-    units of their noise and ``I + F' A' A F = L L'`` it is ``F L^-T``.
+    What is measured does not enter, only where. With the root F before, the rows S and ``I + S' S =
+    L L'`` it is ``F L^-T``. Fewer rows are cheaper by ``I + S S' = L L'``: it is ``F (I - S' L^-T
+    (I + L)^-1 S)`` then (A. Andrews, AIAA J. 6, 1968, 1165-1166).
     """
-    seen = rows @ half
-    precision = seen.T @ seen
-    precision[np.diag_indices(len(precision))] += 1.0
-    factor = cholesky(precision, lower=True, check_finite=False)
-    return solve_triangular(factor, half.T, lower=True, check_finite=False).T
+    few = len(seen) < seen.shape[1]
+    gram = seen @ seen.T if few else seen.T @ seen
+    gram[np.diag_indices(len(gram))] += 1.0
+    factor = cholesky(gram, lower=True, check_finite=False)
+    of_root = seen @ root.T if few else root.T
+    found = solve_triangular(factor, of_root, lower=True, check_finite=False).T
+    if not few:
+        return found
+    factor[np.diag_indices(len(factor))] += 1.0
+    return root - found @ solve_triangular(factor, seen, lower=True, check_finite=False)
 
 
 def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float) -> float:
@@ -145,20 +159,31 @@ def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float)
 
 
 def rows_of(
-    columns: np.ndarray, y: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    columns: np.ndarray, y: np.ndarray, weights: np.ndarray, spread: np.ndarray, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted rows of coordinates, no more than columns: of (n, c, p) and (n, c), (m, p) and (m,).
 
-    What they have left is that of the rows that they sum up.
+    What they have left is that of the rows that they sum up. The third are the first columns times
+    their root `half`, of which the rows had the `spread` (n, c, r).
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
-    A = (columns[kept] * root[:, :, None]).reshape(-1, columns.shape[2])
+    A, seen = ((v[kept] * root[:, :, None]).reshape(-1, v.shape[2]) for v in (columns, spread))
     y = (y[kept] * root).ravel()
     if len(y) > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
         A, y = R[:, :-1], R[:, -1]
-    return A, y
+        seen = A[:, : len(half)] @ half
+    return A, y, seen
+
+
+def parts_of_rows(
+    rows: np.ndarray, changes: tuple[np.ndarray, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """What each part does to rows (m, p) at a tau of 1, (m, k) by its name: see `condition`."""
+    part, size = changes
+    names = sorted(set(part[size > 0].tolist()))
+    return {name: rows[:, : len(part)][:, part == name] * size[part == name] for name in names}
 
 
 def n_coordinates(weights: np.ndarray, rank: Any, n_unknown: int) -> int:
@@ -166,40 +191,35 @@ def n_coordinates(weights: np.ndarray, rank: Any, n_unknown: int) -> int:
     return int(np.sum(rank * (weights > 0))) - n_unknown
 
 
-def log_evidence(
-    prior: Any,
-    changes: tuple[np.ndarray, np.ndarray],
-    rows: np.ndarray,
-    y: np.ndarray,
-    n_data: int,
-    log_noise: tuple[float, float],
-) -> float:
-    """Highest log evidence of summed rows (m, p + q) and y (m,), as `condition` has it."""
-    evidence = _Evidence(prior, changes, rows, y, n_data, log_noise)
-    return -float(evidence(evidence.lowest())[0])
-
-
-class _Evidence:
+class Evidence:
     """Negative log posterior of the logarithms t of the taus and, last, of the noise.
 
-    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each part,
-    the noise, and what does not change. With ``a = C^-1 y`` the slope along t is ``exp(2 t)
-    (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen and Williams, 2006, eq. 5.9).
+    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each of
+    the `parts`, the noise, and what does not change, whose root is `fixed`. With ``a = C^-1 y`` the
+    slope along t is ``exp(2 t) (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen
+    and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(self, prior, changes, A, y, n_data, log_noise):
-        self.y, m, p = y, len(y), len(prior.coef)
-        part, size = changes
-        self.names = sorted(set(part[size > 0].tolist()))
-        A, free = A[:, :p], A[:, p:]
-        roots = [A[:, part == name] * size[part == name] for name in self.names]
-        roots += [np.sqrt(prior.noise_variance) * np.eye(m), np.hstack([A @ prior.half, free])]
+    def __init__(
+        self,
+        parts: Mapping[str, np.ndarray],
+        fixed: np.ndarray,
+        y: np.ndarray,
+        noise_variance: float,
+        n_data: int,
+        log_noise: tuple[float, float],
+    ) -> None:
+        self.y, self.names, m, n = y, [*parts], len(y), len(parts)
+        roots = [*parts.values(), np.sqrt(noise_variance) * np.eye(m), fixed]
         self.sums = np.stack([H @ H.T for H in roots])
         self.n_rest = n_data - m  # coordinates that hold noise alone, which y has summed up
-        n = len(self.names)
         self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
         self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]
         self.bounds = np.array([_LOG_TAU] * n + [log_noise])
+
+    def highest(self, start: np.ndarray | None = None) -> float:
+        """The highest log evidence, near a start if there is one."""
+        return -float(self(self.lowest(start))[0])
 
     def __call__(self, logs):
         """Value and slopes."""
@@ -249,10 +269,19 @@ class _Evidence:
 
 def _prior_root(half, sd):
     """Root of the covariance of all coefficients before the new rows, (p + q, k)."""
-    p, r = half.shape
-    root = np.zeros((len(sd), r + len(sd)))
-    root[:p, :r], root[:, r:] = half, np.diag(sd)
-    return thin(root[:, np.any(root != 0, axis=0)])
+    p = len(half)
+    scale = np.sqrt(np.square(half).sum(axis=1) + np.square(sd[:p]))
+    scale[scale == 0] = 1.0
+    unit = half / scale[:, None]
+    covariance = unit @ unit.T
+    covariance[np.diag_indices(p)] += np.square(sd[:p] / scale)
+    # With pivots a covariance may be singular. The transpose is the same matrix.
+    factor, order, rank, _ = lapack.dpstrf(covariance.T, lower=1, overwrite_a=1)
+    root = np.zeros((len(sd), rank + len(sd) - p))
+    root[order - 1, :rank] = np.tril(factor)[:, :rank]
+    root[:p, :rank] *= scale[:, None]
+    root[p:, rank:] = np.diag(sd[p:])
+    return root
 
 
 def thin(root: np.ndarray) -> np.ndarray:

@@ -11,18 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.correction._change import (
-    LEAST_NOISE_MM,
-    as_prior,
-    changed_model,
-    day,
-    judged_fading,
-)
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, Change, as_prior, day
 from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
 from sklearn_raacmm.correction._rows import (
     REGISTERED_PLACE_MM,
-    Shown,
+    Expected,
     n_coordinates,
     new_rows,
     place_columns,
@@ -30,13 +24,7 @@ from sklearn_raacmm.correction._rows import (
 )
 from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor, Rows
 from sklearn_raacmm.measurements import EQUAL
-from sklearn_raacmm.utils import (
-    Finding,
-    ignored_findings,
-    one_blas_thread,
-    one_warning,
-    validate_params,
-)
+from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -125,8 +113,8 @@ def update_correction(
     likelihood times log-normal priors. Harmonics of the orders 1 and 2 are offered beside
     those that the old data needed. Where single changes explain the new rows, such as the offset of
     a joint, at most three, nothing else has changed: V is 0 but for these, and of positions b is
-    left out unless the probe is one of them. Where the model has kinematic columns, b becomes a part of them;
-    otherwise register again, through the updated model.
+    left out unless the probe is one of them. Where the model has kinematic columns, b becomes a
+    part of them; otherwise register again, through the updated model.
 
     Examples
     --------
@@ -154,16 +142,14 @@ def update_correction(
         said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
-    for finding in what_is_wrong(model, rows):
+    expected = Expected.of(as_prior(linear), rows)
+    for finding in what_is_wrong(model, expected):
         finding.report()
-    with ignored_findings():  # of a share of 0
-        left = rows.y - _predicted(model, rows)
-    if np.abs(left).max() <= ROUNDED * linear.arm.reach_mm:
-        _as_it_was(updated, rows, date)
+    if np.abs(_left(model, expected)).max() <= ROUNDED * linear.arm.reach_mm:
+        _as_it_was(updated, expected, date)
         return updated
-    named = named_changes(linear, rows)
-    changed = changed_model(linear, rows, date=date, named=named)
-    updated.linear_model_, entry, pose_weight, ended = changed
+    change = Change(expected, named=named_changes(expected))
+    updated.linear_model_, entry, pose_weight = change.model(date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
         said = (
             f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
@@ -175,17 +161,16 @@ def update_correction(
         )
         size_mm = entry["noise_sd_mm"]
         Finding("strange-poses", said, advice, "repair", size_mm=size_mm).report()
-    rows = rows._replace(weights=rows.weights * pose_weight)
-    updated.fading_, judgement = judged_fading(linear, rows, model.fading_, ended, named=named)
+    updated.fading_, judgement = change.judged(model.fading_, rows.weights * pose_weight)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
 
 
-def _predicted(model, rows):
-    """What a model in use says of checked rows, whose angles are in rad."""
-    mean, _, doubt = model.linear_model_.predict_with_doubt(rows.X)
-    return model.fading_.share(doubt)[:, None] * mean
+def _left(model, expected):
+    """What a model in use leaves of rows, (n, 3)."""
+    doubt = np.linalg.norm(expected.doubts, axis=(1, 2))
+    return expected.rows.y - model.fading_.share(doubt)[:, None] * expected.mean
 
 
 def nothing_changed(model: Any, rows: Rows, date: Any) -> bool:
@@ -194,15 +179,17 @@ def nothing_changed(model: Any, rows: Rows, date: Any) -> bool:
     Noise of any size is an explanation like a change, and taken where none is clearly likelier: by
     up to 6 nats a change is in 96 simulated updates whose angles are noisy.
     """
-    if why_too_few(rows) or gain_of_change(model, rows) > EQUAL:
+    expected = Expected.of(as_prior(model.linear_model_), rows)
+    if why_too_few(rows) or gain_of_change(expected) > EQUAL:
         return False
-    _as_it_was(model, rows, date)
+    _as_it_was(model, expected, date)
     return True
 
 
-def _as_it_was(model, rows, date):
+def _as_it_was(model, expected, date):
     """Note in `updates_` that rows showed noise alone."""
-    left = rows.along(rows.whitening().centred(rows.y - _predicted(model, rows)))
+    rows = expected.rows
+    left = rows.along(rows.whitening().centred(_left(model, expected)))
     n = n_coordinates(rows) - len(rows.lengths)
     noise_mm = float(np.sqrt(np.square(left).sum() / n))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
@@ -226,9 +213,9 @@ def probe_is_new(model: Any, rows: Rows) -> bool:
     linear = model.linear_model_
     if not linear.terms.kinematics:  # no column of the model could hold where the probe is
         return True
-    shown, expected = Shown(as_prior(linear), rows), linear.predict(rows.X)[0]
-    place = shown(place_columns(linear.arm, rows.X, with_base=rows.codes is None))
-    left = shown.left(rows.y - expected, expected)
+    expected = Expected.of(as_prior(linear), rows)
+    place = expected.shown(place_columns(linear.arm, rows.X, with_base=rows.codes is None))
+    left = expected.shown.left(rows.y - expected.mean, expected.mean)
     off = np.linalg.lstsq(place.reshape(left.size, -1), left.ravel(), rcond=1e-9)[0][:3]
     off = REGISTERED_PLACE_MM / _KNOCKED_PROBE_MM * off
     wider = _ANOTHER_PROBE_MM / _KNOCKED_PROBE_MM

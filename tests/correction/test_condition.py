@@ -144,7 +144,7 @@ def test_noise_stays_within_its_bounds():
 def test_narrowed_is_the_inverse_of_summed_precisions():
     rng = np.random.default_rng(0)
     half, rows = rng.normal(size=(4, 4)), rng.normal(size=(7, 4))
-    after = narrowed(half, rows)
+    after = narrowed(half, rows @ half)
     expected = np.linalg.inv(np.linalg.inv(half @ half.T) + rows.T @ rows)
     assert_allclose(after @ after.T, expected, rtol=1e-9)
 
