@@ -113,8 +113,7 @@ def calibrate(
         the expansion per K (without: steel, 11.5e-6): ``("A", "B", 500.012, 0.005, 25)`` is 29 um
         longer.
     tools : array-like of shape (n_samples,), default=None
-        Label of the tool of each sample, where several probes or targets were used in turn: each
-        has a probe vector of its own.
+        Label of the tool of each sample, where several probes or targets were used in turn.
     stations : array-like of shape (n_samples,), default=None
         Label of the set-up of each sample, where the tracker or the arm was moved: each has a base
         of its own. For `points` only.

@@ -349,4 +349,4 @@ def test_a_change_without_a_column_of_its_own_is_learned_by_others():
     other, _ = rows(400, 2)
     truth = errors(other) + ARM.jacobian(other)[:, :, 3] * 10 * ARCSEC
     off = [np.linalg.norm(truth - one.predict(other), axis=1).mean() for one in (model, updated)]
-    assert off[1] < 0.8 * off[0]
+    assert off[1] < 0.95 * off[0]

@@ -36,8 +36,8 @@ def test_header_and_card_say_which_joint_is_in_mm(tmp_path):
     X = in_unit(q, arm.joint_types, "deg")
     model = ArmResidualRegressor(arm, angle_unit="deg", orders=2)
     model.fit(X, np.random.default_rng(0).normal(0, 0.01, (60, 3)), groups=False)
-    export_c(model, tmp_path)
-    header = next(tmp_path.glob("*.h")).read_text(encoding="utf-8")
+    export_c(model, tmp_path / "model.c")
+    header = (tmp_path / "model.h").read_text(encoding="utf-8")
     assert "degrees, mm of joint 1, which slides" in header
     assert '_INPUT_UNIT "deg, mm of joint 1, which slides"' in header
     card = describe(model, X)
