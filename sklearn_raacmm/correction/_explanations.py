@@ -112,7 +112,7 @@ def what_is_wrong(model: Any, of_rows: Expected) -> Iterator[Finding]:
     gains = [_gain(one, given, expected, spread_of) for one in fair]
     likely = likeliest(zip(gains, fair, strict=True))
     if not likely:
-        nats = float("-inf") if few else _beside_change(of_rows, of_another=True)
+        nats = float("-inf") if few else _gain_of_another(of_rows)
         if nats > PRICE:
             said = (
                 f"That the new residuals, {_rms(given):.3g} mm about the model, are of another arm "
@@ -135,22 +135,18 @@ def what_is_wrong(model: Any, of_rows: Expected) -> Iterator[Finding]:
     )
 
 
-def gain_of_change(expected: Expected) -> float:
-    """Log evidence that the arm or its probe has changed, less that of noise of any size, nats."""
-    return -_beside_change(expected)
+def _gain_of_another(expected):
+    """Log evidence that the residuals are of another arm, less that this one has changed, nats.
 
-
-def _beside_change(expected, of_another=False):
-    """Log evidence that nothing has changed, or of another arm, less that of a change, in nats.
-
-    The noise is found in each: rows that scatter are no change. Nothing changed: ``r ~ N(B b, A S
-    A' + s^2)`` as in `what_is_wrong`, with B of the base alone; a change: with one tau for each
-    part, and the tool free or known; another arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one
-    tau for all parts, T what another table does.
+    The noise is found in each: rows that scatter are no change. A change: ``r ~ N(B b, A S A' +
+    s^2)`` as in `what_is_wrong`, with one tau for each part, and the tool free or known; another
+    arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one tau for all parts, T what another table
+    does.
     """
     linear, rows, shown = expected.linear, expected.rows, expected.shown
     place = place_columns(rows.arm, rows.X, rows.codes is None)
-    columns, spread, place = shown(expected.columns), shown(expected.spread), shown(place)
+    parts = expected.columns, expected.spread, place, _table_columns(rows.arm, rows.X)
+    columns, spread, place, table = map(shown, parts)
     part, size = changes_of(linear)
     changes = part, np.where(part == "kinematics", _IN_USE, 1.0) * size
     weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
@@ -158,21 +154,17 @@ def _beside_change(expected, of_another=False):
     counted = shown.rank, shown.n_unknown
     after = condition(linear, changes, *given, None, True, *counted, spread)
     weights = weights * after.row_weight
-    parts = [columns, place, *([shown(_table_columns(rows.arm, rows.X))] if of_another else ())]
-    every = np.concatenate(parts, axis=2)
-    left = shown.y - columns @ linear.coef
+    every, left = np.concatenate([columns, place, table], axis=2), shown.y - columns @ linear.coef
     flat, left, spread = rows_of(every, left, weights, spread, linear.half)
-    n, p, q = n_coordinates(weights, *counted), len(size), columns.shape[2]
-    q += place.shape[2]
-    variance, changed = linear.noise_variance, parts_of_rows(flat, changes)
+    n, p, q = n_coordinates(weights, *counted), len(size), place.shape[2]
+    _, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
+    changed = parts_of_rows(flat, changes)
 
     def of(parts, *fixed, y=left, start=None):
-        return Evidence(parts, np.hstack(fixed), y, variance, n, LOG_NOISE).highest(start)
+        given = parts, np.hstack(fixed), y, linear.noise_variance, n, LOG_NOISE
+        return Evidence(*given).highest(start)
 
-    tool, base, table = flat[:, p : p + 3], flat[:, p + 3 : q], flat[:, q:]
     change = max(of(changed, spread, base, *free, start=after.logs) for free in ((), (tool,)))
-    if not of_another:
-        return of({}, spread, base) - change
     unknown = left + flat[:, :p] @ linear.coef
     whole = {"all": _ALL_OF_IT * np.hstack([*changed.values()])}
     tables = (of(whole, base, tool, share * table, y=unknown) for share in _SAME_MAKE)

@@ -44,8 +44,9 @@ def test_the_likeliest_change_is_that_of_the_highest_density(drawn):
                 residual = known @ rng.normal(size=6) + noise * rng.normal(size=M)
                 residual += size * columns @ rng.normal(size=columns.shape[1])
                 expected = log_evidences(residual, known, causes)
-                found, change = likeliest_change(residual, known, causes, M)
+                found, change, nats = likeliest_change(residual, known, causes, M)
                 assert found == max(expected, key=expected.get)
+                assert nats == pytest.approx(expected[found] - expected[NOISE], abs=1e-6)
                 assert (change is None) == (found == NOISE)
                 if size == 30.0:
                     assert found == name
