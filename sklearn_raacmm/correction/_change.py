@@ -21,7 +21,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_raacmm.arm import random_poses, slides_of
-from sklearn_raacmm.correction._condition import condition, log_density, narrowed, thin
+from sklearn_raacmm.correction._condition import Evidence, condition, narrowed, rows_of, thin
 from sklearn_raacmm.correction._rows import (
     Expected,
     n_coordinates,
@@ -92,13 +92,7 @@ class Change:
     others are there: see `_of_named`. `positions` (n,) are left out together.
     """
 
-    def __init__(
-        self,
-        expected: Any,
-        log_noise: tuple[float, float] = LOG_NOISE,
-        named: Any = None,
-        positions: Any = None,
-    ) -> None:
+    def __init__(self, expected, log_noise=LOG_NOISE, named=None, positions=None):
         self.expected, self.log_noise = expected, log_noise
         linear, rows = expected.linear, expected.rows
         self.positions = positions_of(rows) if positions is None else positions
@@ -462,7 +456,8 @@ def _log_evidence(linear, half, rows, noise_sd):
     """Log density of the residuals, without constants: base and tool are nearly free."""
     columns, whitened = linear.columns(rows.X), rows.whitening()
     place = place_columns(linear.arm, rows.X, with_base=rows.codes is None)
-    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])
+    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])[:, :, 0]
     seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
-    seen = seen.reshape(left.size, -1)
-    return log_density(left.ravel(), seen, noise_sd, n_coordinates(rows))
+    flat, left, _ = rows_of(seen, left, np.ones(len(left)), seen[:, :, :0], np.zeros((0, 0)))
+    evidence = Evidence({}, flat, left, noise_sd**2, n_coordinates(rows), (0.0, 0.0))
+    return -float(evidence(np.zeros(1))[0])

@@ -22,10 +22,10 @@ from sklearn_raacmm.utils import tukey_weights
 # factor of 4.5 either way leaves room for nothing at all and for an exchanged joint. Chosen on two
 # regions of series A of the UR10 with planted changes and on robots as those of
 # ``benchmarks/bench_after_the_lab.py months``; its part series judges them on series B.
-_TAU, _TAU_LOG_SD = 0.1, 1.5
+TAU, TAU_LOG_SD = 0.1, 1.5
 # Bounds of log tau: a part changes by as much as its size at most. The standard deviation of the
 # logarithm of the noise about that of the prior. Chosen as tau.
-_LOG_TAU, _NOISE_LOG_SD = (-7.0, 0.0), 1.0
+_LOG_TAU, NOISE_LOG_SD = (-7.0, 0.0), 1.0
 # Where the search starts: the logarithm of the noise in units of the prior's. It needs 20 to 40 of
 # its steps.
 _FIRST_LOG_NOISE, _MOST_STEPS = 0.1, 100
@@ -91,7 +91,7 @@ def condition(
     while True:
         known = weights * factor
         A, summed, seen = rows_of(every, y, known, spread, prior.half)
-        n_data = n_coordinates(known, rank, n_unknown)
+        n_data = int(np.sum(rank * (known > 0))) - n_unknown
         fixed = np.hstack([seen, A[:, p:]])
         evidence = Evidence(
             parts_of_rows(A, changes), fixed, summed, prior.noise_variance, n_data, log_noise
@@ -143,21 +143,6 @@ def narrowed(root: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return root - found @ solve_triangular(factor, seen, lower=True, check_finite=False)
 
 
-def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float) -> float:
-    """Log density of y (n,) under ``N(0, seen seen' + noise_sd^2)``, without constants.
-
-    The columns (n, k) are fewer than the rows, as a rule: determinant and inverse are those of
-    ``noise_sd^2 I + seen' seen``. `n_data` are the rows that count, less those that centring used
-    up.
-    """
-    y, seen = y / noise_sd, seen / noise_sd
-    value, axes = np.linalg.eigh(seen.T @ seen)
-    value = 1 + np.maximum(value, 0.0)
-    along = (seen.T @ y) @ axes
-    fit = y @ y - np.square(along) @ (1 / value)
-    return float(-0.5 * (fit + np.log(value).sum()) - n_data * np.log(noise_sd))
-
-
 def rows_of(
     columns: np.ndarray, y: np.ndarray, weights: np.ndarray, spread: np.ndarray, half: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -168,8 +153,9 @@ def rows_of(
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
-    A, seen = ((v[kept] * root[:, :, None]).reshape(-1, v.shape[2]) for v in (columns, spread))
     y = (y[kept] * root).ravel()
+    both = (v[kept] * root[:, :, None] for v in (columns, spread))
+    A, seen = (v.reshape(len(y), v.shape[2]) for v in both)
     if len(y) > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
         A, y = R[:, :-1], R[:, -1]
@@ -186,13 +172,8 @@ def parts_of_rows(
     return {name: rows[:, : len(part)][:, part == name] * size[part == name] for name in names}
 
 
-def n_coordinates(weights: np.ndarray, rank: Any, n_unknown: int) -> int:
-    """Coordinates of rows with weight (n,), `rank` (n,) each, less those that were used up."""
-    return int(np.sum(rank * (weights > 0))) - n_unknown
-
-
 class Evidence:
-    """Negative log posterior of the logarithms t of the taus and, last, of the noise.
+    """Negative log posterior of the logarithms t of the taus and, last, of the noise: no constants.
 
     The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each of
     the `parts`, the noise, and what does not change, whose root is `fixed`. With ``a = C^-1 y`` the
@@ -212,9 +193,10 @@ class Evidence:
         self.y, self.names, m, n = y, [*parts], len(y), len(parts)
         roots = [*parts.values(), np.sqrt(noise_variance) * np.eye(m), fixed]
         self.sums = np.stack([H @ H.T for H in roots])
-        self.n_rest = n_data - m  # coordinates that hold noise alone, which y has summed up
-        self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
-        self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]
+        # Coordinates that hold noise alone, which y has summed up, and its logarithm.
+        self.n_rest, self.log_noise = n_data - m, 0.5 * np.log(noise_variance)
+        self.middle = np.r_[np.full(n, np.log(TAU)), 0.0]
+        self.sd = np.r_[np.full(n, TAU_LOG_SD), NOISE_LOG_SD]
         self.bounds = np.array([_LOG_TAU] * n + [log_noise])
 
     def highest(self, start: np.ndarray | None = None) -> float:
@@ -225,7 +207,7 @@ class Evidence:
         """Value and slopes."""
         factor, dual = self.solved(logs)
         z = (logs - self.middle) / self.sd
-        value = np.log(np.diag(factor)).sum() + self.n_rest * logs[-1]
+        value = np.log(np.diag(factor)).sum() + self.n_rest * (logs[-1] + self.log_noise)
         value += 0.5 * (self.y @ dual + z @ z)
         inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
         inverse += np.tril(inverse, -1).T

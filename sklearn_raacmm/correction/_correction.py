@@ -18,10 +18,10 @@ from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction._change import doubts_of
+from sklearn_raacmm.correction._change import as_prior, doubts_of
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._rows import for_centres, new_rows
+from sklearn_raacmm.correction._rows import Expected, for_centres, new_rows
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
@@ -511,8 +511,9 @@ class Correction:
 
         y, today = self._shown(measured, aligned)
         rows = new_rows(model, X, y, **today)
-        unchanged = nothing_changed(model, rows, date)
-        if unchanged or not probe_is_new(model, rows):
+        expected = Expected.of(as_prior(model.linear_model_), rows)
+        unchanged = nothing_changed(model, expected, date)
+        if unchanged or not probe_is_new(expected):
             if not unchanged:
                 model = update_correction(model, X, y, accept=accept, date=date, **today)
             new: Any = replace(self, model=model).register(measured, free=(), accept=accept)

@@ -14,10 +14,12 @@ import numpy as np
 from sklearn_raacmm.arm import parameter_jacobian
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, LOG_NOISE, changes_of
 from sklearn_raacmm.correction._condition import (
+    NOISE_LOG_SD,
+    TAU,
+    TAU_LOG_SD,
     Evidence,
     Whitened,
     condition,
-    n_coordinates,
     parts_of_rows,
     rows_of,
 )
@@ -38,10 +40,8 @@ from sklearn_raacmm.utils import Finding
 _ROWS, _LEAST_ROWS = 120, 12
 # Rows of which the model knows so little that less than this share of it is used say nothing.
 _KNOWN_SHARE = 0.5
-# Changes of the arm, in units of what was expected of it before any data, with the standard
-# deviation of their logarithm about a tenth (as an update has them); the same of the noise.
-_TAUS, _TAU, _TAU_LOG_SD = np.r_[0.0, np.geomspace(0.01, 3.0, 12)], 0.1, 1.5
-_NOISE_LOG_SD = 1.0
+# Changes of the arm, in units of what was expected of it before any data.
+_TAUS = np.r_[0.0, np.geomspace(0.01, 3.0, 12)]
 # An arm that is another one changes by as much as an arm is expected to have.
 _ANOTHER = np.geomspace(0.5, 3.0, 6)
 # What a table other than the calibrated one is off by as a rule, mm and mrad; and what the
@@ -151,12 +151,11 @@ def _gain_of_another(expected):
     changes = part, np.where(part == "kinematics", _IN_USE, 1.0) * size
     weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
     given = columns, place, shown.y, weights, LOG_NOISE
-    counted = shown.rank, shown.n_unknown
-    after = condition(linear, changes, *given, None, True, *counted, spread)
+    after = condition(linear, changes, *given, None, True, shown.rank, shown.n_unknown, spread)
     weights = weights * after.row_weight
     every, left = np.concatenate([columns, place, table], axis=2), shown.y - columns @ linear.coef
     flat, left, spread = rows_of(every, left, weights, spread, linear.half)
-    n, p, q = n_coordinates(weights, *counted), len(size), place.shape[2]
+    n, p, q = int(shown.rank[weights > 0].sum()) - shown.n_unknown, len(size), place.shape[2]
     _, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
     changed = parts_of_rows(flat, changes)
 
@@ -241,10 +240,10 @@ class _Spread:
         wider = 1 + np.square(taus)[:, None] * self.size
         squares = rest + (along / wider).sum(axis=1)
         log_noise = 0.5 * np.log(np.maximum(squares / self.freedom, 1e-300))
-        off = (log_noise - noise) / _NOISE_LOG_SD
+        off = (log_noise - noise) / NOISE_LOG_SD
         value = -0.5 * squares * np.exp(-2 * log_noise) - self.freedom * log_noise
         value -= 0.5 * np.log(wider).sum(axis=1) + 0.5 * np.square(off)
-        log_tau = np.log(np.maximum(taus, _TAUS[1]) / _TAU) / _TAU_LOG_SD
+        log_tau = np.log(np.maximum(taus, _TAUS[1]) / TAU) / TAU_LOG_SD
         return float(np.max(value - 0.5 * np.square(log_tau))) + self.log_volume
 
 

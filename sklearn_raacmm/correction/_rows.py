@@ -156,21 +156,27 @@ def place_columns(arm: Arm, angles: np.ndarray, with_base: bool) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What a linear model expects of some rows: its columns there, and a root of their covariance.
+    """What a linear model expects of some rows: its columns there, and roots of their covariance.
 
-    `columns` (n, 3, p) and `spread`, ``columns @ linear.half``, (n, 3, r), in mm.
+    `columns` (n, 3, p); `spread` is ``columns @ linear.half``, (n, 3, r), and `doubts` (n, 3, q)
+    the same by what corrections fade by. In mm.
     """
 
     linear: LinearModel
     rows: Rows
     columns: np.ndarray
     spread: np.ndarray
+    doubts: np.ndarray
 
     @classmethod
     def of(cls, linear: Any, rows: Rows) -> Self:
         """Expectation of rows, checked by `new_rows`."""
-        columns = linear.columns(rows.X)
-        return cls(linear, rows, columns, _times(columns, linear.half))
+        columns, half, fading = linear.columns(rows.X), linear.half, linear.fading_half
+        # One product of matrices is three times as fast as one for each row.
+        flat = columns.reshape(-1, len(half))
+        spread = (flat @ half).reshape(*columns.shape[:2], half.shape[1])
+        doubts = spread if fading is half else (flat @ fading).reshape(*columns.shape[:2], -1)
+        return cls(linear, rows, columns, spread, doubts)
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -183,22 +189,16 @@ class Expected:
         return Shown(self)
 
     @cached_property
-    def doubts(self) -> np.ndarray:
-        """Root (n, 3, q) of the covariance by which corrections fade."""
-        return self._by(self.linear.fading_half)
-
-    @cached_property
     def std(self) -> np.ndarray:
         """Standard deviation (n, 3) of the correction, of what a test can show, mm."""
-        return np.linalg.norm(self._by(self.linear.gauge_free_half), axis=2)
+        root = self.linear.gauge_free_half
+        by = self.spread if root is self.linear.half else self.columns @ root
+        return np.linalg.norm(by, axis=2)
 
     def at(self, which: Any) -> Self:
         """The same of some of the rows."""
-        some = {n: getattr(self, n)[which] for n in ("columns", "spread")}
-        made = replace(self, rows=self.rows.at(which), **some)
-        if "doubts" in vars(self):  # they are found once
-            vars(made)["doubts"] = self.doubts[which]
-        return made
+        some = (one[which] for one in (self.columns, self.spread, self.doubts))
+        return type(self)(self.linear, self.rows.at(which), *some)
 
     def widened(self) -> Self:
         """The same by a model that is as uncertain as positions left out of this arm ask for.
@@ -211,14 +211,6 @@ class Expected:
         half, seen = wider * linear.half, wider * linear.seen
         linear = replace(linear.with_noise(noise), half=half, seen=seen)
         return replace(self, linear=linear, spread=wider * self.spread)
-
-    def _by(self, root):
-        return self.spread if root is self.linear.half else _times(self.columns, root)
-
-
-def _times(columns, root):
-    """Product of columns (n, 3, p) and a root (p, r): one of matrices is three times as fast."""
-    return (columns.reshape(-1, len(root)) @ root).reshape(*columns.shape[:2], root.shape[1])
 
 
 class Shown:

@@ -22,7 +22,7 @@ from sklearn_raacmm.correction._rows import (
     place_columns,
     why_too_few,
 )
-from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor, Rows
+from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor
 from sklearn_raacmm.measurements import EQUAL
 from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
 
@@ -151,16 +151,7 @@ def update_correction(
     change = Change(expected, named=named_changes(expected))
     updated.linear_model_, entry, pose_weight = change.model(date)
     if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        said = (
-            f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
-            f"updated model, the old ones did by {linear.noise_sd:.3g} mm:"
-        )
-        advice = (
-            "are they of this arm, and residuals in its base frame, registered through the "
-            "correction?"
-        )
-        size_mm = entry["noise_sd_mm"]
-        Finding("strange-poses", said, advice, "repair", size_mm=size_mm).report()
+        _strange(linear, entry, "updated model", "repair").report()
     updated.fading_, judgement = change.judged(model.fading_, rows.weights * pose_weight)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
@@ -173,15 +164,14 @@ def _left(model, expected):
     return expected.rows.y - model.fading_.share(doubt)[:, None] * expected.mean
 
 
-def nothing_changed(model: Any, rows: Rows, date: Any) -> bool:
+def nothing_changed(model: Any, expected: Expected, date: Any) -> bool:
     """Whether rows, with the probe as it was, show nothing but noise; `updates_` then says so.
 
     Noise of any size is an explanation like a change, and taken where none is clearly likelier: of
     36 simulated updates by three cones whose angles are noisy none has a change that is so by 4
     nats, of 12 knocks all have one by 9.
     """
-    expected = Expected.of(as_prior(model.linear_model_), rows)
-    if why_too_few(rows) or named_changes(expected, ["base"], EQUAL) != []:
+    if why_too_few(expected.rows) or named_changes(expected, ["base"], EQUAL) != []:
         return False
     _as_it_was(model, expected, date)
     return True
@@ -195,26 +185,33 @@ def _as_it_was(model, expected, date):
     noise_mm = float(np.sqrt(np.square(left).sum() / n))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)
+    if noise_mm > _STRANGE * max(model.linear_model_.noise_sd, LEAST_NOISE_MM):
+        _strange(model.linear_model_, entry, "correction, which stays as it was", "doubt").report()
+        return
     said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
-    said += " no change: it stays as it was."
-    usual_mm = max(model.linear_model_.noise_sd, LEAST_NOISE_MM)
-    if noise_mm > _STRANGE * usual_mm:
-        advice = f"The old ones did by {usual_mm:.3g} mm: are the new ones of this arm?"
-        Finding("strange-poses", said, advice, size_mm=noise_mm).report()
-    else:
-        Finding("nothing-changed", said, weight="note").report()
+    Finding("nothing-changed", f"{said} no change: it stays as it was.", weight="note").report()
 
 
-def probe_is_new(model: Any, rows: Rows) -> bool:
+def _strange(linear, entry, what, weight):
+    """Finding of poses that scatter about something far more than the old ones did."""
+    noise_mm = entry["noise_sd_mm"]
+    said = (
+        f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the {what}, the old ones "
+        f"did by {linear.noise_sd:.3g} mm:"
+    )
+    advice = "are they of this arm, and residuals in its base frame, registered through the "
+    return Finding("strange-poses", said, f"{advice}correction?", weight, size_mm=noise_mm)
+
+
+def probe_is_new(expected: Expected) -> bool:
     """Whether rows show another probe than the one that the model was moved to.
 
     One that is off by d mm is likelier a new one, ``N(0, 100^2)`` of each coordinate, than the
     same one knocked or worn, ``N(0, 1)``: from 5.3 mm on.
     """
-    linear = model.linear_model_
+    linear, rows = expected.linear, expected.rows
     if not linear.terms.kinematics:  # no column of the model could hold where the probe is
         return True
-    expected = Expected.of(as_prior(linear), rows)
     place = expected.shown(place_columns(linear.arm, rows.X, with_base=rows.codes is None))
     left = expected.shown.left(rows.y - expected.mean, expected.mean)
     off = np.linalg.lstsq(place.reshape(left.size, -1), left.ravel(), rcond=1e-9)[0][:3]
