@@ -126,9 +126,15 @@ def _as_many_columns_as_joints(monkeypatch, request):
         monkeypatch.setattr(estimator_checks, "make_regression", three_outputs)
 
 
-@parametrize_with_checks(ESTIMATORS)
+@parametrize_with_checks(ESTIMATORS[:-1])
 def test_sklearn_checks(estimator, check):
     check(adapted(estimator, check))
+
+
+@pytest.mark.exhaustive
+@parametrize_with_checks(ESTIMATORS[-1:])
+def test_sklearn_checks_of_a_network_in_a_frame(estimator, check):
+    check(estimator)
 
 
 @pytest.mark.exhaustive

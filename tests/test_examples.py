@@ -31,7 +31,7 @@ SHOWN = {
 }
 
 # `.ci/run doc` runs all of them, in full.
-QUICK = ("plot_newrb", "plot_ols_path", "plot_rbf_network")
+QUICK = ("plot_ols_path",)
 # What makes a script quicker: fewer arms, fewer positions, no search of widths.
 QUICKER = {
     "plot_how_many_poses": ("SEEDS = [0, 1]", "SEEDS = [0]"),

@@ -23,6 +23,8 @@ _WORDS = {
     "gon": "gons grades neugrad",
     "mm": "毫米 millimeter millimeters millimetre millimetres",
     "m": "米 meter meters metre metres",
+    "inch": "in inches",
+    "ft": "feet",
     "counts": "count counts pulses pulse ticks inc inkremente",
 }
 _UNIT_OF_WORD = {word: unit for unit, words in _WORDS.items() for word in words.split()}
@@ -32,16 +34,16 @@ _ANGLES = {
     "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
 }  # fmt: skip
 _MM_PER_UNIT = {
-    "": 1.0, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "µm": 1e-3, "in": 25.4, "inch": 25.4,
-    "inches": 25.4, "ft": 304.8, "feet": 304.8,
+    "": 1.0, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "µm": 1e-3, "inch": 25.4, "ft": 304.8,
 }  # fmt: skip
-# A unit that stands above the table for all of it: "// Units: Inches, Degrees", "LINEAR  METRE".
+# A unit that stands above the table for all of it: "// Units: Inches, Degrees", "LINEAR  METRE",
+# "points in m". Of words that mean other things, too, the sentence's part has to end there.
 _STATED = re.compile(
-    r"\b(?:units?|linear|length units?|angular|angles?|in)\b[\s:=,]+([^\W\d]+)"
-    r"(?:[\s,;/]+([^\W\d]+))?",
+    r"\b(?:(?:units?|linear|angular|angles?)(?:[\s:=,]+(?:are|is|in)\b)?|in)[\s:=,]+"
+    r"(?!(?:m|in|turns|ft)\b(?!\s*(?:[,;/)]|and\b|$)))([^\W\d]+)(?:[\s,;/]+(?:and\s+)?([^\W\d]+))?",
     re.IGNORECASE,
 )
-_UNITS = (*_UNIT_OF_WORD, *_ANGLES, "mm", "m", "s", "ms", "-", "°c")
+_UNITS = (*_UNIT_OF_WORD, *_ANGLES, *filter(None, _MM_PER_UNIT), "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*(?!\d+\s*[\])]?$)([^\])/]+?)\s*[\])]?$|^(.*?)(°)$|"
@@ -54,7 +56,10 @@ _POSITION_NAMES = (
     "posizione", "punto", "ponto", "位置", "点", "测点", "測點", "点名", "座", "孔",
     "測定点", "위치",
 )  # fmt: skip
-_NO_LABEL = re.compile(r"name\W?\d+\]?$|frame_id")
+_NO_LABEL = re.compile(
+    r"name\W?\d+\]?$|frame_id|^(operator|user|status|quality|comment|remark|note|flag|bediener|prüfer|"
+    r"bemerkung)s?$"
+)
 _TIME = re.compile(r"\d{1,4}[-./:]\d{1,2}[-./:]\d{1,4}|\d{1,2}:\d{2}")
 _TIME_NAMES = re.compile(r"_*(time|timestamp|date|datetime|zeit|datum|uhrzeit|utc)(stamp)?")
 # Series of other quantities than angles, of commanded angles, of joints, and of measured ones. UR
@@ -89,7 +94,10 @@ _IN_RADIANS = re.compile(r"(actual|target)_q[_.\s]*\d|field\.position|joint_?sta
 _STATISTICS = re.compile(
     r"(mean|average|avg|std|stdev|st(andar)?d\.? ?dev(iation|\.)?|rms|min|max|range|median|sum|"
     r"total|mittelwert|standardabweichung|spannweite|minimum|maximum|moyenne|media|promedio)\W*"
+    r"(values?|of .*|min(imum)?)?\W*"
 )
+# What loggers write for a number that is missing.
+_NOT_MEASURED = (999, 9999, 99999, 999999)
 # Rows looked at to find text columns and the unit.
 _LOOKED_AT = 200
 
@@ -237,8 +245,11 @@ class Columns:
             for number, _, bare, is_comment in rows
             if number <= self.header_row or is_comment
         )
-        stated = [word for line in above for pair in _STATED.findall(line) for word in pair if word]
-        self.stated = {_UNIT_OF_WORD.get(word.lower(), word.lower()) for word in stated}
+        self.stated = set()
+        for pair in (pair for line in above for pair in _STATED.findall(line)):
+            first, second = (_UNIT_OF_WORD.get(word.lower(), word.lower()) for word in pair)
+            if first in _UNITS:  # else it is a sentence: "in Berlin in May"
+                self.stated |= {first, second}
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes, self.factor = [f"{self.source}; {where}."], 1.0
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
@@ -274,15 +285,22 @@ class Columns:
     def rows(self, columns):
         """Yield (row number, cells) of the data, each with as many cells as the header.
 
-        Comments are left out, and rows at the end without a number in any of these columns, or
-        with means and other statistics of the columns, which a note then names.
+        Comments are left out; so are rows at the end without a number in any of these columns, and
+        rows of means and other statistics of the columns, which a note then names.
         """
-        held, found, before = [], False, ""
+        held, found, before, statistics = [], False, set(), []
         for number, cells in self._headed(self.source.rows()):
-            label, before = before, str(cells[0]).lower()  # a statistic has one row
-            is_statistic = before != label and _STATISTICS.fullmatch(before)
-            has_number = not is_statistic and self._has_number(cells, columns)
+            texts = {cell.lower() for cell in cells if isinstance(cell, str) and cell[:1].isalpha()}
+            word = next(filter(_STATISTICS.fullmatch, texts - before), None)
+            # A statistic has one row: what is in two is a label.
+            if statistics and statistics[-1][2] in texts & before:
+                held.append(statistics.pop()[:2])
+            before = texts
+            has_number = word is None and self._has_number(cells, columns)
             if number <= self.header_row or not (has_number or strip_mark(cells) is None):
+                continue
+            if word is not None and self._has_number(cells, columns):
+                statistics.append((number, cells, word))
                 continue
             held.append((number, cells))
             if has_number:
@@ -293,9 +311,14 @@ class Columns:
         elif held:
             number, cells = held[0]
             text = next(str(cell) for cell in cells if cell != "")
-            note = f"Left out from row {number} on, where the angles end: {text!r}."
-            if note not in self.notes:
-                self.notes.append(note)
+            self._note(f"Left out from row {number} on, where the angles end: {text!r}.")
+        if statistics:
+            named = ", ".join(f"{number} ({word})" for number, _, word in statistics[:4])
+            self._note(f"Rows of statistics, left out: {len(statistics)}, such as {named}.")
+
+    def _note(self, text):
+        if text not in self.notes:  # the rows may be read twice
+            self.notes.append(text)
 
     def _has_number(self, cells, columns):
         return any(i < len(cells) and self.source.number(cells[i]) is not None for i in columns)
@@ -327,15 +350,19 @@ class Columns:
                     sign = {".": "point", ",": "comma"}[self.source.decimal]
                     what += f" with a decimal {sign}, which the others have"
                 raise self.fault(rows[i][0], column, what)
+        if len(columns) > 1:
+            lost = np.isin(np.abs(values), _NOT_MEASURED).all(axis=1)
+            for i in np.flatnonzero(lost & (np.ptp(values, axis=1) == 0)):
+                what = f"{values[i, 0]:.15g} stands in all columns for what was not measured"
+                raise self.fault(rows[i][0], columns[0], what)
         return values
 
     def points(self, rows, columns):
         """Points (n_rows, 3) of some rows, in mm."""
         units = sorted({self.units[i] for i in columns})
-        stated = sorted(unit for unit in _MM_PER_UNIT if unit in self.stated)
-        if units == [""] and len(stated) == 1:
-            units = stated
-            self.notes.append(f"Points in {stated[0]}, as {self.path} says above them.")
+        if units == [""] and (stated := self._stated(_MM_PER_UNIT)):
+            units = [stated]
+            self.notes.append(f"Points in {stated}, as {self.path} says above them.")
         if len(units) != 1 or units[0] not in _MM_PER_UNIT:
             raise TableError(f"{self.path}: the points are in {', '.join(units)}, not in mm.")
         return _MM_PER_UNIT[units[0]] * self.numbers(rows, columns)
@@ -393,19 +420,25 @@ class Columns:
             shown = ", ".join(self.header[i] for i in found)
             self.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
             return found
-        ways: list[int] = []
-        for pattern in (_EXTERNAL, _WAY) if slides else ():  # x may be a point's, E1 is an axis
-            if len(ways) != len(slides):
+        # Axes that the arm calls as controllers do, such as E2 and E1 of a positioner.
+        names = [name.lower() for name in joint_names or ()]
+        beside = [i for i, name in enumerate(names) if _EXTERNAL.fullmatch(name)]
+        ways = [self.names.index(names[i]) for i in beside if names[i] in self.names]
+        what = "Axes beside the robot's own"
+        if not beside or len(ways) < len(beside):
+            beside, ways, what = slides, [], "Joints that slide"
+        for pattern in (_EXTERNAL, _WAY) if beside else ():  # x may be a point's, E1 is an axis
+            if len(ways) != len(beside):
                 named = enumerate(self.names)
                 ways = [i for i, name in named if pattern.fullmatch(name) and i not in taken]
-        if slides and len(ways) == len(slides):
+        if beside and len(ways) == len(beside):
             shown = ", ".join(self.header[i] for i in ways)
-            self.notes.append(f"Joints that slide: {shown}.")
+            self.notes.append(f"{what}: {shown}.")
             found, n = np.zeros(self.n_joints, dtype=int), self.n_joints
-            found[slides], self.n_joints = ways, n - len(slides)
+            found[beside], self.n_joints = ways, n - len(beside)
             if self.n_joints:
-                turn = np.setdiff1d(np.arange(n), slides)
-                found[turn] = self._find_angles(None, (), {*taken, *ways})
+                rest = np.setdiff1d(np.arange(n), beside)
+                found[rest] = self._find_angles(None, (), {*taken, *ways})
             self.n_joints = n
             return found.tolist()
         fitting, what = self._series(), ""
@@ -550,6 +583,10 @@ class Columns:
         found = {self.units[i] for i in columns}
         if len(found) == 1 and (unit := min(found)) in _ANGLES:
             known, self.factor = _ANGLES[unit]
+            if any(re.search(r"\bgrad\b", self.header[i], re.IGNORECASE) for i in columns):
+                self.notes.append(
+                    "The unit grad is taken as degrees; name it gon if 400 are a turn."
+                )
             if unit != known:
                 self.notes.append(f"Angles in {unit}, {self.factor:.6g} {known} each.")
             return known
@@ -558,10 +595,9 @@ class Columns:
                 f"{self.path}: the angles are counts of the encoders: say how many make a turn of "
                 "each joint with --counts-per-turn N1,N2,..., or N for all."
             )
-        stated = sorted(unit for unit in _ANGLES if unit in self.stated)
-        if found == {""} and len(stated) == 1:
-            known, self.factor = _ANGLES[stated[0]]
-            self.notes.append(f"Angles in {stated[0]}, as the file says above them.")
+        if found == {""} and (stated := self._stated(_ANGLES)):
+            known, self.factor = _ANGLES[stated]
+            self.notes.append(f"Angles in {stated}, as the file says above them.")
             return known
         if found != {""}:
             units = ", ".join(self.header[i] for i in columns)
@@ -595,6 +631,16 @@ class Columns:
             f"{self.path}: are the angles in degrees or in radians? They reach {largest:.4g} in "
             "the first rows, and the header does not say; say it with --unit deg or --unit rad."
         )
+
+    def _stated(self, units):
+        """The one of these units that the lines of text state; "" without any."""
+        stated = sorted(unit for unit in units if unit in self.stated and unit)
+        if len(stated) > 1:
+            raise TableError(
+                f"{self.path}: its lines of text name the units {' and '.join(stated)}: say in the "
+                "names of the columns which is whose, such as q1 [deg] and x [mm]."
+            )
+        return stated[0] if stated else ""
 
     def cells(self, column):
         """Cells of the first rows."""

@@ -155,7 +155,7 @@ def render(template, **values):
 
 def with_history(page, history):
     """A report, or a page without one, with its last step below its title and all at its end."""
-    page = page or f'<!DOCTYPE html>\n<meta charset="utf-8">\n{render("_style.html")}<body>\n'
+    page = page or render("_page.html")
     steps = [step for step in history if step["what"] != "learn"]
     for name, template in (("last step", "_last_step.html"), ("steps", "_history.html")):
         first, last = f"<!-- {name} -->", f"<!-- end of {name} -->"

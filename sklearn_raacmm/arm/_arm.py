@@ -25,7 +25,7 @@ from sklearn_raacmm.arm._kinematics import (
     spans_of,
 )
 from sklearn_raacmm.arm._solve import angles_for
-from sklearn_raacmm.arm._urdf import read_urdf, write_into_urdf
+from sklearn_raacmm.arm._urdf import read_urdf, seen_from, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
 
 _DEFAULT = "aacmm6"
@@ -93,6 +93,9 @@ class Arm:
         of its row, "P" slides along it. Of a joint that slides `d` is where it stands at 0,
         ``joint_signs_i * mm_i`` is added to it, and ``theta_offset`` is a fixed angle. What the
         arm's model learns of it are the six errors of a linear axis (ISO 230-1). None: all turn.
+    up_frame : int, default=0
+        Number of the frame, from 0 (the base), that stands still in the world, and in which `up` is
+        stated. Other than 0 only where joints before it carry the part: see :meth:`seen_from`.
 
     Attributes
     ----------
@@ -134,6 +137,7 @@ class Arm:
     up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
     couplings: tuple[tuple[int, int, int], ...] = ()
     joint_types: str = None  # type: ignore[assignment]
+    up_frame: int = 0
 
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
@@ -155,6 +159,7 @@ class Arm:
             up: ArrayLike = (0.0, 0.0, 1.0),
             couplings: Sequence[Sequence[int]] = (),
             joint_types: str | Sequence[str] | None = None,
+            up_frame: int = 0,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -188,7 +193,8 @@ class Arm:
         name = f" {self.name!r}" if self.name else ""
         probe = ", ".join(f"{value:g}" for value in self.probe)
         up = ", ".join(f"{value:g}" for value in self.up)
-        up = "" if up == "0, 0, 1" else f", up ({up})"
+        up = "" if up == "0, 0, 1" and not self.up_frame else f", up ({up})"
+        up += f" in frame {self.up_frame}" if self.up_frame else ""
         sums = "".join(
             f", joint {i} at J{i} {'+' if factor > 0 else '-'} J{j}"
             for i, j, factor in self.couplings
@@ -281,7 +287,7 @@ class Arm:
         Arm
         """
         twists = np.deg2rad(floats("alpha", alpha))
-        if 1 < (n := np.size(twists)) < _FEW_JOINTS:  # no elbow and wrist as the default names them
+        if 0 < (n := np.size(twists)) < _FEW_JOINTS:  # no elbow and wrist as the default names them
             params = usual_pose(n, False, params.get("convention", "standard")) | params
         return cls(a, twists, d, np.deg2rad(floats("theta_offset", theta_offset)), **params)
 
@@ -374,6 +380,54 @@ class Arm:
             d=[shoulder, 0.0, upper, 0.0, fore, 0.0, *rest],
             **{"probe": (0.0, 0.0, probe), "name": f"{layout} arm", **params},
         )
+
+    def seen_from(self, positioner: "Arm", base: ArrayLike) -> "Arm":
+        """Put a positioner before the base: the arm as seen from the table that carries the part.
+
+        A chain of joints read backwards is a chain of joints. So a table that turns the part in one
+        or two joints and the arm that works on it are one arm, which `calibrate`,
+        `learn_correction` and all else take as any other. Its points are in the frame of the table:
+        the axes of the positioner's last frame, with the origin in its `probe`.
+
+        Parameters
+        ----------
+        positioner : Arm
+            The table's joints from its foot on, and in `probe` the origin of the table, mm.
+        base : array-like of shape (4, 4)
+            Pose of the arm's base in that of the positioner, mm. A calibration corrects it.
+
+        Returns
+        -------
+        Arm
+            In the modified convention. Its joints are those of the positioner from the table down
+            to its foot, named "E2" and "E1" where they have no names, then those of the arm, "J1"
+            and so on: of angles as controllers write them the columns of the positioner come first,
+            ``angles[:, [7, 6, 0, 1, 2, 3, 4, 5]]``. Gravity keeps the arm's own `up`, which turns
+            as seen from the table; what it does to the positioner has no columns.
+
+        Raises
+        ------
+        ValueError
+            If `base` is no pose, or one of the two has a positioner already.
+
+        Warns
+        -----
+        UserWarning
+            As :meth:`from_urdf`, if the first axis is not one on which a table of lengths and
+            twists can begin, such as the z axis of the positioner's last frame.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> table = Arm.from_degrees([0, 0], [0, 90], [700, 0], probe=(0, 0, 300),
+        ...                          convention="modified")
+        >>> base = [[1, 0, 0, -1500], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+        >>> arm = Arm.from_name("ur10").seen_from(table, base)
+        >>> arm.n_joints, arm.names[:3]
+        (8, ('E2', 'E1', 'shoulder_pan_joint'))
+        """
+        check_arm(positioner)
+        return seen_from(self, positioner, base)
 
     # -- files ------------------------------------------------------------------------------
 
@@ -483,7 +537,8 @@ class Arm:
     def to_urdf(self, path: str | PathLike[str] | None = None) -> str:
         """Write the arm as a URDF file: links without shape, moving joints, and the probe.
 
-        Joints have the names and limits of the arm; without limits they turn a hundred times.
+        Joints have the names and limits of the arm; where there is no limit they turn a hundred
+        times, or slide 100 m. Either end may have one alone.
         Where the robot has a file of its own, `update_urdf` keeps what else stands there.
 
         Parameters
@@ -495,9 +550,9 @@ class Arm:
         -------
         str
             The text: links ``base_link``, ``link1``, ... and ``probe``, in m and rad, of the
-            joints' own angles: the format has no `couplings` and no scales of joints that slide,
-            and a warning says so. Where the arm
-            does not stand upright a link ``world`` comes first, which `from_urdf` leaves out.
+            joints' own angles: the format has no `couplings`, no scales of joints that slide and no
+            `up_frame`, and a warning says so. Where the arm does not stand upright a link ``world``
+            comes first, which `from_urdf` leaves out.
         """
         return _write_text(urdf_text(self), path)
 
@@ -727,6 +782,8 @@ def without_first(arm: Arm) -> Arm:
     n, turn = arm.n_joints - 1, arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, :3]
     up = turn.T @ arm.up
     fields: dict[str, Any] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
+    if arm.up_frame:
+        fields = {"up_frame": arm.up_frame - 1}
     for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
         fields[name] = getattr(arm, name)[1:]
     fields["limits"] = None if arm.limits is None else arm.limits[1:]

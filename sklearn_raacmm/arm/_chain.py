@@ -15,6 +15,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sklearn_raacmm.arm._checks import MAX_LENGTH_MM
 from sklearn_raacmm.utils import warn_user
 
 MM_PER_M = 1000.0
@@ -29,8 +30,9 @@ _OTHERS = {
     "sdf": ", that of Gazebo's SDF: take the URDF that it was made of",
     "COLLADA": ", that of shapes: take the URDF that names them",
 }
-# Limits that are written where an arm has none: a hundred turns, rad, or as many m.
-_FAR = 628.0
+# Limits that are written where an arm has none: a hundred turns, in rad, and where an arm refuses
+# a joint that slides, in m.
+_FAR = {False: 628.0, True: MAX_LENGTH_MM / MM_PER_M}
 # Digits of a rotation: the cosine of pi/2 is 0, so that parallel axes stay parallel.
 _DIGITS = 15
 # Cosines smaller than this are rounding.
@@ -195,7 +197,7 @@ def _joint(element, where):
     if kind in ("revolute", "prismatic") and limit is not None:
         try:
             ends = tuple(float(limit.get(key, 0)) for key in ("lower", "upper"))
-            ends = (-np.inf, np.inf) if ends == (-_FAR, _FAR) else ends
+            ends = tuple(end if abs(end) < _FAR[slides] else end * np.inf for end in ends)
             ends = tuple(MM_PER_M * end for end in ends) if slides else ends
         except ValueError:
             raise ValueError(f"{where}: the limits of joint {name!r} are no numbers.") from None
@@ -340,8 +342,13 @@ def _xyz_rpy(origin):
     return tuple(" ".join(repr(float(value)) for value in part) for part in parts)
 
 
-def warn_of_sums(arm):
-    """Say what a file leaves out of an arm whose angles are sums, or whose slides have a scale."""
+def warn_of_losses(arm):
+    """Say what a file leaves out: sums of angles, scales of slides, a base that turns."""
+    if arm.up_frame:
+        warn_user(
+            f"A robot's own file has its first link stand still: it does not say that frame "
+            f"{arm.up_frame} of this arm does, which is seen from a positioner."
+        )
     if arm.couplings:
         sums = ", ".join(f"J{i} {'-+'[f > 0]} J{j}" for i, j, f in arm.couplings)
         warn_user(
@@ -359,7 +366,7 @@ def warn_of_sums(arm):
 
 def urdf_text(arm):
     """Text of an arm as URDF; see `Arm.to_urdf`."""
-    warn_of_sums(arm)
+    warn_of_losses(arm)
     rows, before = [], np.eye(4)
     for i in range(arm.n_joints):
         link = pose_of((arm.a[i], 0, 0), (arm.alpha[i], 0, 0))
@@ -374,7 +381,7 @@ def urdf_text(arm):
         rows.append((name, origin, kind, arm.joint_signs[i], np.divide(limits, unit)))
     rows.append(("probe_joint", before @ rigid(np.eye(3), arm.probe), "fixed", 0, ()))
     links = ["base_link", *(f"link{i + 1}" for i in range(arm.n_joints)), "probe"]
-    if arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
+    if not arm.up_frame and arm.up.tolist() != [0, 0, 1]:  # the first link of a file stands upright
         mount = rigid(turn_between(arm.up, [0.0, 0.0, 1.0]), 0.0)
         rows, links = [(_MOUNT, mount, "fixed", 0, ()), *rows], [_WORLD, *links]
     lines = ['<?xml version="1.0" encoding="utf-8"?>', f"<robot name={quoteattr(arm.name)}>"]
@@ -392,8 +399,8 @@ def urdf_text(arm):
         ]
         if kind != "fixed":  # the format asks for effort and velocity, which nobody measured
             # Of a continuous joint some programs make two numbers: one without limits turns far.
-            is_free = not np.isfinite(limits).all()
-            low, high = (-_FAR, _FAR) if is_free else map(float, limits)
+            far = _FAR[kind == "prismatic"]
+            low, high = map(float, np.clip(limits, -far, far))
             lines.append(f'    <limit lower="{low!r}" upper="{high!r}" effort="0" velocity="0"/>')
         lines.append("  </joint>")
     return "\n".join([*lines, "</robot>"]) + "\n"

@@ -21,6 +21,8 @@ _ABSURD_DEG = 3600.0
 _MOST_SCALE = 0.1
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
 MAX_LENGTH_MM = 1e5
+# Largest departure of a matrix from a rotation.
+_ROTATION = 1e-5
 # A nanometre: on any arm, shorter lengths and their directions are made of rounding.
 MIN_LENGTH_MM = 1e-6
 
@@ -38,13 +40,15 @@ def check_fields(arm: Any) -> dict[str, Any]:
         "theta_offset": check_numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
         "probe": check_numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
         "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 2, True),
-        "pose_joints": check_pair("pose_joints", arm.pose_joints, 1, n),
+        # A table that turns in one joint has no two.
+        "pose_joints": (1, 1) if n == 1 else check_pair("pose_joints", arm.pose_joints, 1, n),
         "pose_frames": check_pair("pose_frames", arm.pose_frames, 0, n),
         "names": check_names(arm.names, n),
         "limits": check_limits(arm.limits, n),
         "up": check_direction("up", arm.up),
         "couplings": check_couplings(arm.couplings, n, types),
         "joint_types": types,
+        "up_frame": check_up_frame(arm.up_frame, n),
     }
     off = np.abs(np.abs(checked["joint_signs"]) - 1)
     if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
@@ -92,6 +96,13 @@ def check_couplings(value, n, types):
                 "the other slides: rad and mm have no sum."
             )
     return tuple(sorted(tuple(map(int, one)) for one in couplings))
+
+
+def check_up_frame(value, n):
+    """A whole number from 0 to the number of joints."""
+    if not (isinstance(value, int | np.integer) and 0 <= value <= n):
+        raise ValueError(f"up_frame must be a whole number from 0 to {n}, got {value!r:.60}.")
+    return int(value)
 
 
 def check_numbers(name, value, size, unit, bound, broadcast=False):
@@ -162,6 +173,12 @@ def check_limits(limits: Any, n: int) -> Any:
         return None
     limits.flags.writeable = False
     return limits
+
+
+def are_rotations(turns: np.ndarray) -> Any:
+    """Whether matrices (..., 3, 3) are rotations, of which six digits may have been written."""
+    off = np.abs(turns @ turns.swapaxes(-1, -2) - np.eye(3)).max(axis=(-1, -2))
+    return (off < _ROTATION) & (np.linalg.det(turns) > 0)
 
 
 def check_pair(name, value, low, high):

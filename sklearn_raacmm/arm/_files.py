@@ -33,6 +33,7 @@ _OPTIONAL = {
     "up": "up",
     "couplings": "couplings",
     "joint_types": "joint_types",
+    "up_frame": "up_frame",
 }
 
 
@@ -76,6 +77,8 @@ def json_text(arm: Any) -> str:
         content["couplings"] = [list(one) for one in arm.couplings]
     if "P" in arm.joint_types:
         content["joint_types"] = arm.joint_types
+    if arm.up_frame:
+        content["up_frame"] = arm.up_frame
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

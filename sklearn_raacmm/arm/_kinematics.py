@@ -147,9 +147,10 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
 
 def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
-    cos, sin, a, d, cos_alpha, sin_alpha = _rows_of_table(arm, angles)
+    cos, sin, a, d, cos_alpha, sin_alpha = table = _rows_of_table(arm, angles)
     if len(angles) == 1:
-        cos, sin = cos[:, 0].tolist(), sin[:, 0].tolist()  # as in `carried`
+        of_row = cos[:, 0].tolist(), sin[:, 0].tolist(), *table[2:]
+        return _frames_of_numbers(arm.convention, *of_row)
     out = np.zeros((len(a) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
     x, y, z, origin = out[0]
@@ -166,6 +167,33 @@ def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
         frame = out[i + 1]
         frame[0], frame[1], frame[2], frame[3] = x, y, z, origin
     return out
+
+
+def _frames_of_numbers(convention, cos, sin, a, d, cos_alpha, sin_alpha):
+    """`frame_columns` of one row, by numbers as in `carried`: half the time, and equal bits."""
+
+    def turned(c, s, u, v):
+        return (
+            [c * p + s * q for p, q in zip(u, v, strict=True)],
+            [c * q - s * p for p, q in zip(u, v, strict=True)],
+        )
+
+    def moved(origin, way, u):
+        return [o + way * p for o, p in zip(origin, u, strict=True)]
+
+    x, y, z, origin = np.eye(4, 3).tolist()
+    frames = [[x, y, z, origin]]
+    for i in range(len(a)):
+        if convention == "standard":
+            x, y = turned(cos[i], sin[i], x, y)
+            origin = moved(moved(origin, d[i], z), a[i], x)
+            y, z = turned(cos_alpha[i], sin_alpha[i], y, z)
+        else:
+            y, z = turned(cos_alpha[i], sin_alpha[i], y, z)
+            origin = moved(moved(origin, a[i], x), d[i], z)
+            x, y = turned(cos[i], sin[i], x, y)
+        frames.append([x, y, z, origin])
+    return np.array(frames)[..., None]
 
 
 def frame_poses(arm: Any, angles: np.ndarray) -> np.ndarray:
@@ -185,7 +213,8 @@ def probe_from_frames(arm, frames, probes=None):
 
 def cross(u, v):
     """Cross product of (3, n_samples) arrays; np.cross costs several times as much."""
-    return np.stack(
+    # Not `np.stack`: of one row its checks cost as much as the products.
+    return np.array(
         [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._checks import scale_of
+from sklearn_raacmm.arm._checks import are_rotations, scale_of
 from sklearn_raacmm.arm._kinematics import (
     axis_vectors,
     by_given_angles,
@@ -28,8 +28,6 @@ _ROUNDS, _STEPS, _LARGEST_STEP = 20, 30, 0.5
 # Least ratio of the singular values of the Jacobian that is divided by: a stretched arm cannot move
 # outwards. Nearer than this, mm, the least falls with the gap, so that singular poses are reached.
 _LEAST_RATIO, _NEAR_MM = 1e-4, 0.1
-# Largest departure of a matrix from a rotation: six digits may have been written.
-_ROTATION = 1e-5
 # Poses tried where no start is given. Tries from a start and from so far beside it, rad: ways may
 # end beside a singular pose.
 _STARTS, _TRIES, _ASIDE = 20, 4, 0.1
@@ -130,8 +128,7 @@ def _check_orientations(orientations, n):
             "orientations must be a rotation matrix for each point, "
             f"({n}, 3, 3), got {found.shape}."
         )
-    off = np.abs(found @ found.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    wrong = np.flatnonzero((off > _ROTATION) | (np.linalg.det(found) < 0))
+    wrong = np.flatnonzero(~are_rotations(found))
     if len(wrong):
         raise ValueError(
             f"{len(wrong)} of {n} orientations are no rotations; the first is that of row "

@@ -9,6 +9,7 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._chain import (
@@ -17,10 +18,12 @@ from sklearn_raacmm.arm._chain import (
     read_chain,
     rigid,
     turn_between,
-    warn_of_sums,
+    warn_of_losses,
     with_probe,
 )
-from sklearn_raacmm.utils import Finding, warn_user
+from sklearn_raacmm.arm._checks import are_rotations
+from sklearn_raacmm.arm._solve import limits_of
+from sklearn_raacmm.utils import Finding, floats, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
 _PARALLEL = 1e-12
@@ -104,6 +107,47 @@ def _fields_of_axes(directions, points, tip, slides):
     return {**table, **own, "probe": probe, "convention": "modified"}, placed
 
 
+def seen_from(arm: Any, positioner: Any, base: Any) -> Any:
+    """The arm and the positioner that carries its part as one arm: see `Arm.seen_from`."""
+    base, m = floats("base", base, finite=True), positioner.n_joints
+    if base.shape != (4, 4) or np.any(base[3] != [0, 0, 0, 1]) or not are_rotations(base[:3, :3]):
+        raise ValueError(
+            "base must be the pose of the arm's base in that of the positioner, (4, 4): a "
+            f"rotation, a shift in mm, and the row 0, 0, 0, 1; got {base.tolist()!r:.200}."
+        )
+    if arm.up_frame or positioner.up_frame:
+        raise ValueError("An arm that is seen from a positioner cannot be seen from another one.")
+    table = _frames_at_zero(positioner)[-1] @ rigid(np.eye(3), positioner.probe)
+    foot = np.linalg.inv(table)  # as the arm's base seen from the table
+    base = foot @ rigid(Rotation.from_matrix(base[:3, :3]).as_matrix(), base[:3, 3])
+    # What turns back about an axis turns about the opposite axis.
+    back = foot @ _axis_frames(positioner)[::-1] @ np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = np.concatenate([back, base @ _axis_frames(arm)])
+    tip = base @ _frames_at_zero(arm)[-1] @ [*arm.probe, 1.0]
+    types = positioner.joint_types[::-1] + arm.joint_types
+    slides = [kind == "P" for kind in types]
+    fields, placed = _fields_of_axes(frames[:, :3, 2], frames[:, :3, 3], tip[:3], slides)
+    own = positioner.names or [f"E{i + 1}" for i in range(m)]
+    couplings = [(m + 1 - i, m + 1 - j, factor) for i, j, factor in positioner.couplings]
+    # The frames of the standard convention lie behind the links, those of the modified before.
+    behind = m + (arm.convention == "standard")
+    fields |= {
+        "pose_joints": np.add(arm.pose_joints, m),
+        "pose_frames": np.minimum(np.add(arm.pose_frames, behind), m + arm.n_joints),
+        "name": arm.name,
+        "names": (*own[::-1], *(arm.names or [f"J{i + 1}" for i in range(arm.n_joints)])),
+        "joint_types": types,
+        "joint_signs": np.concatenate([positioner.joint_signs[::-1], arm.joint_signs]),
+        "limits": np.vstack([np.transpose(limits_of(one)) for one in (positioner, arm)]),
+        "couplings": [*couplings, *((m + i, m + j, factor) for i, j, factor in arm.couplings)],
+        "up_frame": m,
+    }
+    fields["limits"][:m] = fields["limits"][:m][::-1]
+    found = type(arm)(**fields)
+    upright = _axis_frames(found)[m - 1, :3, :3].T @ placed[:3, :3].T @ base[:3, :3] @ arm.up
+    return found.replace(up=np.where(np.abs(upright) > _PARALLEL, upright, 0.0))
+
+
 def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
     nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
@@ -114,7 +158,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
             f"is {arm!r}: only an arm that was read from this file can be written back into "
             "it."
         )
-    warn_of_sums(arm)
+    warn_of_losses(arm)
     old, new = (placed @ _axis_frames(one) for one in (nominal, arm))
     axes = iter(zip(old, new, strict=True))
     point = (new[-1] @ [*arm.probe, 1.0])[:3]
@@ -152,7 +196,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
             f"{where}: the probe is {off_mm:.4g} mm beside the last axis: the link {name!r} was "
             f"added, fixed to {last.child!r}. Read the file with tip={name!r}."
         )
-    if np.abs(arm.up - nominal.up).max() > _SAME_MM:
+    if not arm.up_frame and np.abs(arm.up - nominal.up).max() > _SAME_MM:
         if mount:
             turn = turn_between(placed[:3, :3] @ arm.up, placed[:3, :3] @ nominal.up)
             origins[mount[-1].name] = mount[-1].origin @ rigid(turn, 0.0)
@@ -166,8 +210,14 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
 
 def _axis_frames(arm):
     """Frames of the table at zero angles, whose z axes are those of the joints (n, 4, 4)."""
-    frames = np.tile(np.eye(4), (arm.n_joints, 1, 1))
-    frames[:, :3] = arm.frames(np.zeros((1, arm.n_joints)))[0, 1:]
+    frames = _frames_at_zero(arm)
+    return frames[1:] if arm.convention == "modified" else frames[:-1]
+
+
+def _frames_at_zero(arm):
+    """All frames of the table at zero angles, (n + 1, 4, 4)."""
+    frames = np.tile(np.eye(4), (arm.n_joints + 1, 1, 1))
+    frames[:, :3] = arm.frames(np.zeros((1, arm.n_joints)))[0]
     return frames
 
 
@@ -245,7 +295,7 @@ def _base_frame(u, point):
     x = np.array([1.0, 0.0, 0.0]) if abs(u[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = x - (x @ u) * u
     warn_user(
-        "The first axis does not start from the file's base as a Denavit-Hartenberg table has it: "
+        "The first axis does not start from the given base as a Denavit-Hartenberg table has it: "
         f"the arm's own base has its z axis along the first axis, {np.round(u, 6).tolist()}, and "
         f"its origin at {np.round(across, 4).tolist()} mm. Points differ by this fixed "
         "transformation."

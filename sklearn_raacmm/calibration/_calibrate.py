@@ -134,8 +134,8 @@ def calibrate(
         How the distance of a point counts; "squared" is plain least squares.
     prior_length_mm, prior_angle_rad : float or "auto", default="auto"
         Standard deviations of the true `a` and `d`, and `alpha` and `theta_offset`, about those of
-        `arm`. They decide only what the data leave open. "auto" finds them by the evidence, for
-        long and short lengths, and slides, apart.
+        `arm`. They decide only what the data leave open. "auto", always for slides: found by the
+        evidence, long and short lengths apart.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     accept : str or list of str, default=()

@@ -147,8 +147,8 @@ class Fit:
         self.kind = np.r_[kind, ["probe_mm"] * n_probes]
         self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
-        length, angle, _ = self.priors
-        given = *self.priors, length, length, angle, SLIDE_SCALE
+        length, *_ = self.priors
+        given = *self.priors, length, "auto", "auto", SLIDE_SCALE
         priors = dict(zip(FOUND, given, strict=True))
         self.found = {kind: FOUND[kind] for kind, sd in priors.items() if sd == "auto"}
         sds = priors | {kind: guess for kind, (guess, *_) in self.found.items()}

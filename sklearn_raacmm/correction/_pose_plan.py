@@ -196,9 +196,11 @@ def _stands(arm, angles, place, lean_deg):
     line = place - frames[:, -1, :, 3]
     length = np.linalg.norm(line, axis=1)
     # A probe of no length has no direction.
-    upright = (-line @ arm.up >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
-    half = arm.n_joints // 2
-    return upright & (frames[:, half:-1, :, 3] @ arm.up >= place @ arm.up).all(axis=1)
+    up = frames[:, arm.up_frame, :, :3] @ arm.up
+    leaning = np.einsum("ni,ni->n", line, up)
+    upright = (-leaning >= np.cos(np.deg2rad(lean_deg)) * length) | (length < 1.0)
+    wrist = frames[:, (arm.n_joints + arm.up_frame) // 2 : -1, :, 3] - place
+    return upright & (np.einsum("nfi,ni->nf", wrist, up) >= 0).all(axis=1)
 
 
 def _spread(points, n, first=()):

@@ -363,7 +363,7 @@ def _are_mirrored(places, others):
 
 def _with_questions(ones, angles):
     """Changed arms with the questions that tell them apart, and with their answers."""
-    heights = [_places(one, angles) @ one.arm.up for one in ones]
+    heights = [_heights(one, angles) for one in ones]
     high, low = np.argmax(heights[0]), np.argmin(heights[0])
     asked = {
         "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": [
@@ -381,10 +381,19 @@ def _with_questions(ones, angles):
     return found
 
 
+def _heights(one, angles):
+    """Heights (n,) of the probe of an arm that was changed, from its frame that stands still."""
+    arm, unit = one.arm, one.angle_unit
+    still = arm.frames(angles[:, one.columns], angle_unit=unit)[:, arm.up_frame]
+    return np.einsum("ni,nij,j->n", _places(one, angles) - still[..., 3], still[..., :3], arm.up)
+
+
 def _sense_of_first_joint(arm):
     """1 where the angle of joint 1 grows counter-clockwise, seen from above; -1 where it falls."""
-    frame = arm.frames(np.zeros((1, arm.n_joints)))[0, int(arm.convention == "modified")]
-    return round(arm.joint_signs[0] * frame[:, 2] @ arm.up)
+    frames = arm.frames(np.zeros((1, arm.n_joints)))[0]
+    axis, up = frames[int(arm.convention == "modified"), :, 2], frames[arm.up_frame, :, :3] @ arm.up
+    # A table that carries the part turns the other way than what is seen from it.
+    return round(arm.joint_signs[0] * axis @ up) * (-1 if arm.up_frame else 1)
 
 
 def _options(arm, one, unit):

@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from numbers import Integral, Real
 from operator import attrgetter
@@ -74,8 +74,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         at multiples of their ratio. A joint is offered at most as many orders as it has different
         angles; where these do not repeat, all above 72, too. A list offers these orders only. One
         turn of a slide is twice its travel, and waves of 4 mm and more are offered.
-    causes : list of str, default=("gravity", "kinematics", "wobble")
-        Which of these causes are in the model.
+    causes : list of str or callable, default=("gravity", "kinematics", "wobble")
+        Which of these causes are in the model, and functions that are causes: see `Column`.
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset of any size. True:
         every position has such an offset: choose it where `y` are deviations from the position's
@@ -188,7 +188,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         angle_unit: str = "rad",
         extra: Sequence[str] = (),
         orders: ArrayLike = 400,
-        causes: Sequence[str] = CAUSES,
+        causes: Sequence[str | Callable[..., Any]] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
     ) -> None:
@@ -275,7 +275,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         extra = with_references(tuple(self.extra), values, rows.weights)
         offered = offered_harmonics(phases(arm, rows.X[:, : arm.n_joints]), self.orders, arm)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
-        terms = Terms(offered, gravity, kinematics, wobble, extra)
+        own = tuple(filter(callable, self.causes))
+        terms = Terms(offered, gravity, kinematics, wobble, extra, own=own)
         with_field = isinstance(self.orders, Integral)
         known = given is None or self.offsets is False  # or nobody says which rows are of one
         of_constants = None if known else positions

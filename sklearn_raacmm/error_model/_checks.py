@@ -59,9 +59,11 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     features = listed("features", features)
     arm = arm_for(estimator.arm, type(estimator).__name__, X.shape[1], extra=extra)
     check_extra(extra, arm.n_joints)
-    unknown = [name for name in estimator.causes if name not in CAUSES]
+    unknown = [one for one in estimator.causes if not callable(one) and one not in CAUSES]
     if unknown:
-        raise ValueError(f"causes must be some of {', '.join(CAUSES)}, got {unknown[0]!r:.60}.")
+        raise ValueError(
+            f"causes must be some of {', '.join(CAUSES)}, or functions, got {unknown[0]!r:.60}."
+        )
     X = in_rad(X, arm.joint_types, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))

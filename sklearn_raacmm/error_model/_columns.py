@@ -31,18 +31,19 @@ from sklearn_raacmm.arm import (
 )
 
 ARCSEC = np.pi / 180 / 3600
-# Families of columns, each with a prior of its own; then that of harmonics that are taken for
-# themselves, and that of all low orders together.
+# Families of columns, each with a prior of its own, that of the causes of users among them; then
+# that of harmonics that are taken for themselves, and that of all low orders together.
 (
-    GRAVITY, KINEMATICS, WOBBLE, GUIDE, TEMPERATURE, DIRECTION, FORCE, BASE, HARMONICS, SMOOTH,
-) = range(10)  # fmt: skip
+    GRAVITY, KINEMATICS, WOBBLE, GUIDE, TEMPERATURE, DIRECTION, FORCE, BASE, OWN, HARMONICS, SMOOTH,
+) = range(11)  # fmt: skip
 FAMILIES = (
-    "gravity", "kinematics", "wobble", "guide", "temperature", "direction", "force", "base",
+    "gravity", "kinematics", "wobble", "guide", "temperature", "direction", "force", "base", "own",
     "harmonics", "smooth",
 )  # fmt: skip
 # The families that `ArmResidualRegressor` names in `causes`.
 CAUSES = ("gravity", "kinematics", "wobble")
-FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, BASE)
+# Those that stay out where they are not worth their price.
+FAMILIES_OF_EXTRA = (TEMPERATURE, DIRECTION, FORCE, BASE, OWN)
 # An axis nods once a turn where it leans, twice where its bearing is oval.
 _WOBBLE_ORDERS = (1, 2)
 # Half waves along its travel by which a guide is not straight; higher ones are smaller by the
@@ -106,6 +107,7 @@ class Terms(NamedTuple):
     all. Then those of the families that are on.
     extra: name and reference of each column of X after the angles, as `with_references` makes them.
     up: direction against gravity where the data have found another one than the arm states.
+    own: functions that make columns, the causes of a user.
     """
 
     harmonics: np.ndarray
@@ -114,10 +116,25 @@ class Terms(NamedTuple):
     wobble: bool
     extra: tuple[Any, ...] = ()
     up: tuple[float, ...] = ()
+    own: tuple[Any, ...] = ()
 
 
 class Column(NamedTuple):
-    """One column that is no harmonic of an encoder: its name, and how it moves the probe."""
+    """One column that is no harmonic of an encoder: its name, and how it moves the probe.
+
+    A cause of your own is a function of the arm and of the names of the extra columns that yields
+    such columns, of the family `OWN`. That of a module, not a lambda, can be pickled. A joint whose
+    friction grows with gravity's torque stops short by its direction times the torque:
+
+    >>> from sklearn_raacmm import ArmResidualRegressor
+    >>> from sklearn_raacmm.error_model import OWN, Column, Effect
+    >>> def friction(arm, extra):
+    ...     turn = OWN, Effect.LOAD, 1, 2, 5e-6 / arm.reach_mm  # about z of frame 1: of joint 2
+    ...     by = extra.index("direction 2")
+    ...     for load in range(2, arm.n_joints + 2):  # at further frames, and at the probe
+    ...         yield Column(f"friction by load {load}", *turn, load=load, by=by)
+    >>> model = ArmResidualRegressor(extra=["direction 2"], causes=["kinematics", friction])
+    """
 
     name: str
     family: int
@@ -163,11 +180,12 @@ def _gravity(arm):
     u . (r x -e) = -(u x r) . e, with r from o to the load: in units of the reach. The end of a
     cantilever slopes, too, about the axis of the torque that a load at its beginning would have
     about its end. Hence the frame before, in a smaller unit, but for the last frame: with it a
-    longer probe than the one that was learnt came out four times worse.
+    longer probe than the one that was learnt came out four times worse. What carries the part
+    instead of the probe, see `Arm.seen_from`, has no columns.
     """
-    n, unit = arm.n_joints, ARCSEC / arm.reach_mm
-    for frame, axis in product(range(n + 1), range(3)):
-        before = range(max(frame - 1, 0), frame) if frame < n else ()
+    n, first, unit = arm.n_joints, arm.up_frame, ARCSEC / arm.reach_mm
+    for frame, axis in product(range(first, n + 1), range(3)):
+        before = range(max(frame - 1, first), frame) if frame < n else ()
         for load in [*before, *range(frame + 1, n + 2)]:
             at = "probe" if load > n else f"frame {load}"
             name = f"load at {at} bends frame {frame} about {'xyz'[axis]}"
@@ -233,7 +251,7 @@ def _temperature(arm, name, by, mean):
         grows = abs(length) > _LEAST_GROWING_MM or column.kind == GROW
         if joint >= 0 and column.name not in of_joint:
             continue
-        if grows or column.name.startswith("theta_offset"):
+        if grows or (column.kind, column.axis) == (TURN, 2):
             unit = ARCSEC * length if grows else ARCSEC
             of = f"{column.name} by {name}"
             yield column._replace(name=of, family=TEMPERATURE, unit=unit, by=by, reference=mean)
@@ -275,6 +293,11 @@ def _of_extra(arm, extra):
             yield Column(name, FORCE, PUSH, frame, axis, ARCSEC / arm.reach_mm)
     for by, (name, reference) in enumerate(extra):
         kind, joint = parsed(name, arm.n_joints)
+        if arm.up_frame and kind in ("payload", "base"):
+            raise ValueError(
+                f"extra names {name!r}, which needs a vertical that stands still in the base: as "
+                "seen from a positioner it turns."
+            )
         if kind in ("temperature", "time"):
             yield from _temperature(arm, name, by, reference[0])
         elif kind == "base":
@@ -283,6 +306,27 @@ def _of_extra(arm, extra):
             (effect, unit), frame = _of_encoder(arm, joint), joint + _first_frame(arm)
             of = f"joint {joint + 1} lags"
             yield Column(of, DIRECTION, effect, frame, 2, unit, by=by, reference=reference[0])
+
+
+def _of_users(arm, terms, taken):
+    """The columns of the causes of users, checked; `taken` are the names of the others."""
+    n, known = arm.n_joints, [name for name, _ in terms.extra]
+    for cause in terms.own:
+        for column in cause(arm, known):
+            least, most = (column.frame + 1, n + 1) if column.kind in OF_LOADS else (0, n + 1)
+            if column.kind == GROW:
+                least = most = column.frame + 1
+            fits = column.family == OWN and column.kind in list(Effect) and column.axis in (0, 1, 2)
+            fits &= 0 <= column.frame <= n and 0 <= column.joint < n and np.isfinite(column.unit)
+            fits &= least <= column.load <= most and -1 <= column.by < len(known)
+            if not fits or column.name in taken:
+                raise ValueError(
+                    f"A cause has {column}, which does not fit an arm of {n} joints and "
+                    f"{len(known)} extra columns, or whose name another column has."
+                )
+            taken.add(column.name)
+            mean = terms.extra[column.by][1][0] if column.by >= 0 else 0.0
+            yield column._replace(reference=mean)
 
 
 def _lengths(arm):
@@ -340,12 +384,13 @@ class Columns:
             wanted = terms.gravity, terms.kinematics, terms.wobble
             of_causes = compress((_gravity, _kinematics, _wobble), wanted)
             own = [column for columns in of_causes for column in columns(arm)]
-            self.others: tuple[Column, ...] = (*own, *_of_extra(arm, terms.extra))
+            own += _of_extra(arm, terms.extra)
+            self.others: tuple[Column, ...] = (*own, *_of_users(arm, terms, {c.name for c in own}))
         else:
             self.others = alone.others
         self.names: list[str] = [column.name for column in self.others]
         self.family: np.ndarray = np.array([c.family for c in self.others], dtype=int)
-        # Unit vector against gravity in the base frame: the arm's, or what the data have found.
+        # Unit vector against gravity in `up_frame`: the arm's, or what the data have found.
         self.up: np.ndarray = np.array(terms.up) if terms.up else arm.up
 
     def with_harmonics(self, pairs: np.ndarray) -> "Columns":
@@ -399,6 +444,11 @@ class Columns:
             levers *= scale_of(self.arm.joint_types, 1.0, _METRE)
         return levers
 
+    def upright(self, vectors: np.ndarray) -> np.ndarray:
+        """Directions against gravity in the base frame, (n, 3), of the `axis_vectors` of poses."""
+        start = 3 * (self.arm.n_joints + 1 + self.arm.up_frame)
+        return vectors[:, :, start : start + 3] @ self.up
+
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Columns at rows, (n, 3, n_columns)."""
         plan = self._plan
@@ -420,9 +470,10 @@ class Columns:
             (start, end, vectors[:, :, which] * unit, wave[:, start:end])
             for start, end, which, unit in plan.runs
         ]
-        factor = np.tile(plan.unit, (len(angles), 1))
+        factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.loads):
-            factor[:, plan.loads] *= _torques(plan, self.up, vectors, places)
+            up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
+            factor[:, plan.loads] *= _torques(plan, up, vectors, places)
         if len(plan.grows):
             along = np.take(vectors, plan.which[plan.grows], axis=2)
             far = places[:, :, plan.grows_to] - places[:, :, plan.grows_to - 1]
@@ -485,7 +536,9 @@ class _Plan:
 def _torques(plan, up, vectors, places):
     """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
     torques = 0.0
-    for k in np.flatnonzero(up):
+    for k in (0, 1, 2):
+        if up.ndim == 1 and up[k] == 0:
+            continue
         pair = (k + 1) % 3, (k + 2) % 3
         x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
         ux, uy = (vectors[:, i, plan.load_x] for i in pair)

@@ -245,8 +245,9 @@ def fit_rows(rows, positions, columns, with_field, up=None):
         rows, known, looked = rows._replace(noise=None, root=rows.shown), np.inf, 0
     if turned:
         shown = [f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in (columns.up, rows.arm.up)]
+        where = f"frame {frame}" if (frame := rows.arm.up_frame) else "the base frame"
         said = (
-            f"Gravity seems to pull against {shown[0]} of the base frame, not against up = "
+            f"Gravity seems to pull against {shown[0]} of {where}, not against up = "
             f"{shown[1]}: its columns follow the data."
         )
         advice = "If the arm is mounted so, state it: Arm(..., up=), or raacmm arm --up."

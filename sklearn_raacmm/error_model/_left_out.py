@@ -86,9 +86,9 @@ class Fading:
     near_mm: float = 0.0
 
     def share(self, doubt: np.ndarray) -> np.ndarray:
-        """Share from 0 to 1 of each correction, (n,), by its doubt (n,) in mm."""
+        """Share from 0 to 1 of each correction by its doubt in mm; both have any shape."""
         if not (self.factor > 0 and self.size_mm > 0):
-            return np.full(len(doubt), self.most)
+            return np.full(np.shape(doubt), self.most)
         size = self.size_mm**2
         beyond = np.maximum(np.square(doubt) - self.known_mm**2, 0.0)
         return self.found(doubt) * size / np.maximum(size + self.factor**2 * beyond, 1e-300)

@@ -529,7 +529,7 @@ def unseen_of_table(columns):
 
     Of kinematic columns alone, such as turns of the last frame about the probe's own vector.
     """
-    columns = columns_of(columns.arm, columns.terms._replace(extra=()))
+    columns = columns_of(columns.arm, columns.terms._replace(extra=(), own=()))
     kinematic = np.flatnonzero([c.family == KINEMATICS for c in columns.others])
     angles = random_poses(columns.arm, _POSES)
     own = columns.at(angles)[:, :, columns.n_waves + kinematic].reshape(3 * _POSES, -1)
@@ -550,7 +550,7 @@ def _n_motions(columns):
 @lru_cache(maxsize=64)
 def _fields_of_causes(columns):
     """The same for the columns that are neither harmonics nor extra; which fields they make."""
-    columns = columns_of(columns.arm, columns.terms._replace(extra=()))
+    columns = columns_of(columns.arm, columns.terms._replace(extra=(), own=()))
     angles = random_poses(columns.arm, _POSES)
     of_place, amount = _fields(columns.points(angles), columns.up)
     own = columns.at(angles).reshape(len(of_place), -1)

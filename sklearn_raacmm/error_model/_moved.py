@@ -29,7 +29,7 @@ def check_same_table(old, new):
             f"the correction is of an arm of {kinds[0]}, and is to be moved to {kinds[1]}: only "
             "the probe may differ."
         )
-    for name in ("couplings", "joint_types"):
+    for name in ("couplings", "joint_types", "up_frame"):
         one, other = getattr(old, name), getattr(new, name)
         if one != other:
             raise ValueError(

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
+from sklearn_raacmm.arm import axis_vectors
 from sklearn_raacmm.error_model._columns import LOAD, columns_of
 from sklearn_raacmm.error_model._sums import explicit_gram, less_constants, motions_of
 from sklearn_raacmm.inference import root_of
@@ -80,8 +81,9 @@ def better_vertical(fitted):
         return ()
     # A probe sags, whatever the pose: the arm measures it above where it is.
     columns = columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
-    above = columns.at(rows.X)[:, :, loads] @ coef @ up
-    up = up * np.sign(above.sum())
+    above = columns.at(rows.X)[:, :, loads] @ coef
+    upright = columns.upright(axis_vectors(rows.arm, rows.X[:, : rows.arm.n_joints])[0])
+    up = up * np.sign((above * upright).sum())
     return () if stated @ up > _NEAR else tuple(up.tolist())
 
 

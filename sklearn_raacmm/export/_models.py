@@ -6,6 +6,8 @@ One function for each kind of step: it adds the step's operations to those befor
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from functools import cached_property
+
 import numpy as np
 from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
@@ -70,6 +72,7 @@ class _Chain:
             return own
         return self.p("mul", own, phase_factors(self.arm))
 
+    @cached_property
     def frames(self):
         """Axes and origin of every frame, 12 numbers each, the base first."""
         p, arm, own = self.p, self.arm, self.own_angles()
@@ -85,15 +88,16 @@ class _Chain:
             frames = p("add", frames, p.affine(way, behind))
         return frames
 
+    @cached_property
     def probe(self):
         """Centre of the probe in the base frame, mm."""
-        last = self.p.take(self.frames(), 12 * self.arm.n_joints + np.arange(12))
+        last = self.p.take(self.frames, 12 * self.arm.n_joints + np.arange(12))
         return self.p.affine(last, np.kron([*self.arm.probe, 1.0], np.eye(3)))
 
     def direction(self):
         """Cosine and sine of the probe's azimuth, and the probe's distance from the axis."""
         p = self.p
-        xy = p.take(self.probe(), [0, 1])
+        xy = p.take(self.probe, [0, 1])
         radius = p.length(xy)
         # On the axis itself 1 and 0, as atan2(0, 0) would have it.
         on_axis = p("mul", p("less", radius, _TINY), [1.0, 0.0])
@@ -119,7 +123,7 @@ def build_program(model, std=False, fade="exact", poses=None):
     outputs = {"y": y}
     corrects = chain.arm is not None and p.size(y) == 3
     if corrects:
-        outputs["point"] = p("sub", chain.probe(), y)
+        outputs["point"] = p("sub", chain.probe, y)
     if chain.trust is not None:
         outputs["trust"] = p("finite", chain.trust, y)
     if std:
@@ -243,7 +247,7 @@ _FAR = 1e30
 
 def pose_angles(chain, angles):
     """Given angles of the pose's joints, and the elevation of the line shoulder to wrist, rad."""
-    p, arm, frames = chain.p, chain.arm, chain.frames()
+    p, arm, frames = chain.p, chain.arm, chain.frames
     shoulder, wrist = (p.take(frames, 12 * i + 9 + np.arange(3)) for i in arm.pose_frames)
     line = p("sub", wrist, shoulder)
     reach = p.length(p.take(line, [0, 1]))
@@ -375,12 +379,12 @@ def _vectors(chain):
 
     mm of the probe per rad, or per mm.
     """
-    p, n_axes, frames = chain.p, 3 * (chain.arm.n_joints + 1), chain.frames()
+    p, n_axes, frames = chain.p, 3 * (chain.arm.n_joints + 1), chain.frames
     axis = np.arange(n_axes)
     of_axis = 12 * (axis // 3) + 3 * (axis % 3)
     of_origin = 12 * (axis // 3) + 9
     k = np.repeat(np.arange(3), n_axes)
-    lever = p("sub", p.take(chain.probe(), k), p.take(frames, np.tile(of_origin, 3) + k))
+    lever = p("sub", p.take(chain.probe, k), p.take(frames, np.tile(of_origin, 3) + k))
 
     def part(shift):
         at = (k + shift) % 3
@@ -405,24 +409,27 @@ def _sizes(chain, linear, table, vectors):
     loaded = np.flatnonzero(np.isin(table["kind"], OF_LOADS))
     if len(loaded):
         # The torque of a load, as `error_model` has it.
-        places = p("join", chain.frames(), chain.probe())
+        places = p("join", chain.frames, chain.probe)
         of, frame = (12 * table[name][loaded] + 9 for name in ("load", "frame"))
         of = np.where(table["load"][loaded] > arm.n_joints, 12 * (arm.n_joints + 1), of)
         axis = torque_axis(table[loaded])
         axis = 12 * (axis // 3) + 3 * (axis % 3)
         up, torque = linear.layout.up, None
-        for c in np.flatnonzero(up).tolist():
+        upright = _upright(chain, arm, up) if arm.up_frame else None
+        for c in range(3) if arm.up_frame else np.flatnonzero(up).tolist():
             pair = (c + 1) % 3, (c + 2) % 3
             x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in pair)
             ux, uy = (p.take(places, axis + k) for k in pair)
             part = p("sub", p("mul", uy, x), p("mul", ux, y))
-            if up[c] != 1:
+            if upright is not None:
+                part = p("mul", part, p.take(upright, np.full(len(loaded), c)))
+            elif up[c] != 1:
                 part = p("mul", part, p.constant(up[c]))
             torque = part if torque is None else p("add", torque, part)
         sizes = p("mul", sizes, _at_columns(p, m, loaded, torque))
     grown = np.flatnonzero(table["kind"] == Effect.GROW)
     if len(grown):
-        places, to, way = chain.frames(), 12 * table["load"][grown] + 9, None
+        places, to, way = chain.frames, 12 * table["load"][grown] + 9, None
         axis = 12 * table["frame"][grown] + 3 * table["axis"][grown]
         for k in range(3):
             far = p("sub", p.take(places, to + k), p.take(places, to - 12 + k))
@@ -443,6 +450,12 @@ def _sizes(chain, linear, table, vectors):
         return sizes
     factors = p("sub", p.take(values, table["by"][given]), table["reference"][given])
     return p("mul", sizes, _at_columns(p, m, given, factors))
+
+
+def _upright(chain, arm, up):
+    """Direction against gravity in the base frame, which turns as seen from a positioner."""
+    axes = chain.p.take(chain.frames(), 12 * arm.up_frame + np.arange(9))
+    return chain.p.affine(axes, np.kron(up, np.eye(3)))
 
 
 def _at_columns(p, m, columns, factors):

@@ -99,13 +99,12 @@ def small_doubt(linear, fading, angles):
     along = _over_axes(np.square(flat @ directions))
     sums = of_blocks[:, None] + np.cumsum(values * along, axis=1)
     constants = weights @ (exact[:, None] - sums)
-    share = fading.share(np.sqrt(exact))
-    for rank in range(1, len(table) // 2):
-        found = np.maximum(sums[:, rank - 1] + constants[rank - 1], 0.0)
-        if np.abs(fading.share(np.sqrt(found)) - share).max() <= _OFF:
-            break
-    else:
+    most = max(len(table) // 2 - 1, 0)
+    found = fading.share(np.sqrt(np.maximum(sums + constants, 0.0)[:, :most]))
+    off = np.abs(found - fading.share(np.sqrt(exact))[:, None]).max(axis=0)
+    if not np.any(off <= _OFF):
         return None
+    rank = int(np.argmax(off <= _OFF)) + 1
     signs = np.argsort(values[:rank] < 0, kind="stable")
     root = directions[:, signs] * np.sqrt(np.abs(values[signs]))
     # What a column of the model adds, mm: those that add next to nothing have no row.

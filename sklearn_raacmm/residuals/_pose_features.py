@@ -135,7 +135,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         ValueError
             If the number of columns is not the arm's number of joints, or `X` holds NaN or
             infinity; if a joint slides; if the pose is asked for, and the arm's base axis is
-            neither upright nor upside down.
+            neither upright nor upside down, or turns with a positioner.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
         self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
@@ -145,10 +145,11 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
                 "that turn: take ArmResidualRegressor, which knows both."
             )
         across = float(np.hypot(*self.arm_.up[:2]))
-        if self.joints == "pose" and across > _MOST_ACROSS:
+        if self.joints == "pose" and (across > _MOST_ACROSS or self.arm_.up_frame):
             shown = ", ".join(f"{value:.2g}" for value in self.arm_.up)
+            shown = f"({shown})" + f" in frame {self.arm_.up_frame}" * bool(self.arm_.up_frame)
             raise ValueError(
-                f"up of the arm is ({shown}), which is not along the base axis: gravity bends the "
+                f"up of the arm is {shown}, which is not along the base axis: gravity bends the "
                 "arm otherwise at each angle of joint 1, and the pose does not hold that angle. "
                 'Take joints="all", or ArmResidualRegressor.'
             )

@@ -263,7 +263,13 @@ def test_uncertainties_are_judged_by_the_limit(run):
         assert [finding.code for finding in found] == codes
 
 
-@pytest.mark.parametrize("machine", ["typical", "gravity", "eccentricity"])
+@pytest.mark.parametrize(
+    "machine",
+    [
+        "eccentricity",
+        *(pytest.param(m, marks=pytest.mark.exhaustive) for m in ("typical", "gravity")),
+    ],
+)
 def test_clean_runs_have_no_finding(machine):
     tests = ["probing", "articulation", "diameter", "single-point", "volumetric"]
     clean = make_acceptance(tests, machine=machine, random_state=3)

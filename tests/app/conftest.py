@@ -1,10 +1,12 @@
 """What the tests of the command share: a reader of pages, and what it refuses."""
 
+from functools import partial
 from html.parser import HTMLParser
 
 import pytest
 
-from sklearn_raacmm.app import main
+from sklearn_raacmm import ArmResidualRegressor, learn_correction
+from sklearn_raacmm.app import _commands, main
 
 
 class Page(HTMLParser):
@@ -42,6 +44,13 @@ class Page(HTMLParser):
 def _no_terminal(monkeypatch):
     """Sentences stay in one line, as in a pipe: workers of pytest may say how wide they are."""
     monkeypatch.delenv("COLUMNS", raising=False)
+
+
+@pytest.fixture
+def quick_model(monkeypatch):
+    """The command learns a small model where what it says is judged, not what a model is worth."""
+    small = ArmResidualRegressor(orders=2, causes=["kinematics"])
+    monkeypatch.setattr(_commands, "learn_correction", partial(learn_correction, model=small))
 
 
 @pytest.fixture(scope="session")

@@ -293,6 +293,19 @@ KINDS = {
     "statistics below": {"text": as_table(Q) + "".join(
         f"\n{name}," + ",".join(map(str, row)) for name, row in
         (("Mean", DEG.mean(0)), ("Std. Dev.", DEG.std(0)), ("Max", DEG.max(0))))},
+    "statistics in the last column": {"text": joined([[*Q, "hole"], *(
+        [*row, lab] for lab, row in zip(LABELS, DEG, strict=True)),
+        [*DEG.mean(0), "Mean value"], [*DEG.std(0), "std"], [*np.ptp(DEG, axis=0), "Max - Min"]])},
+    "statistics below each place": {"text": joined([["hole", *Q], *(
+        row for lab, own in (("A", DEG[:2]), ("B", DEG[2:]))
+        for row in [*([lab, *one] for one in own), ["average", *own.mean(0)]])])},
+    "labels like statistics": {
+        "text": as_table(Q).replace("\nA,", "\nMax,").replace("\nB,", "\nSum,"),
+        "labels": ["Max"] * 2 + ["Sum"] * 2},
+    "a word beside": {"text": joined([["operator", "hole", *Q], *(
+        [name, lab, *row] for name, lab, row in zip("EEJE", "1122", DEG, strict=True))]),
+        "labels": ["1", "1", "2", "2"]},
+    "a sentence above": {"text": "# measured in turns by two people\n" + as_table(Q)},
     "names again above each place": {"text": "".join(
         f"cone {lab}\n{joined([Q, *rows])}\n" for lab, rows in (("A", DEG[:2]), ("B", DEG[2:]))),
         "labels": ["cone A"] * 2 + ["cone B"] * 2},
@@ -385,6 +398,23 @@ def test_poses_of_the_tool_are_no_joint_angles(kind, tmp_path):
     n = names.count(",") + 1
     poses = np.c_[POINTS, DEG[:, 3:], np.ones(4)][:, :n]
     (tmp_path / "log.csv").write_text(joined([names.split(","), *poses]))
+    with pytest.raises(TableError, match=sentence):
+        read_table(tmp_path / "log.csv", 6)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            as_table([f"{q} [deg]" for q in Q]) + "B" + ",-999" * 6,
+            "row 6, column 'q1 .deg.': -999 stands in all columns",
+        ),
+        (f"# angles in deg\n{as_table(Q)}# angles in rad\nB{',0.1' * 6}\n", "units deg and rad"),
+        (as_table(Q).replace("station", "status"), "which column holds the label"),
+    ],
+)
+def test_what_could_be_read_wrongly_is_asked_for(text, sentence, tmp_path):
+    (tmp_path / "log.csv").write_text(text)
     with pytest.raises(TableError, match=sentence):
         read_table(tmp_path / "log.csv", 6)
 
@@ -557,6 +587,12 @@ POINT_FILES = {
         for i, point in enumerate(POINTS) for axis, value in zip("XYZ", point, strict=True)), None),
     "metres above": ("Tracker 1\nCoordinates in metres\n\n" + joined(
         ([f"p{i}", *point] for i, point in enumerate(POINTS / 1000)), " "), None),
+    "units in m": ("# Units in m\nid,X,Y,Z\n" + joined(
+        [f"p{i}", *point] for i, point in enumerate(POINTS / 1000)), None),
+    "length units in inches": ("# length units in inches\nid,X,Y,Z\n" + joined(
+        [f"p{i}", *point] for i, point in enumerate(POINTS / 25.4)), None),
+    "a town above": ("# Measured in Berlin in May, in M. Smith's lab\nid,X,Y,Z\n" + joined(
+        [f"p{i}", *point] for i, point in enumerate(POINTS)), None),
     "thousands parted": ("id;X;Y;Z\n" + joined(([f"p{i}", *(
         f"{value:,.4f}".replace(",", "_").replace(".", ",").replace("_", ".") for value in point)]
         for i, point in enumerate(POINTS)), ";"), None),
@@ -614,6 +650,7 @@ def test_joint_3_of_a_fanuc_is_shown_from_the_horizontal(tmp_path, monkeypatch, 
     assert said.count("its own angle is J3 + J2") == 1
 
 
+@pytest.mark.usefixtures("quick_model")
 def test_the_axis_that_moves_the_base_is_found(tmp_path, capsys):
     """A robot on a track: by how much and where to E1 moves it, in the tracker's frame."""
     arm, rng = Arm.from_name("irb120"), np.random.default_rng(0)

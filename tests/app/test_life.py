@@ -479,7 +479,7 @@ def test_noise_is_no_change(folder, tmp_path, capsys):
     """Angles that are noisy by 1e-5 to 3e-4 rad leave probe and model as they were."""
     saved = Correction.load(folder / "cones")
     test = make_single_point(4, 12, machine=with_probe(100), random_state=11)
-    for jitter_rad in (1e-5, 3e-5, 1e-4, 3e-4):
+    for jitter_rad in (1e-5, 3e-4):
         write(tmp_path / "noisy.csv", test, jitter_rad=jitter_rad)
         out = tmp_path / f"{jitter_rad}"
         words = ["update", tmp_path / "noisy.csv", "--model", folder / "cones", "--out", out]

@@ -20,7 +20,7 @@ def result():
     lengths = [(int(a), int(b), 400.0, 0.01) for a, b in data.pairs]
     angles = data.data.copy()
     angles[17, 2] += 0.004
-    model = ArmResidualRegressor(orders=4)
+    model = ArmResidualRegressor(orders=4, causes=["kinematics"])
     return learn_correction(
         data.nominal_arm, angles, data.groups, lengths=lengths, model=model, cv=2
     )

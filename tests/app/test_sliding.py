@@ -73,6 +73,7 @@ def test_behind_its_first_joint_a_robot_on_a_rail_is_the_robot():
     assert without_first(RAIL) == bare
 
 
+@pytest.mark.usefixtures("quick_model")
 def test_a_rail_that_stands_still_is_as_none_to_the_last_bit(tmp_path, capsys):
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")
@@ -98,3 +99,16 @@ def test_a_rail_that_stands_still_is_as_none_to_the_last_bit(tmp_path, capsys):
     np.testing.assert_array_equal(*(one.model.predict(q) for one in found))
     facts = [json.loads((tmp_path / name / "arm.json").read_text()) for name in ("rail", "none")]
     assert facts[0]["a_mm"] == facts[1]["a_mm"]
+
+
+def test_columns_of_a_positioner_are_its_joints_whatever_their_order(tmp_path):
+    turntable = Arm.from_degrees([0, 0], [90, -90], [0, 300], convention="modified")
+    base = np.diag([1.0, 1, 1, 1]) + 900 * np.outer(np.eye(4)[0], np.eye(4)[3])
+    arm = Arm.from_name("panda", names=(), probe=(0, 0, 100)).seen_from(turntable, base)
+    q = random_poses(arm, 5)
+    rows = np.rad2deg(np.column_stack([q[:, 2:], q[:, 1], q[:, 0]]))
+    header = [*(f"q{i} [deg]" for i in range(1, 8)), "E1 [deg]", "E2 [deg]"]
+    (tmp_path / "log.csv").write_text(table_of(header, rows))
+    table = read_table(tmp_path / "log.csv", 9, labelled=False, joint_names=arm.names)
+    assert table.angle_unit == "deg"
+    np.testing.assert_allclose(table.angles, np.rad2deg(q), atol=1e-6)

@@ -26,7 +26,7 @@ def result():
     """Of twenty positions with names that are longer than a line is wide."""
     test = make_single_point(20, 6, random_state=0)
     labels = np.array([f"{i:02d} {'in the corner ' * 6}" for i in test.groups])
-    model = ArmResidualRegressor(orders=2)
+    model = ArmResidualRegressor(orders=2, causes=["kinematics"])
     return learn_correction(test.nominal_arm, test.data, labels, model=model, cv=2)
 
 

@@ -127,7 +127,7 @@ def machine(request):
     return joints, types, q
 
 
-@pytest.mark.filterwarnings("ignore:The first axis does not start from the file's base")
+@pytest.mark.filterwarnings("ignore:The first axis does not start from the given base")
 def test_points_are_those_of_homogeneous_matrices(machine):
     joints, types, q = machine
     arm, wanted = Arm.from_urdf(text_of(joints)), by_hand(joints, q)
@@ -151,7 +151,7 @@ def test_points_are_those_of_homogeneous_matrices(machine):
     )
 
 
-@pytest.mark.filterwarnings("ignore:The first axis does not start from the file's base")
+@pytest.mark.filterwarnings("ignore:The first axis does not start from the given base")
 def test_the_jacobian_is_that_of_differences(machine):
     joints, _, q = machine
     arm = Arm.from_urdf(text_of(joints))
@@ -219,3 +219,22 @@ def test_slides_between_turns_that_lean_by_little_are_read():
 def test_limits_without_a_number_are_none():
     arm = Arm.from_name("ur10")
     assert arm.replace(limits=[(None, None)] * 6) == arm.replace(limits=None)
+
+
+def test_an_end_without_a_limit_stays_free_in_a_file():
+    """The format wants two numbers: where there is none a slide has 100 m, the most it may have."""
+    limits = [(0, np.inf), (-np.inf, 2), (-1, 1), (-np.inf, np.inf), (-np.inf, 500)]
+    arm = Arm.from_degrees(
+        [0, 0, 300, 0, 50], [0, -90, 0, 90, 0], [0, 0, 200, 80, 0], joint_types="PRRPP",
+        probe=(10, 40, 60), limits=limits,
+    )  # fmt: skip
+    text = arm.to_urdf()
+    for pair in ('"0.0" upper="100.0"', '"-628.0" upper="2.0"', '"-100.0" upper="0.5"'):
+        assert f"<limit lower={pair}" in text
+    again = Arm.from_urdf(text)
+    assert_allclose(again.limits, limits)
+    q = random_poses(arm, 10)
+    found = again.angles_for(arm.forward(q))
+    assert np.all((found >= again.limits[:, 0]) & (found <= again.limits[:, 1]))
+    free = Arm.from_urdf(arm.replace(limits=None).to_urdf())
+    assert free.limits is None

@@ -95,3 +95,17 @@ def test_a_rail_that_trembles_by_micrometres_stands_still():
     q[:, 0] += rng.uniform(-0.002, 0.002, len(q))
     measured = Measurements.of(q, points=RAIL.forward(q), joint_types=RAIL.joint_types)
     assert len(measured.angles) == 20
+
+
+def test_a_stated_prior_of_lengths_is_not_that_of_slides():
+    """A robot is put on a rail by eye, however well its links are known."""
+    true = RAIL.replace(
+        d=RAIL.d + 4 * (np.arange(7) == 1), alpha=np.add(RAIL.alpha, [0.01, *6 * [0]])
+    )
+    q = random_poses(RAIL, 60)
+    points = true.forward(q) + np.random.default_rng(1).normal(0, 0.02, (60, 3))
+    result = calibrate(RAIL, q, points=points, prior_length_mm=0.1, prior_angle_rad=1e-3)
+    assert result.prior_sd["length_mm"] == 0.1
+    assert result.prior_sd["angle_rad"] == 1e-3
+    assert result.prior_sd["slide_rad"] > 3e-3
+    assert result.prior_sd["slide_mm"] != 0.1

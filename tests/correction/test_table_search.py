@@ -29,14 +29,19 @@ def take(arm, code):
 EXCHANGED = [0, 1, 4, 3, 2, 5]
 
 
+def more(*values):
+    """Further values of a test, of the same kind as the first."""
+    return pytest.param(*values, marks=pytest.mark.exhaustive)
+
+
 @pytest.mark.parametrize(
     ("signs", "columns", "factor", "change"),
     [
-        ([1, -1, 1, 1, 1, 1], None, 1, "joint 2 reversed"),
+        more([1, -1, 1, 1, 1, 1], None, 1, "joint 2 reversed"),
         ([1, 1, -1, -1, 1, 1], None, 1, "joints 3 and 4 reversed"),
         (1, EXCHANGED, 1, "joints 3 and 5 exchanged"),
-        (1, [5, 4, 3, 2, 1, 0], 1, "the joints in reverse order"),
-        (1, None, 180 / np.pi, "the angles in degrees"),
+        more(1, [5, 4, 3, 2, 1, 0], 1, "the joints in reverse order"),
+        more(1, None, 180 / np.pi, "the angles in degrees"),
         ([1, 1, 1, -1, 1, 1], None, 180 / np.pi, "joint 4 reversed and the angles in degrees"),
     ],
 )
@@ -88,7 +93,7 @@ def test_the_mirror_image_is_named_beside_it(data):
     assert (found.answers[0], mirror.answers[0]) == ("yes", "no")
 
 
-@pytest.mark.parametrize("degrees", [90, 180, 270])
+@pytest.mark.parametrize("degrees", [90, more(180), more(270)])
 def test_a_joint_that_is_counted_from_upright_or_horizontal(data, degrees):
     """Each table that explains the data is said to be of the right hand, or of the other."""
     zero = np.deg2rad([0, degrees, 0, 0, 0, 0])
@@ -109,7 +114,7 @@ def test_a_joint_that_is_counted_from_upright_or_horizontal(data, degrees):
     assert not mirrors & {one.answers for one in found.equals if not one.is_mirror}
 
 
-@pytest.mark.parametrize("frame", [[1, -1, 1], [0, 2, 1]])
+@pytest.mark.parametrize("frame", [more([1, -1, 1]), [0, 2, 1]])
 def test_a_mirrored_tracker_comes_before_three_reversed_joints(frame):
     rng = np.random.default_rng(5)
     arm = Arm.from_name("irb120", probe=(10, 20, 100))
@@ -141,7 +146,7 @@ def test_what_was_taken_asks_for_its_hand(data):
     ("own", "change", "options"),
     [
         (lambda q: q[:, 2] - q[:, 1], "joint 3 at J3 + J2", "--take coupled-2-3"),
-        (lambda q: q[:, 2] + q[:, 1], "joint 3 at J3 - J2", "--take uncoupled-2-3"),
+        more(lambda q: q[:, 2] + q[:, 1], "joint 3 at J3 - J2", "--take uncoupled-2-3"),
         (
             lambda q: q[:, 1] - q[:, 2],
             "joint 3 at -J3 + J2",
@@ -280,7 +285,7 @@ def test_an_external_axis_that_moves_the_base():
     assert search_table(arm, angles, points=points + np.outer(axis, way)) is None
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, more(1)])
 def test_an_arm_of_which_only_the_layout_is_known(seed):
     """Ten cones and one bar show lengths, zeros and probe; senses are drawn, too."""
     test, rng = (

@@ -45,7 +45,9 @@ def alone(n, **make):
     return ArmResidualRegressor(ARM, **OPTIONS).fit(*rows(n, 7, 7, **make))
 
 
-@pytest.mark.parametrize(("n", "share"), [(20, 0.8), (40, 0.6)])
+@pytest.mark.parametrize(
+    ("n", "share"), [(20, 0.8), pytest.param(40, 0.6, marks=pytest.mark.exhaustive)]
+)
 def test_few_poses_of_a_new_arm_are_enough(earlier, n, share):
     new = transferred_model(earlier, ARM, *rows(n, 7, 7))
     assert left(new, 7) < share * left(alone(n), 7)

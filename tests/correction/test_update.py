@@ -86,7 +86,7 @@ def test_new_poses_that_show_nothing_new_change_next_to_nothing(model):
     assert entry["noise_sd_mm"] == pytest.approx(0.01, rel=0.2)
 
 
-@pytest.mark.parametrize("n", [30, 60])
+@pytest.mark.parametrize("n", [30, pytest.param(60, marks=pytest.mark.exhaustive)])
 def test_a_knock_is_learned_from_few_poses(model, n):
     angles, y = rows(n, 2, knock=15)
     updated = update_correction(model, angles, y)
@@ -179,7 +179,7 @@ def test_on_the_ur10_another_day(ur10, ur10_b):
 
 
 @pytest.mark.filterwarnings("ignore:The correction is 0")  # there is nothing to correct
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
 def test_an_arm_without_errors_stays_as_it_is(seed):
     """An update made of the rounding of its residuals came to half a micrometre."""
     test = make_single_point(6, 10, machine="none", random_state=seed)
@@ -205,7 +205,7 @@ def test_intervals_hold_after_an_update(model):
     assert 0.88 < np.mean(inside) < 0.995
 
 
-@pytest.mark.parametrize("n", [10, 60])
+@pytest.mark.parametrize("n", [10, pytest.param(60, marks=pytest.mark.exhaustive)])
 def test_an_update_is_no_reason_to_fade(model, n):
     """Between the new poses the old correction is worth no less; far outside it still fades."""
     angles, y = rows(n, 30, knock=15)

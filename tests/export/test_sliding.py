@@ -5,6 +5,7 @@ import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.arm import in_unit, random_poses
+from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.export import describe, export_c
 
 from ._chains import ways_out
@@ -43,3 +44,19 @@ def test_header_and_card_say_which_joint_is_in_mm(tmp_path):
     card = describe(model, X)
     assert card["input"] == "7 joint angles in deg, mm of joint 1, which slides"
     assert card["training"]["largest_joint_angles_deg_and_mm"][0] == q[:, 0].max().round(4)
+
+
+def test_an_arm_that_is_seen_from_a_positioner_computes_as_predict_does(tmp_path):
+    """Its vertical turns with the table."""
+    table = Arm.from_degrees([0, 0], [90, -90], [0, 300], convention="modified", probe=(0, 0, 50))
+    base = np.array([[0, -1, 0, 900], [1, 0, 0, 100], [0, 0, 1, -200], [0, 0, 0, 1.0]])
+    arm = Arm.from_name("irb120", probe=(10, 20, 150), up=(0.1, 0.2, 1)).seen_from(table, base)
+    q, rng = random_poses(arm, 150), np.random.default_rng(0)
+    columns = columns_of(arm, Terms(np.empty((0, 2), int), True, False, False)).at(q)
+    y = columns @ rng.normal(0, 5, columns.shape[2]) + rng.normal(0, 0.002, (150, 3))
+    model = ArmResidualRegressor(arm, orders=4, causes=["gravity"]).fit(q, y, groups=False)
+    mean, std = model.predict(q, return_std=True)
+    assert np.std(mean) > 0.8 * np.std(y)
+    for name, found, spread in ways_out(tmp_path, model, q, std=True):
+        np.testing.assert_allclose(found, mean, rtol=0, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(spread, std, rtol=0, atol=1e-12, err_msg=name)
