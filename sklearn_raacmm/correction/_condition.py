@@ -181,15 +181,7 @@ class Evidence:
     and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(
-        self,
-        parts: Mapping[str, np.ndarray],
-        fixed: np.ndarray,
-        y: np.ndarray,
-        noise_variance: float,
-        n_data: int,
-        log_noise: tuple[float, float],
-    ) -> None:
+    def __init__(self, parts, fixed, y, noise_variance, n_data, log_noise):
         self.y, self.names, m, n = y, [*parts], len(y), len(parts)
         roots = [*parts.values(), np.sqrt(noise_variance) * np.eye(m), fixed]
         self.sums = np.stack([H @ H.T for H in roots])

@@ -558,12 +558,7 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        if str(tool) not in self.tools:
-            known = ", ".join(self.tools) or "one only"
-            raise ValueError(
-                f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
-            )
-        return self.move(self.tools[str(tool)])
+        return self.move(_labelled("tool", tool, self.tools, "with"))
 
     def at_station(self, station: str) -> Self:
         """The same with the base of another of the stations that it was learnt at.
@@ -578,13 +573,8 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        bases = self.facts.get("stations", {})
-        if str(station) not in bases:
-            known = ", ".join(bases) or "one only"
-            raise ValueError(
-                f"the correction knows no station {str(station)!r}; it was learnt at {known}."
-            )
-        return replace(self, base=tuple(np.array(part) for part in bases[str(station)]))
+        base = _labelled("station", station, self.facts.get("stations", {}), "at")
+        return replace(self, base=tuple(np.array(part) for part in base))
 
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
@@ -783,3 +773,13 @@ class Correction:
         if len(outliers) > _SHOWN:
             lines.append(f"  and {len(outliers) - _SHOWN} more")
         return "\n".join(lines)
+
+
+def _labelled(what, label, known, how):
+    """The tool or station of a label, of those that a correction was learnt with or at."""
+    if str(label) not in known:
+        names = ", ".join(known) or "one only"
+        raise ValueError(
+            f"the correction knows no {what} {str(label)!r}; it was learnt {how} {names}."
+        )
+    return known[str(label)]

@@ -266,9 +266,7 @@ def check_correction(
     usual = rows.rank / 3 * (spread + 3 * linear.noise_variance)
     usual_mm = float(np.sqrt(usual.mean()))
     if not holds:
-        beside = Whitened(np.zeros((len(residual), 1)), nuisance, shown.n_coordinates)
-        rest = {name: beside(cause) for name, cause in seen.items()}
-        given = beside(residual), beside(known), rest, beside.freedom
+        given = residual, np.hstack([known, nuisance]), seen, shown.n_coordinates
         suspect = likeliest_change(*given)[0]
     if suspect in seen:
         # By its most likely size; what base and probe do as well is no part of it.
