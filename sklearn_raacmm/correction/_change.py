@@ -459,5 +459,6 @@ def _log_evidence(linear, half, rows, noise_sd):
     left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])[:, :, 0]
     seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
     flat, left, _ = rows_of(seen, left, np.ones(len(left)), seen[:, :, :0], np.zeros((0, 0)))
-    evidence = Evidence({}, flat, left, noise_sd**2, n_coordinates(rows), (0.0, 0.0))
-    return -float(evidence(np.zeros(1))[0])
+    nothing = np.zeros(0), np.zeros(0)
+    given = nothing, flat, flat, left, noise_sd**2, n_coordinates(rows), (0.0, 0.0)
+    return -float(Evidence(*given)(np.zeros(1))[0])

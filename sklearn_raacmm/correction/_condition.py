@@ -93,9 +93,7 @@ def condition(
         A, summed, seen = rows_of(every, y, known, spread, prior.half)
         n_data = int(np.sum(rank * (known > 0))) - n_unknown
         fixed = np.hstack([seen, A[:, p:]])
-        evidence = Evidence(
-            parts_of_rows(A, changes), fixed, summed, prior.noise_variance, n_data, log_noise
-        )
+        evidence = Evidence(changes, A, fixed, summed, prior.noise_variance, n_data, log_noise)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
@@ -163,27 +161,21 @@ def rows_of(
     return A, y, seen
 
 
-def parts_of_rows(
-    rows: np.ndarray, changes: tuple[np.ndarray, np.ndarray]
-) -> dict[str, np.ndarray]:
-    """What each part does to rows (m, p) at a tau of 1, (m, k) by its name: see `condition`."""
-    part, size = changes
-    names = sorted(set(part[size > 0].tolist()))
-    return {name: rows[:, : len(part)][:, part == name] * size[part == name] for name in names}
-
-
 class Evidence:
     """Negative log posterior of the logarithms t of the taus and, last, of the noise: no constants.
 
-    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each of
-    the `parts`, the noise, and what does not change, whose root is `fixed`. With ``a = C^-1 y`` the
-    slope along t is ``exp(2 t) (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen
-    and Williams, 2006, eq. 5.9).
+    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each part
+    of the `changes` of the columns A, the noise, and what does not change, whose root is `fixed`.
+    With ``a = C^-1 y`` the slope along t is ``exp(2 t) (tr(C^-1 K) - a' K a)``, so that one inverse
+    gives all (Rasmussen and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(self, parts, fixed, y, noise_variance, n_data, log_noise):
-        self.y, self.names, m, n = y, [*parts], len(y), len(parts)
-        roots = [*parts.values(), np.sqrt(noise_variance) * np.eye(m), fixed]
+    def __init__(self, changes, A, fixed, y, noise_variance, n_data, log_noise):
+        part, size = changes
+        self.y, self.names = y, sorted(set(part[size > 0].tolist()))
+        m, n, A = len(y), len(self.names), A[:, : len(part)] * size
+        roots = [A[:, part == name] for name in self.names]
+        roots += [np.sqrt(noise_variance) * np.eye(m), fixed]
         self.sums = np.stack([H @ H.T for H in roots])
         # Coordinates that hold noise alone, which y has summed up, and its logarithm.
         self.n_rest, self.log_noise = n_data - m, 0.5 * np.log(noise_variance)

@@ -20,7 +20,6 @@ from sklearn_raacmm.correction._condition import (
     Evidence,
     Whitened,
     condition,
-    parts_of_rows,
     rows_of,
 )
 from sklearn_raacmm.correction._rows import Expected, place_columns
@@ -157,15 +156,14 @@ def _gain_of_another(expected):
     flat, left, spread = rows_of(every, left, weights, spread, linear.half)
     n, p, q = int(shown.rank[weights > 0].sum()) - shown.n_unknown, len(size), place.shape[2]
     _, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
-    changed = parts_of_rows(flat, changes)
 
-    def of(parts, *fixed, y=left, start=None):
-        given = parts, np.hstack(fixed), y, linear.noise_variance, n, LOG_NOISE
+    def of(changes, *fixed, y=left, start=None):
+        given = changes, flat, np.hstack(fixed), y, linear.noise_variance, n, LOG_NOISE
         return Evidence(*given).highest(start)
 
-    change = max(of(changed, spread, base, *free, start=after.logs) for free in ((), (tool,)))
+    change = max(of(changes, spread, base, *free, start=after.logs) for free in ((), (tool,)))
     unknown = left + flat[:, :p] @ linear.coef
-    whole = {"all": _ALL_OF_IT * np.hstack([*changed.values()])}
+    whole = np.full(p, "all"), _ALL_OF_IT * changes[1]
     tables = (of(whole, base, tool, share * table, y=unknown) for share in _SAME_MAKE)
     return max(tables) - change
 

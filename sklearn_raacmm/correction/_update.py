@@ -150,8 +150,7 @@ def update_correction(
         return updated
     change = Change(expected, named=named_changes(expected))
     updated.linear_model_, entry, pose_weight = change.model(date)
-    if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        _strange(linear, entry, "updated model", "repair").report()
+    _say_if_strange(linear, entry, "updated model", "repair")
     updated.fading_, judgement = change.judged(model.fading_, rows.weights * pose_weight)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
@@ -185,22 +184,24 @@ def _as_it_was(model, expected, date):
     noise_mm = float(np.sqrt(np.square(left).sum() / n))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)
-    if noise_mm > _STRANGE * max(model.linear_model_.noise_sd, LEAST_NOISE_MM):
-        _strange(model.linear_model_, entry, "correction, which stays as it was", "doubt").report()
+    if _say_if_strange(model.linear_model_, entry, "correction, which stays as it was", "doubt"):
         return
     said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
     Finding("nothing-changed", f"{said} no change: it stays as it was.", weight="note").report()
 
 
-def _strange(linear, entry, what, weight):
-    """Finding of poses that scatter about something far more than the old ones did."""
-    noise_mm = entry["noise_sd_mm"]
+def _say_if_strange(linear, entry, what, weight):
+    """Say that poses scatter far more about something than the old ones did, if they do."""
+    noise_mm, usual_mm = entry["noise_sd_mm"], max(linear.noise_sd, LEAST_NOISE_MM)
+    if noise_mm <= _STRANGE * usual_mm:
+        return False
     said = (
         f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the {what}, the old ones "
-        f"did by {linear.noise_sd:.3g} mm:"
+        f"did by {usual_mm:.3g} mm:"
     )
     advice = "are they of this arm, and residuals in its base frame, registered through the "
-    return Finding("strange-poses", said, f"{advice}correction?", weight, size_mm=noise_mm)
+    Finding("strange-poses", said, f"{advice}correction?", weight, size_mm=noise_mm).report()
+    return True
 
 
 def probe_is_new(expected: Expected) -> bool:

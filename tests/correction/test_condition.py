@@ -156,7 +156,8 @@ def test_log_evidence_is_that_of_scipy(k):
     y, seen = rng.normal(size=8), rng.normal(size=(8, k))
     covariance = np.pad(seen @ seen.T, (0, 3)) + 0.3**2 * np.eye(11)
     expected = multivariate_normal(np.zeros(11), covariance).logpdf(np.pad(y, (0, 3)))
-    found = Evidence({}, seen, y, 0.3**2, 11, (0.0, 0.0))(np.zeros(1))[0]
+    nothing = np.zeros(0), np.zeros(0)
+    found = Evidence(nothing, seen, seen, y, 0.3**2, 11, (0.0, 0.0))(np.zeros(1))[0]
     assert -found == pytest.approx(expected + 5.5 * np.log(2 * np.pi))
 
 
