@@ -22,6 +22,7 @@ from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
     Fading,
     Judgement,
+    beside_table,
     find_fading,
     judge,
     leave_out,
@@ -290,10 +291,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
         left_out = leave_out(fitted, positions) if self._judged else None
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
-        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale, rows.centre)
+        centre = beside_table(fitted)
+        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale, centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
-            judged = *left_out[:2], fading, robust, rows.codes, positions, None, rows.centre
+            judged = *left_out[:2], fading, robust, rows.codes, positions, None, centre
             fading, self.judgement_ = judge(rows.y, *judged)
             fading = near_and_far(fading, fitted, left_out, positions)
             shares = fading.found(left_out[1])

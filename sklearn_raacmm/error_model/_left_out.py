@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import digamma, gammaln
 from scipy.stats import norm, t
 
+from sklearn_raacmm.error_model._columns import KINEMATICS, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
 from sklearn_raacmm.inference import Problem, combined, search_at
 from sklearn_raacmm.utils import Finding, centred, group_means, stage
@@ -40,6 +41,9 @@ _PER_FEW_POSITIONS = 1.0
 # positions left out have widened the standard deviation, where that is less
 # (``benchmarks/bench_few_poses.py``).
 _MOST, _OF_WIDENED = 1.0, 0.3
+# Part of what a table does most to touches. What does less is the scale, whose column are the
+# residuals themselves.
+_LEAST_OF_TABLE = 1e-3
 # A gain of less than this share of the deviation is none.
 _LEAST_GAIN = 1e-3
 # predict warns where less than this share is left of more than half of the corrections.
@@ -182,6 +186,31 @@ def judge(
     return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
 
 
+def beside_table(fitted):
+    """`centre`, as `judge` takes it, of touches that the arm was calibrated with.
+
+    The calibration has taken out of them what its table explains, right or wrong: of so few numbers
+    that is much. How far a correction of the table is right at other places they do not say.
+    """
+    rows = fitted.rows
+    if rows.centre is None:
+        return None
+    terms = fitted.columns.terms._replace(harmonics=np.empty((0, 2), dtype=int), kinematics=True)
+    columns = columns_of(rows.arm, terms._replace(gravity=False, wobble=False))
+    table = columns.at(rows.X)[:, :, columns.family == KINEMATICS]
+
+    def centre(values, weights):
+        scale = np.sqrt(weights)[:, None, None]
+        own, left = (scale * rows.centre(part, weights) for part in (table, values[:, :, None]))
+        unit, size, _ = np.linalg.svd(own.reshape(-1, own.shape[2]), full_matrices=False)
+        unit = unit[:, size > _LEAST_OF_TABLE * size.max(initial=0.0)]
+        flat = left.ravel()
+        left = (flat - unit @ (unit.T @ flat)).reshape(left.shape)
+        return (left / np.where(scale > 0, scale, 1.0))[:, :, 0]
+
+    return centre
+
+
 def near_and_far(fading, fitted, left_out, positions):
     """Fading whose share far from the data is that of blocks left out, near them of positions.
 
@@ -195,7 +224,7 @@ def near_and_far(fading, fitted, left_out, positions):
     if near is None:
         return fading
     judged = rows.y, *near[:2], fading, weights, rows.codes, positions
-    most = judge(*judged, centre=rows.centre)[0].most
+    most = judge(*judged, centre=beside_table(fitted))[0].most
     if not most > fading.most:
         return fading
     squares = (np.average(np.square(doubt), weights=weights) for doubt in (near[1], left_out[1]))

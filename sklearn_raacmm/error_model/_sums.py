@@ -36,13 +36,15 @@ from sklearn_raacmm.arm import Arm, phases
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
 from sklearn_raacmm.measurements import Form, known_length
-from sklearn_raacmm.utils import chunks, group_sums
+from sklearn_raacmm.utils import chunks, group_sums, summing
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
 # Orders and poses from which on the grid is faster: without it the fit of 3000 poses of the UR10
 # that ``benchmarks/golden.py`` times takes 1.3 times as long.
 _MANY_ORDERS, _MANY_POSES = 128, 256
+# Chunks of poses, of each joint, whose waves are held, or how they spread over the grid: 10 MB.
+_HELD = 64
 # Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
 # beside the sharpest that the grid allows (``tests/error_model/test_sums.py``).
 _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
@@ -111,9 +113,10 @@ class Rows(NamedTuple):
         return None if self.shown is None else self._judged
 
     def _judged(self, values, weights):
-        """Vectors (n, 3) less what unknowns explain of them, as long as those of three numbers."""
+        """Vectors (n, 3, ...) less what unknowns explain, as long as those of three numbers."""
         centred = self._replace(weights=weights, root=self.shown).whitening().centred(values)
-        return self.along(centred) * np.sqrt(3 / np.reshape(self.rank, (-1, 1)))
+        rank = np.reshape(self.rank, (-1, *[1] * (values.ndim - 1)))
+        return self.along(centred) * np.sqrt(3 / rank)
 
     def sums(self, columns):
         """`Sums` over the rows, the harmonics of the columns being the candidates."""
@@ -155,24 +158,22 @@ def candidate_sums(rows, columns):
         always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
         left = whitened.left(always, part)  # one side of a product is enough
         gram += always.reshape(-1, m).T @ left.reshape(-1, m)
+        if whitened.basis is not None:
+            of_positions: Any = summing(rows.codes[part] - rows.codes[part][0])
         for joint, orders, pairs in spans:
             turn, wave = turns[part, :, joint], waves(own_of_joints[part, joint], orders)
             share = np.einsum("ncm,nc->nm", left, turn)
             cross[:, pairs] += _products(share, wave)
             own[:, pairs] += _own_blocks(turn, wave)
             if whitened.basis is not None:
-                assert rows.codes is not None
                 for component in np.einsum("ncq,nc->qn", whitened.basis[part], turn):
                     moved = (component[:, None] * wave).view(float)
-                    codes = rows.codes[part] - rows.codes[part][0]
-                    sums: Any = group_sums(moved, codes).view(complex)
+                    sums: Any = (of_positions @ moved).view(complex)
                     taken = sums.real**2, sums.imag**2, sums.real * sums.imag
                     own[:, pairs] -= np.array(taken).sum(axis=1)
     cross = cross.view(float)
 
-    def rows_of(pairs):
-        return _gram_rows(own_of_joints, turns, whitened, parts, spans, offered[pairs])
-
+    rows_of = _gram_rows(own_of_joints, turns, whitened, parts, spans, offered)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -326,33 +327,41 @@ def _own_blocks(turn, wave):
     return 0.5 * np.array([whole + double.real, whole - double.real, double.imag])
 
 
-def _gram_rows(angles, turns, whitened, parts, spans, pairs):
-    """Inner products of the columns of some pairs with all candidates, (2 b, 2 n_pairs)."""
+def _gram_rows(angles, turns, whitened, parts, spans, offered):
+    """Function of pairs: inner products of their columns with all candidates, (2 b, 2 n_pairs)."""
     on_grid = [len(angles) >= _MANY_POSES and len(orders) >= _MANY_ORDERS for _, orders, _ in spans]
-    found: Any = [0.0] * len(spans)
-    (joints, order), twice = pairs.T, np.repeat(pairs[:, 0], 2)
-    for rows in parts:
-        theta, turn = angles[rows], turns[rows]
-        phase = order * theta[:, joints]
-        wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-        taken: Any = None
-        moved: Any = None
-        if whitened.basis is not None:
-            moved = whitened.basis[rows].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-            codes = whitened.feature[rows] - whitened.feature[rows][0]
-            taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
-        for i, (joint, orders, _) in enumerate(spans):
-            along = np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
-            share = np.take(along, twice, axis=1) * wave
-            if taken is not None:
-                share -= np.einsum("nqm,nq->nm", taken, moved[:, :, joint])
-            if on_grid[i]:
-                found[i] = found[i] + _spread(theta[:, joint], orders).T @ share
-            else:
-                found[i] = found[i] + waves(theta[:, joint], orders).view(float).T @ share
-    for i in np.flatnonzero(on_grid):
-        found[i] = _of_orders(found[i], spans[i][1])
-    return np.concatenate(found).T
+
+    @lru_cache(maxsize=_HELD)
+    def of_part(k, i):
+        """What the waves of a joint share at rows, and products of its turn with all turns."""
+        joint, orders, _ = spans[i]
+        turn, theta = turns[parts[k]], angles[parts[k], joint]
+        wave = _spread(theta, orders) if on_grid[i] else waves(theta, orders).view(float)
+        return wave.T, np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
+
+    def rows_of(pairs):
+        found: Any = [0.0] * len(spans)
+        joints, order = offered[pairs].T
+        twice = np.repeat(joints, 2)
+        for k, part in enumerate(parts):
+            turn = turns[part]
+            phase = order * angles[part][:, joints]
+            wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+            if whitened.basis is not None:
+                moved = whitened.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
+                codes = whitened.feature[part] - whitened.feature[part][0]
+                taken: Any = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
+            for i, (joint, *_) in enumerate(spans):
+                own, along = of_part(k, i)
+                share = np.take(along, twice, axis=1) * wave
+                if whitened.basis is not None:
+                    share -= np.einsum("nqm,nq->nm", taken, moved[:, :, joint])
+                found[i] = found[i] + own @ share
+        for i in np.flatnonzero(on_grid):
+            found[i] = _of_orders(found[i], spans[i][1])
+        return np.concatenate(found).T
+
+    return rows_of
 
 
 def waves(theta, orders):

@@ -63,6 +63,7 @@ from sklearn_raacmm.utils._rows import (
     robust_scale,
     share_of_means,
     slip_factors,
+    summing,
     tukey_weights,
 )
 from sklearn_raacmm.utils._stored import stored_classes, trusted_types

@@ -147,11 +147,18 @@ def group_sums(
 
     Without `n_groups` there are as many as `codes` (n,) names, from 0.
     """
-    n = len(values)
+    sums = summing(codes, weights, n_groups) @ values.reshape(len(values), -1)
+    return sums.reshape(len(sums), *values.shape[1:])
+
+
+def summing(
+    codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
+) -> csc_array:
+    """Sparse matrix (n_groups, n) whose product with rows is their sums: see `group_sums`."""
+    n = len(codes)
     n_groups = int(codes.max()) + 1 if n_groups is None else n_groups
     weights = np.ones(n) if weights is None else weights
-    sum_up = csc_array((weights, codes, np.arange(n + 1)), shape=(n_groups, n))
-    return (sum_up @ values.reshape(n, -1)).reshape(n_groups, *values.shape[1:])
+    return csc_array((weights, codes, np.arange(n + 1)), shape=(n_groups, n))
 
 
 def group_means(

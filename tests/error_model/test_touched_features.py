@@ -1,5 +1,7 @@
 """Touches of planes and spheres teach the model as cones do."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -8,6 +10,7 @@ from sklearn_raacmm import ArmResidualRegressor, position_residuals
 from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_point
 from sklearn_raacmm.error_model._checks import check_fit
 from sklearn_raacmm.error_model._columns import Terms, columns_of
+from sklearn_raacmm.error_model._left_out import beside_table
 from sklearn_raacmm.error_model._noise import Noise
 from sklearn_raacmm.error_model._sums import candidate_sums, length_equations
 from sklearn_raacmm.measurements import known_length, with_forms
@@ -108,6 +111,22 @@ def test_touches_correct_new_cones(kinds):
     )
     assert left < min(1.5 * perfect, 0.6 * before)
     assert model.judgement_.n_positions == len(test.features)
+
+
+def test_a_share_is_judged_beside_what_the_table_explains():
+    """Touches that calibrated the arm say nothing of an error of its table, and all of noise."""
+    test, rng = touched(n_spheres=0, n_planes=10, n_touches=25), np.random.default_rng(0)
+    rows = rows_of(test)
+    columns = columns_of(test.arm, Terms(np.array([(1, 1)]), True, False, True))
+    centre = beside_table(SimpleNamespace(rows=rows, columns=columns))
+    other = test.arm.replace(
+        alpha=test.arm.alpha + rng.normal(0, 1e-6, 6), a=test.arm.a + rng.normal(0, 1e-3, 6)
+    )
+    moved, noise = other.forward(test.data) - test.arm.forward(test.data), rng.normal(size=(250, 3))
+    for values, low, high in ((moved, 0.0, 0.02), (noise, 0.9, 1.0)):
+        share = np.linalg.norm(centre(values, rows.weights))
+        share /= np.linalg.norm(rows.centre(values, rows.weights))
+        assert low <= share <= high
 
 
 def test_features_need_labels_and_constants():
