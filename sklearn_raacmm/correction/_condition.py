@@ -65,7 +65,7 @@ def condition(
     means_only: bool = False,
     rank: Any = 3,
     n_unknown: int = 0,
-    spread: np.ndarray | None = None,
+    spread: Any = None,
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
