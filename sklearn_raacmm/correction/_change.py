@@ -21,9 +21,9 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_raacmm.arm import random_poses, slides_of
-from sklearn_raacmm.correction._condition import condition, log_density, narrowed, thin
+from sklearn_raacmm.correction._condition import Evidence, condition, narrowed, rows_of, thin
 from sklearn_raacmm.correction._rows import (
-    Shown,
+    Expected,
     n_coordinates,
     new_rows,
     place_columns,
@@ -31,6 +31,7 @@ from sklearn_raacmm.correction._rows import (
     why_too_few,
 )
 from sklearn_raacmm.error_model import (
+    FAMILIES,
     LEAST_POSITIONS,
     NOTHING_SEEN,
     interval_scales,
@@ -83,99 +84,109 @@ def day(date):
     return calendar.today().isoformat() if date is None else str(date)
 
 
-def changed_model(linear, rows, log_noise=LOG_NOISE, date=None, named=None, positions=None):
-    """Linear model brought up to date with new rows: its posterior is the prior.
+class Change:
+    """A linear model brought up to date with new rows: its posterior is their prior.
 
-    `log_noise` bounds the logarithm of the noise in units of the old model's. Where changes are
-    `named`, no others are there: see `_of_named`. Returned are the
-    model, what `updates_` keeps of the change (`tau` says how much each part has changed), what the
-    loss left of the weight of each row, (n,), and where the search ended, for `judged_fading`.
+    `expected` is what the model expects of the rows, by its columns of `as_prior`. `log_noise`
+    bounds the logarithm of the noise in units of the old model's. Where changes are `named`, no
+    others are there: see `_of_named`. `positions` (n,) are left out together.
     """
-    linear = as_prior(linear)
-    model, half, after = _conditioned(linear, rows, log_noise, named=named)
-    errors, noise, std = after.left_out
-    # Until new poses say otherwise errors exceed what is expected as those of the old model do.
-    logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
-    scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
-    noise_scale, std_scale = scales
-    positions = positions_of(rows) if positions is None else positions
-    model = replace(
-        model.with_noise(after.noise_sd**2),
-        half=thin(half),
-        seen=NOTHING_SEEN,
-        noise_scale=noise_scale,
-        std_scale=std_scale,
-        n_positions=float(len(np.unique(positions))),
-    )
-    if rows.codes is not None:  # what the same test shows at other positions in the same range
-        model = (model if rows.lengths else model.with_scale_of(linear)).with_seen()
-    entry = {
-        "date": day(date),
-        "n_poses": len(rows.X),
-        "tau": after.tau,
-        "noise_sd_mm": after.noise_sd,
-    }
-    return model, entry, after.row_weight[: len(rows.X)], after.logs
 
+    def __init__(self, expected, log_noise=LOG_NOISE, named=None, positions=None):
+        self.expected, self.log_noise = expected, log_noise
+        linear, rows = expected.linear, expected.rows
+        self.positions = positions_of(rows) if positions is None else positions
+        self.place = place_columns(linear.arm, rows.X, rows.codes is None)
+        self.changes = changes_of(linear)
+        if named is not None:
+            self.changes = _of_named(linear, self.changes[0], named)
+            if "probe" not in named and rows.codes is not None:
+                self.place = self.place[:, :, :0]
+        self.fold = _into_kinematics(linear, self.place.shape[2])
+        self.ended: Any = None  # where the search of all rows ended
 
-def _conditioned(
-    linear, rows, log_noise, start=None, means_only=False, named=None
-) -> tuple[Any, Any, Any]:
-    """Linear model with the mean and the fading that new rows ask for, and the `Posterior`.
+    def model(self, date: Any = None) -> tuple[Any, Any, Any]:
+        """The model, what `updates_` keeps of the change, and what is left of the weights, (n,).
 
-    Between them a root of the covariance of its coefficients.
-    """
-    place, p = place_columns(linear.arm, rows.X, rows.codes is None), len(linear.coef)
-    changes = changes_of(linear)
-    if named is not None:
-        changes = _of_named(linear, changes[0], named)
-        if "probe" not in named and rows.codes is not None:
-            place = place[:, :, :0]
-    shown = Shown(linear, rows)
-    columns, place = shown(linear.columns(rows.X)), shown(place)
-    weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
-    given = columns, place, shown.y, weights, log_noise, start, means_only
-    after = condition(linear, changes, *given, shown.rank, shown.n_unknown)
-    # What new rows leave open of base, tool and change is no reason to let the whole correction
-    # fade: the change is shrunk to the old model for that already.
-    root = np.sqrt(weights * after.row_weight)[:, None, None] / after.noise_sd
-    seen, free = (np.concatenate(part * root) for part in (columns, place))
-    informed = narrowed(
-        linear.fading_half, seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0]
-    )
-    fold = _into_kinematics(linear, place.shape[2])
-    model = replace(linear, coef=after.mean[:p] + fold @ after.mean[p:], informed_half=informed)
-    return model, None if means_only else after.half[:p] + fold @ after.half[p:], after
+        `tau` says how much each part has changed.
+        """
+        linear, rows = self.expected.linear, self.expected.rows
+        coef, seen, after = self._conditioned(self.expected, self.place)
+        self.ended = after.logs
+        errors, noise, std = after.left_out
+        # Until new poses say otherwise errors exceed what is expected as those of the old model do.
+        logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
+        scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
+        noise_scale, std_scale = scales
+        p = len(coef)
+        model = replace(
+            linear.with_noise(after.noise_sd**2),
+            coef=coef,
+            half=after.half[:p] + self.fold @ after.half[p:],
+            seen=NOTHING_SEEN,
+            informed_half=narrowed(linear.fading_half, seen),
+            noise_scale=noise_scale,
+            std_scale=std_scale,
+            n_positions=float(len(np.unique(self.positions))),
+        )
+        if rows.codes is not None:  # what the same test shows at other positions in the same range
+            model = (model if rows.lengths else model.with_scale_of(linear)).with_seen()
+        entry = {
+            "date": day(date),
+            "n_poses": len(rows.X),
+            "tau": after.tau,
+            "noise_sd_mm": after.noise_sd,
+        }
+        return model, entry, after.row_weight[: len(rows.X)]
 
+    def judged(self, fading: Any, weights: np.ndarray) -> tuple[Any, Any]:
+        """How much of the changed model is used, by rows of `weights` (n,) left out of the change.
 
-def judged_fading(linear, rows, fading, start, log_noise=LOG_NOISE, named=None, positions=None):
-    """How much of a changed model is used, by new rows left out of the change.
+        A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the
+        new poses. The share that is used follows at each fifth of them by a model that was changed
+        without it, from where the search of all ended.
 
-    A posterior mean is shrunk by its prior already: it fades beyond the largest doubt at the new
-    poses. The share that is used follows at each fifth of them by a model that was changed without
-    it, from where the search of all ended, the `start`.
+        Returns the fading, and its `Judgement`; None where fewer than four positions are known.
+        """
+        rows, used = self.expected.rows._replace(weights=weights), weights > 0
+        expected = replace(self.expected, rows=rows)
+        labels = np.unique(self.positions[used])
+        if len(labels) < LEAST_POSITIONS:
+            return fading, None
+        order = np.random.default_rng(0).permutation(len(labels))
+        of_label = np.searchsorted(labels, self.positions) % len(labels)
+        fold = (order % min(_N_FOLDS, len(labels)))[of_label]
+        correction, doubts = expected.mean.copy(), self.expected.doubts.copy()
+        with ignored_findings():  # what there is to report is reported of all poses
+            for number in range(fold.max() + 1):
+                out = fold == number
+                rest = expected.at(~out & used)
+                if not why_too_few(rest.rows):
+                    coef, seen, _ = self._conditioned(rest, self.place[~out & used], True)
+                    correction[out] = expected.columns[out] @ coef
+                    flat = doubts[out].reshape(-1, doubts.shape[2])
+                    doubts[out] = narrowed(flat, seen).reshape(doubts[out].shape)
+        doubt = np.linalg.norm(doubts, axis=(1, 2))
+        fading = replace(fading, known_mm=float(doubt[used].max()))
+        before = float(fading.found(doubt[used]).mean())
+        known = weights, rows.codes, self.positions, before, rows.centre
+        return judge(rows.y, correction, doubt, fading, *known)
 
-    Returns the fading, and its `Judgement`; None where fewer than four positions are known.
-    """
-    positions, used = positions_of(rows) if positions is None else positions, rows.weights > 0
-    labels = np.unique(positions[used])
-    if len(labels) < LEAST_POSITIONS:
-        return fading, None
-    order = np.random.default_rng(0).permutation(len(labels))
-    fold = (order % min(_N_FOLDS, len(labels)))[np.searchsorted(labels, positions) % len(labels)]
-    correction, doubt = np.zeros_like(rows.y), np.zeros(len(positions))
-    linear = as_prior(linear)
-    with ignored_findings():  # what there is to report is reported of all poses
-        for number in range(fold.max() + 1):
-            out = fold == number
-            rest, model = rows.at(~out & used), linear
-            if not why_too_few(rest):
-                model = _conditioned(linear, rest, log_noise, start, True, named)[0]
-            correction[out], _, doubt[out] = model.predict_with_doubt(rows.X[out])
-    fading = replace(fading, known_mm=float(doubt[used].max()))
-    before = float(fading.found(doubt[used]).mean())
-    known = rows.weights, rows.codes, positions, before, rows.centre
-    return judge(rows.y, correction, doubt, fading, *known)
+    def _conditioned(self, expected, place, means_only=False):
+        """Coefficients, what rows show of the root of the fading, and the `Posterior`.
+
+        What new rows leave open of base, tool and change is no reason to let the whole correction
+        fade: the change is shrunk to the old model for that already.
+        """
+        linear, shown, p = expected.linear, expected.shown, len(expected.linear.coef)
+        columns, spread, doubts = map(shown, (expected.columns, expected.spread, expected.doubts))
+        place, weights = shown(place), np.r_[expected.rows.weights, np.ones(len(shown.errors))]
+        given = columns, place, shown.y, weights, self.log_noise, self.ended, means_only
+        after = condition(linear, self.changes, *given, shown.rank, shown.n_unknown, spread)
+        root = np.sqrt(weights * after.row_weight)[:, None, None] / after.noise_sd
+        seen, free = (np.concatenate(part * root) for part in (doubts, place))
+        seen = seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0]
+        return after.mean[:p] + self.fold @ after.mean[p:], seen, after
 
 
 def harmonics_of(linear):
@@ -225,7 +236,7 @@ def as_prior(linear):
 def parts_of(linear, name="harmonics of joint {}"):
     """What each column may change together with: its family, or the harmonics of one joint."""
     waves = [name.format(j + 1) for j, _ in harmonics_of(linear) for _ in range(2)]
-    return np.array(waves + linear.term_table()["family"].tolist())
+    return np.array(waves + [FAMILIES[column.family] for column in linear.layout.others])
 
 
 def _prior_sds(linear):
@@ -326,16 +337,15 @@ def transferred_model(models, arm, X, y, groups=None):
     rows = new_rows(new, X, y, groups)
     positions = positions_of(rows)
     rows = rows if own.offsets else rows._replace(codes=None)
-    changed = changed_model(prior, rows, _LOG_NOISE_OF_MAKE, positions=positions)
-    linear, entry, pose_weight, ended = changed
+    change = Change(Expected.of(prior, rows), _LOG_NOISE_OF_MAKE, positions=positions)
+    linear, entry, pose_weight = change.model()
     rows = rows._replace(weights=pose_weight * new.pose_weight_)
     part, size = changes_of(prior)
     sd = np.array([entry["tau"][name] for name in part]) * size
     known = prior, np.hstack([prior.half, np.diag(sd)]), rows, entry["noise_sd_mm"]
     gain = _log_evidence(*known) - _evidence_of_fit(own, rows)
     fading = replace(new.fading_, factor=_FADING, most=1.0, far=1.0)
-    judged = prior, rows, fading, ended, _LOG_NOISE_OF_MAKE
-    fading, judgement = judged_fading(*judged, positions=positions)
+    fading, judgement = change.judged(fading, rows.weights)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
         new.linear_model_ = replace(linear, offsets=own.offsets, informed_half=None)
@@ -446,7 +456,9 @@ def _log_evidence(linear, half, rows, noise_sd):
     """Log density of the residuals, without constants: base and tool are nearly free."""
     columns, whitened = linear.columns(rows.X), rows.whitening()
     place = place_columns(linear.arm, rows.X, with_base=rows.codes is None)
-    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])
+    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])[:, :, 0]
     seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
-    seen = seen.reshape(left.size, -1)
-    return log_density(left.ravel(), seen, noise_sd, n_coordinates(rows))
+    flat, left, _ = rows_of(seen, left, np.ones(len(left)), seen[:, :, :0], np.zeros((0, 0)))
+    nothing = np.zeros(0), np.zeros(0)
+    given = nothing, flat, flat, left, noise_sd**2, n_coordinates(rows), (0.0, 0.0)
+    return -float(Evidence(*given)(np.zeros(1))[0])

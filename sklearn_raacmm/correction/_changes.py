@@ -13,17 +13,16 @@ compared with that of no change.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
 from sklearn_raacmm.arm import own_angles, phases, slides_of
-from sklearn_raacmm.correction._change import as_prior, changes_of, parts_of, with_names
+from sklearn_raacmm.correction._change import changes_of, parts_of, with_names
 from sklearn_raacmm.correction._condition import thin
-from sklearn_raacmm.correction._rows import TAKEN_UP, Shown, place_columns, slipped_rows
+from sklearn_raacmm.correction._rows import TAKEN_UP, place_columns, slipped_rows
 from sklearn_raacmm.utils import group_means
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -35,15 +34,16 @@ _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
 # Changes of which an update names so many, one after another, before whole families may change: a
 # choice. Names of those that have columns in the model; of others the families tell.
 _MOST_NAMED = 3
-_OF_PLACE = ("probe", "base", "base turned")
 # What a change is called where the noise explains more than any.
 NOISE = "noise"
 
 
 def likeliest_change(
     residual: np.ndarray, known: np.ndarray, causes: Mapping[str, np.ndarray], freedom: int
-) -> tuple[str, np.ndarray | None]:
-    """The change of highest evidence, and its columns times its size; "noise" and None: none is.
+) -> tuple[str, np.ndarray | None, float]:
+    """The change of highest evidence, its columns times its size, and how much that is, nats.
+
+    Where none is likelier than noise, "noise", None and 0.
 
     `residual` (m,), the root `known` (m, r) of the model's covariance, and the columns (m, k) of
     the `causes` are divided by the noise and have no part along nuisances, which leave the rows so
@@ -57,7 +57,8 @@ def likeliest_change(
     noise = 1 / np.square(_NOISES)
     whole = precision @ np.square(along) + noise * rest - np.log(precision).sum(axis=1)
     whole = -0.5 * (whole - (freedom - len(value)) * np.log(noise))
-    best, columns, highest = NOISE, None, logsumexp(whole) - np.log(len(whole))
+    nothing = logsumexp(whole) - np.log(len(whole))
+    best, columns, highest = NOISE, None, nothing
     for name, cause in causes.items():
         size = np.linalg.norm(cause)
         if not size > 0:
@@ -78,7 +79,7 @@ def likeliest_change(
         if evidence > highest:
             size = _SIZES[np.argmax(logsumexp(logs, axis=0))]
             best, columns, highest = name, size * unit, evidence
-    return best, columns
+    return best, columns, float(highest - nothing)
 
 
 class Table:
@@ -89,38 +90,40 @@ class Table:
     root `known` (m, r) of what the model expects and `seen`, the causes, are over the noise.
     """
 
-    def __init__(self, linear: Any, rows: Any, correction: np.ndarray) -> None:
-        self.slipped, left = slipped_rows(linear, rows, rows.y - correction)
-        used = ~self.slipped & (rows.weights > 0)
-        self.rows, self.left, correction = rows.at(used), left[used], correction[used]
-        self.shown, self.causes = Shown(linear, self.rows), causes_of(self.rows)
-        self.columns = linear.columns(self.rows.X)
-        self.known = thin(self.shown.flat(self.columns) @ linear.half)
+    def __init__(self, expected: Any, correction: np.ndarray) -> None:
+        self.slipped, left = slipped_rows(expected, expected.rows.y - correction)
+        used = ~self.slipped & (expected.rows.weights > 0)
+        self.expected, self.left, correction = expected.at(used), left[used], correction[used]
+        self.rows, self.shown = self.expected.rows, self.expected.shown
+        self.causes = causes_of(self.rows)
+        self.known = thin(self.shown.flat(self.expected.spread))
         self.seen = {name: self.shown.flat(one, TAKEN_UP) for name, one in self.causes.items()}
-        self.residual = self.shown.left(self.left, correction).ravel() / linear.noise_sd
+        self.residual = self.shown.left(self.left, correction).ravel() / self.shown.noise_sd
 
 
-def named_changes(linear: Any, rows: Any) -> list[str] | None:
+def named_changes(
+    expected: Any, refitted: Sequence[str] = ("base", "probe"), least_nats: float = 0.0
+) -> list[str] | None:
     """Changes that new rows name, one after another; None: all columns may.
 
     The change of the highest evidence becomes a part of what the model expects, and the next is
     looked for beside it. That all columns have changed a little is one of them. An empty list:
-    nothing but noise is there. Before a tracker base and tool may be off beside any change
-    (``benchmarks/bench_after_the_lab.py knocks``).
+    nothing is likelier by `least_nats` than that only noise is there. Before a tracker what was
+    `refitted` may be off beside any change (``benchmarks/bench_after_the_lab.py knocks``).
     """
-    linear = widened(as_prior(linear))
-    table = Table(linear, rows, linear.predict(rows.X)[0])
+    table, linear = Table(expected.widened(), expected.mean), expected.linear
     causes, known, shown = table.seen, table.known, table.shown
-    if rows.codes is None:  # base and tool may be off beside any change
-        place = place_columns(rows.arm, table.rows.X, with_base=True)
-        known = np.hstack([known, shown.flat(place)])
-        causes = {name: one for name, one in causes.items() if name not in _OF_PLACE}
-    causes["arm"] = shown.flat(table.columns * changes_of(linear)[1])
+    if table.rows.codes is None:
+        place = place_columns(linear.arm, table.rows.X, with_base=True)
+        known = np.hstack([known, shown.flat(place[:, :, 0 if "probe" in refitted else 3 :])])
+        taken = "base turned", *refitted
+        causes = {name: one for name, one in causes.items() if name not in taken}
+    causes["arm"] = shown.flat(table.expected.columns * changes_of(linear)[1])
     names: list[str] = []
     held = {*with_names(linear, parts_of(linear)).tolist()}
     while True:
-        name, change = likeliest_change(table.residual, known, causes, shown.n_coordinates)
-        if change is None:
+        name, change, nats = likeliest_change(table.residual, known, causes, shown.n_coordinates)
+        if change is None or nats < least_nats:
             return names
         if len(names) == _MOST_NAMED or name not in held:
             return None
@@ -160,17 +163,3 @@ def causes_of(rows: Any) -> dict[str, np.ndarray]:
     for j in slides_of(arm.joint_types):
         causes[f"scale of joint {j + 1}"] = jacobian[:, :, [j]] * angles[:, None, [j]]
     return causes
-
-
-def widened(linear):
-    """The model as uncertain as positions left out of this arm ask for.
-
-    Never narrower than the posterior: tests of squares bear no tails that are longer than normal
-    ones, which a factor below 1 makes up for in intervals.
-    """
-    wider = max(linear.std_scale, 1.0)
-    return replace(
-        linear.with_noise(np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance),
-        half=wider * linear.half,
-        seen=wider * linear.seen,
-    )

@@ -22,10 +22,10 @@ from sklearn_raacmm.utils import tukey_weights
 # factor of 4.5 either way leaves room for nothing at all and for an exchanged joint. Chosen on two
 # regions of series A of the UR10 with planted changes and on robots as those of
 # ``benchmarks/bench_after_the_lab.py months``; its part series judges them on series B.
-_TAU, _TAU_LOG_SD = 0.1, 1.5
+TAU, TAU_LOG_SD = 0.1, 1.5
 # Bounds of log tau: a part changes by as much as its size at most. The standard deviation of the
 # logarithm of the noise about that of the prior. Chosen as tau.
-_LOG_TAU, _NOISE_LOG_SD = (-7.0, 0.0), 1.0
+_LOG_TAU, NOISE_LOG_SD = (-7.0, 0.0), 1.0
 # Where the search starts: the logarithm of the noise in units of the prior's. It needs 20 to 40 of
 # its steps.
 _FIRST_LOG_NOISE, _MOST_STEPS = 0.1, 100
@@ -65,6 +65,7 @@ def condition(
     means_only: bool = False,
     rank: Any = 3,
     n_unknown: int = 0,
+    spread: Any = None,
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
@@ -80,15 +81,19 @@ def condition(
     The search begins at `start`, the `logs` of nearly the same rows, where there are some. Where
     `means_only` are asked for, what standard deviations are made of is left out. Rows show `rank`
     (n,) coordinates each, the others are 0; `n_unknown` of all coordinates were used up before.
+    Where it is known, the `spread` is ``columns @ half``, (n, c, r).
     """
     part, size = changes
     p, y = len(prior.coef), y - columns @ prior.coef
+    spread = columns @ prior.half if spread is None else spread
+    every = np.concatenate([columns, free], axis=2)
     factor, logs, rounds = np.ones(len(y)), start, 0
     while True:
-        every, known = np.concatenate([columns, free], axis=2), weights * factor
-        A, summed = rows_of(every, y, known)
-        n_data = n_coordinates(known, rank, n_unknown)
-        evidence = _Evidence(prior, changes, A, summed, n_data, log_noise)
+        known = weights * factor
+        A, summed, seen = rows_of(every, y, known, spread, prior.half)
+        n_data = int(np.sum(rank * (known > 0))) - n_unknown
+        fixed = np.hstack([seen, A[:, p:]])
+        evidence = Evidence(changes, A, fixed, summed, prior.noise_variance, n_data, log_noise)
         logs = evidence.lowest(logs)
         tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
         noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
@@ -97,7 +102,7 @@ def condition(
         sd = np.r_[sd, np.ones(free.shape[2])]
         dual = evidence.solved(logs)[1]
         mean = np.square(sd) * (A.T @ dual)
-        mean[:p] += prior.half @ (prior.half.T @ (A[:, :p].T @ dual))
+        mean[:p] += prior.half @ (seen.T @ dual)
         # Few rows are followed closely: what is left of them is less than the noise.
         left = y - columns @ mean[:p] - free @ mean[p:]
         before, factor = (
@@ -109,103 +114,84 @@ def condition(
             break
     half = left_out = None
     if not means_only:
-        half = narrowed(_prior_root(prior.half, sd), A / noise_sd)
-        spread = every.reshape(-1, len(mean)) @ half
-        left_out = _left_out(left, spread.reshape(*y.shape, -1), weights * before, noise_sd)
+        root = _prior_root(prior.half, sd)
+        half = narrowed(root, A @ root / noise_sd)
+        after = every.reshape(-1, len(mean)) @ half
+        left_out = _left_out(left, after.reshape(*y.shape, -1), weights * before, noise_sd)
     mean[:p] += prior.coef
     return Posterior(mean, half, tau, noise_sd, before, left_out, logs)
 
 
-def narrowed(half: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Root (p, k) of the covariance of coefficients after rows have been measured.
+def narrowed(root: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Root (p, k) of a covariance after measurements that show `seen` (m, k) of it, over the noise.
 
-    What is measured does not enter, only where: with the root F before (p, k), the rows A (m, p) in
-    units of their noise and ``I + F' A' A F = L L'`` it is ``F L^-T``.
+    What is measured does not enter, only where. With the root F before, the rows S and ``I + S' S =
+    L L'`` it is ``F L^-T``. Fewer rows are cheaper by ``I + S S' = L L'``: it is ``F (I - S' L^-T
+    (I + L)^-1 S)`` then (A. Andrews, AIAA J. 6, 1968, 1165-1166).
     """
-    seen = rows @ half
-    precision = seen.T @ seen
-    precision[np.diag_indices(len(precision))] += 1.0
-    factor = cholesky(precision, lower=True, check_finite=False)
-    return solve_triangular(factor, half.T, lower=True, check_finite=False).T
-
-
-def log_density(y: np.ndarray, seen: np.ndarray, noise_sd: float, n_data: float) -> float:
-    """Log density of y (n,) under ``N(0, seen seen' + noise_sd^2)``, without constants.
-
-    The columns (n, k) are fewer than the rows, as a rule: determinant and inverse are those of
-    ``noise_sd^2 I + seen' seen``. `n_data` are the rows that count, less those that centring used
-    up.
-    """
-    y, seen = y / noise_sd, seen / noise_sd
-    value, axes = np.linalg.eigh(seen.T @ seen)
-    value = 1 + np.maximum(value, 0.0)
-    along = (seen.T @ y) @ axes
-    fit = y @ y - np.square(along) @ (1 / value)
-    return float(-0.5 * (fit + np.log(value).sum()) - n_data * np.log(noise_sd))
+    few = len(seen) < seen.shape[1]
+    gram = seen @ seen.T if few else seen.T @ seen
+    gram[np.diag_indices(len(gram))] += 1.0
+    factor = cholesky(gram, lower=True, check_finite=False)
+    of_root = seen @ root.T if few else root.T
+    found = solve_triangular(factor, of_root, lower=True, check_finite=False).T
+    if not few:
+        return found
+    factor[np.diag_indices(len(factor))] += 1.0
+    return root - found @ solve_triangular(factor, seen, lower=True, check_finite=False)
 
 
 def rows_of(
-    columns: np.ndarray, y: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    columns: np.ndarray, y: np.ndarray, weights: np.ndarray, spread: np.ndarray, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weighted rows of coordinates, no more than columns: of (n, c, p) and (n, c), (m, p) and (m,).
 
-    What they have left is that of the rows that they sum up.
+    What they have left is that of the rows that they sum up. The third are the first columns times
+    their root `half`, of which the rows had the `spread` (n, c, r).
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
-    A = (columns[kept] * root[:, :, None]).reshape(-1, columns.shape[2])
     y = (y[kept] * root).ravel()
+    both = (v[kept] * root[:, :, None] for v in (columns, spread))
+    A, seen = (v.reshape(len(y), v.shape[2]) for v in both)
     if len(y) > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
         A, y = R[:, :-1], R[:, -1]
-    return A, y
+        seen = A[:, : len(half)] @ half
+    return A, y, seen
 
 
-def n_coordinates(weights: np.ndarray, rank: Any, n_unknown: int) -> int:
-    """Coordinates of rows with weight (n,), `rank` (n,) each, less those that were used up."""
-    return int(np.sum(rank * (weights > 0))) - n_unknown
+class Evidence:
+    """Negative log posterior of the logarithms t of the taus and, last, of the noise: no constants.
 
-
-def log_evidence(
-    prior: Any,
-    changes: tuple[np.ndarray, np.ndarray],
-    rows: np.ndarray,
-    y: np.ndarray,
-    n_data: int,
-    log_noise: tuple[float, float],
-) -> float:
-    """Highest log evidence of summed rows (m, p + q) and y (m,), as `condition` has it."""
-    evidence = _Evidence(prior, changes, rows, y, n_data, log_noise)
-    return -float(evidence(evidence.lowest())[0])
-
-
-class _Evidence:
-    """Negative log posterior of the logarithms t of the taus and, last, of the noise.
-
-    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each part,
-    the noise, and what does not change. With ``a = C^-1 y`` the slope along t is ``exp(2 t)
-    (tr(C^-1 K) - a' K a)``, so that one inverse gives all (Rasmussen and Williams, 2006, eq. 5.9).
+    The covariance C of the rows is a sum of matrices K, each times ``exp(2 t)``: one for each part
+    of the `changes` of the columns A, the noise, and what does not change, whose root is `fixed`.
+    With ``a = C^-1 y`` the slope along t is ``exp(2 t) (tr(C^-1 K) - a' K a)``, so that one inverse
+    gives all (Rasmussen and Williams, 2006, eq. 5.9).
     """
 
-    def __init__(self, prior, changes, A, y, n_data, log_noise):
-        self.y, m, p = y, len(y), len(prior.coef)
+    def __init__(self, changes, A, fixed, y, noise_variance, n_data, log_noise):
         part, size = changes
-        self.names = sorted(set(part[size > 0].tolist()))
-        A, free = A[:, :p], A[:, p:]
-        roots = [A[:, part == name] * size[part == name] for name in self.names]
-        roots += [np.sqrt(prior.noise_variance) * np.eye(m), np.hstack([A @ prior.half, free])]
+        self.y, self.names = y, sorted(set(part[size > 0].tolist()))
+        m, n, A = len(y), len(self.names), A[:, : len(part)] * size
+        roots = [A[:, part == name] for name in self.names]
+        roots += [np.sqrt(noise_variance) * np.eye(m), fixed]
         self.sums = np.stack([H @ H.T for H in roots])
-        self.n_rest = n_data - m  # coordinates that hold noise alone, which y has summed up
-        n = len(self.names)
-        self.middle = np.r_[np.full(n, np.log(_TAU)), 0.0]
-        self.sd = np.r_[np.full(n, _TAU_LOG_SD), _NOISE_LOG_SD]
+        # Coordinates that hold noise alone, which y has summed up, and its logarithm.
+        self.n_rest, self.log_noise = n_data - m, 0.5 * np.log(noise_variance)
+        self.middle = np.r_[np.full(n, np.log(TAU)), 0.0]
+        self.sd = np.r_[np.full(n, TAU_LOG_SD), NOISE_LOG_SD]
         self.bounds = np.array([_LOG_TAU] * n + [log_noise])
+
+    def highest(self, start: np.ndarray | None = None) -> float:
+        """The highest log evidence, near a start if there is one."""
+        return -float(self(self.lowest(start))[0])
 
     def __call__(self, logs):
         """Value and slopes."""
         factor, dual = self.solved(logs)
         z = (logs - self.middle) / self.sd
-        value = np.log(np.diag(factor)).sum() + self.n_rest * logs[-1]
+        value = np.log(np.diag(factor)).sum() + self.n_rest * (logs[-1] + self.log_noise)
         value += 0.5 * (self.y @ dual + z @ z)
         inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
         inverse += np.tril(inverse, -1).T
@@ -249,10 +235,19 @@ class _Evidence:
 
 def _prior_root(half, sd):
     """Root of the covariance of all coefficients before the new rows, (p + q, k)."""
-    p, r = half.shape
-    root = np.zeros((len(sd), r + len(sd)))
-    root[:p, :r], root[:, r:] = half, np.diag(sd)
-    return thin(root[:, np.any(root != 0, axis=0)])
+    p = len(half)
+    scale = np.sqrt(np.square(half).sum(axis=1) + np.square(sd[:p]))
+    scale[scale == 0] = 1.0
+    unit = half / scale[:, None]
+    covariance = unit @ unit.T
+    covariance[np.diag_indices(p)] += np.square(sd[:p] / scale)
+    # With pivots a covariance may be singular. The transpose is the same matrix.
+    factor, order, rank, _ = lapack.dpstrf(covariance.T, lower=1, overwrite_a=1)
+    root = np.zeros((len(sd), rank + len(sd) - p))
+    root[order - 1, :rank] = np.tril(factor)[:, :rank]
+    root[:p, :rank] *= scale[:, None]
+    root[p:, rank:] = np.diag(sd[p:])
+    return root
 
 
 def thin(root: np.ndarray) -> np.ndarray:

@@ -18,10 +18,10 @@ from sklearn.utils import check_random_state
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
-from sklearn_raacmm.correction._change import doubts_of
+from sklearn_raacmm.correction._change import as_prior, doubts_of
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
-from sklearn_raacmm.correction._rows import for_centres, new_rows
+from sklearn_raacmm.correction._rows import Expected, for_centres, new_rows
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
@@ -511,8 +511,9 @@ class Correction:
 
         y, today = self._shown(measured, aligned)
         rows = new_rows(model, X, y, **today)
-        unchanged = nothing_changed(model, rows, date)
-        if unchanged or not probe_is_new(model, rows):
+        expected = Expected.of(as_prior(model.linear_model_), rows)
+        unchanged = nothing_changed(model, expected, date)
+        if unchanged or not probe_is_new(expected):
             if not unchanged:
                 model = update_correction(model, X, y, accept=accept, date=date, **today)
             new: Any = replace(self, model=model).register(measured, free=(), accept=accept)
@@ -557,12 +558,7 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        if str(tool) not in self.tools:
-            known = ", ".join(self.tools) or "one only"
-            raise ValueError(
-                f"the correction knows no tool {str(tool)!r}; it was learnt with {known}."
-            )
-        return self.move(self.tools[str(tool)])
+        return self.move(_labelled("tool", tool, self.tools, "with"))
 
     def at_station(self, station: str) -> Self:
         """The same with the base of another of the stations that it was learnt at.
@@ -577,13 +573,8 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        bases = self.facts.get("stations", {})
-        if str(station) not in bases:
-            known = ", ".join(bases) or "one only"
-            raise ValueError(
-                f"the correction knows no station {str(station)!r}; it was learnt at {known}."
-            )
-        return replace(self, base=tuple(np.array(part) for part in bases[str(station)]))
+        base = _labelled("station", station, self.facts.get("stations", {}), "at")
+        return replace(self, base=tuple(np.array(part) for part in base))
 
     def save(
         self, folder: str | PathLike[str], others: Mapping[str, str | bytes] | None = None
@@ -782,3 +773,13 @@ class Correction:
         if len(outliers) > _SHOWN:
             lines.append(f"  and {len(outliers) - _SHOWN} more")
         return "\n".join(lines)
+
+
+def _labelled(what, label, known, how):
+    """The tool or station of a label, of those that a correction was learnt with or at."""
+    if str(label) not in known:
+        names = ", ".join(known) or "one only"
+        raise ValueError(
+            f"the correction knows no {what} {str(label)!r}; it was learnt {how} {names}."
+        )
+    return known[str(label)]

@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.arm import parameter_jacobian
-from sklearn_raacmm.correction._change import LEAST_NOISE_MM, LOG_NOISE, as_prior, changes_of
-from sklearn_raacmm.correction._changes import widened
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, LOG_NOISE, changes_of
 from sklearn_raacmm.correction._condition import (
+    NOISE_LOG_SD,
+    TAU,
+    TAU_LOG_SD,
+    Evidence,
     Whitened,
     condition,
-    log_evidence,
-    n_coordinates,
     rows_of,
 )
-from sklearn_raacmm.correction._rows import Shown, place_columns
+from sklearn_raacmm.correction._rows import Expected, place_columns
 from sklearn_raacmm.error_model import LEAST_POSITIONS
 from sklearn_raacmm.measurements import (
     FAR,
@@ -38,10 +39,8 @@ from sklearn_raacmm.utils import Finding
 _ROWS, _LEAST_ROWS = 120, 12
 # Rows of which the model knows so little that less than this share of it is used say nothing.
 _KNOWN_SHARE = 0.5
-# Changes of the arm, in units of what was expected of it before any data, with the standard
-# deviation of their logarithm about a tenth (as an update has them); the same of the noise.
-_TAUS, _TAU, _TAU_LOG_SD = np.r_[0.0, np.geomspace(0.01, 3.0, 12)], 0.1, 1.5
-_NOISE_LOG_SD = 1.0
+# Changes of the arm, in units of what was expected of it before any data.
+_TAUS = np.r_[0.0, np.geomspace(0.01, 3.0, 12)]
 # An arm that is another one changes by as much as an arm is expected to have.
 _ANOTHER = np.geomspace(0.5, 3.0, 6)
 # What a table other than the calibrated one is off by as a rule, mm and mrad; and what the
@@ -57,7 +56,7 @@ _ALL_OF_IT, _SAME_MAKE = 10.0, (0.1, 0.3, 1.0)
 _IN_USE = 0.1
 
 
-def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
+def what_is_wrong(model: Any, of_rows: Expected) -> Iterator[Finding]:
     """Yield the most likely explanation of new poses, if it is likelier than that nothing is wrong.
 
     With r what an explanation leaves of the residuals beside the model, A the model's columns and B
@@ -69,17 +68,17 @@ def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
     exceeds its price, beside those that are nearly as likely. Deviations of cones that are those of
     the arm's own points are of these rows and this table: the arm alone can be another one.
     """
-    linear, n_joints = as_prior(model.linear_model_), model.linear_model_.arm.n_joints
-    numbers = np.flatnonzero(rows.rank + np.zeros(len(rows.X)) == 3)
-    rows = rows.at(numbers)  # touches of a surface are not of one point
+    linear, n_joints = of_rows.linear, of_rows.linear.arm.n_joints
+    numbers = np.flatnonzero(of_rows.rows.rank + np.zeros(len(of_rows.rows.X)) == 3)
     if not len(numbers):
         return
-    rows = rows._replace(shown=None, unknowns=None, forms=(), lengths=())
-    of_rows, _, doubt = model.linear_model_.predict_with_doubt(rows.X)
+    of_rows = of_rows.at(numbers)  # touches of a surface are not of one point
+    rows = of_rows.rows._replace(shown=None, unknowns=None, forms=(), lengths=())
+    doubt = np.linalg.norm(of_rows.doubts, axis=(1, 2))
     as_given = False
     if rows.codes is not None:
         own = rows.y, rows.codes, linear.arm, rows.X[:, :n_joints]
-        expected = model.fading_.share(doubt)[:, None] * of_rows
+        expected = model.fading_.share(doubt)[:, None] * of_rows.mean
         as_given, found = of_own_points(*own, numbers, known=expected)
         if found:
             yield from found
@@ -91,15 +90,15 @@ def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
         used = used[np.bincount(of_used)[of_used] > 1]
     if len(used) < _LEAST_ROWS:
         return
-    rows, used = rows.at(used), numbers[used]
-    expected = linear.predict(rows.X)[0]
+    of_rows, used = replace(of_rows, rows=rows).at(used), numbers[used]
+    rows, expected, wider = of_rows.rows, of_rows.mean, of_rows.widened()
     given = rows.y - expected
     if _rms(given) < LEAST_NOISE_MM:  # rounding explains it
         return
 
     @cache  # most explanations share it
     def spread_of(some, table):
-        return _Spread(linear, rows.at(np.frombuffer(some, dtype=int)), table)
+        return _Spread(wider.at(np.frombuffer(some, dtype=int)), table)
 
     every = explanations(
         rows.y, expected, rows.X, n_joints, rows.codes,
@@ -112,7 +111,7 @@ def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
     gains = [_gain(one, given, expected, spread_of) for one in fair]
     likely = likeliest(zip(gains, fair, strict=True))
     if not likely:
-        nats = float("-inf") if few else _beside_change(linear, rows, of_another=True)
+        nats = float("-inf") if few else _gain_of_another(of_rows)
         if nats > PRICE:
             said = (
                 f"That the new residuals, {_rms(given):.3g} mm about the model, are of another arm "
@@ -135,44 +134,38 @@ def what_is_wrong(model: Any, rows: Any) -> Iterator[Finding]:
     )
 
 
-def gain_of_change(model: Any, rows: Any) -> float:
-    """Log evidence that the arm or its probe has changed, less that of noise of any size, nats."""
-    return -_beside_change(as_prior(model.linear_model_), rows)
+def _gain_of_another(expected):
+    """Log evidence that the residuals are of another arm, less that this one has changed, nats.
 
-
-def _beside_change(linear, rows, of_another=False):
-    """Log evidence that nothing has changed, or of another arm, less that of a change, in nats.
-
-    The noise is found in each: rows that scatter are no change. Nothing changed: ``r ~ N(B b, A S
-    A' + s^2)`` as in `what_is_wrong`, with B of the base alone; a change: with one tau for each
-    part, and the tool free or known; another arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one
-    tau for all parts, T what another table does.
+    The noise is found in each: rows that scatter are no change. A change: ``r ~ N(B b, A S A' +
+    s^2)`` as in `what_is_wrong`, with one tau for each part, and the tool free or known; another
+    arm: ``y ~ N(B b, s^2 + tau^2 A V A' + T T')``, one tau for all parts, T what another table
+    does.
     """
-    shown, tracked = Shown(linear, rows), rows.codes is None
-    columns, place = shown(linear.columns(rows.X)), shown(place_columns(rows.arm, rows.X, tracked))
+    linear, rows, shown = expected.linear, expected.rows, expected.shown
+    place = place_columns(rows.arm, rows.X, rows.codes is None)
+    parts = expected.columns, expected.spread, place, _table_columns(rows.arm, rows.X)
+    columns, spread, place, table = map(shown, parts)
     part, size = changes_of(linear)
-    size = np.where(part == "kinematics", _IN_USE, 1.0) * size
+    changes = part, np.where(part == "kinematics", _IN_USE, 1.0) * size
     weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
     given = columns, place, shown.y, weights, LOG_NOISE
-    counted = shown.rank, shown.n_unknown
-    after = condition(linear, (part, size), *given, None, True, *counted)
+    after = condition(linear, changes, *given, None, True, shown.rank, shown.n_unknown, spread)
     weights = weights * after.row_weight
-    parts = [columns, place, *([shown(_table_columns(rows.arm, rows.X))] if of_another else ())]
-    every = np.concatenate(parts, axis=2)
-    flat, left = rows_of(every, shown.y - columns @ linear.coef, weights)
-    n, p, q = n_coordinates(weights, *counted), len(size), columns.shape[2] + place.shape[2]
+    every, left = np.concatenate([columns, place, table], axis=2), shown.y - columns @ linear.coef
+    flat, left, spread = rows_of(every, left, weights, spread, linear.half)
+    n, p, q = int(shown.rank[weights > 0].sum()) - shown.n_unknown, len(size), place.shape[2]
+    _, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
 
-    def of(changes, columns, prior=linear, y=left):
-        return log_evidence(prior, changes, columns, y, n, LOG_NOISE)
+    def of(changes, *fixed, y=left, start=None):
+        given = changes, flat, np.hstack(fixed), y, linear.noise_variance, n, LOG_NOISE
+        return Evidence(*given).highest(start)
 
-    known = np.delete(flat[:, :q], np.s_[p : p + 3], axis=1)  # the tool
-    change = max(of((part, size), known), of((part, size), flat[:, :q]))
-    if not of_another:
-        return of((part[:0], size[:0]), known) - change
-    whole, unknown = replace(linear, half=np.zeros((p, 0))), left + flat[:, :p] @ linear.coef
-    together = np.full(p, "all"), _ALL_OF_IT * size
-    tables = (np.hstack([flat[:, :q], share * flat[:, q:]]) for share in _SAME_MAKE)
-    return max(of(together, columns, whole, unknown) for columns in tables) - change
+    change = max(of(changes, spread, base, *free, start=after.logs) for free in ((), (tool,)))
+    unknown = left + flat[:, :p] @ linear.coef
+    whole = np.full(p, "all"), _ALL_OF_IT * changes[1]
+    tables = (of(whole, base, tool, share * table, y=unknown) for share in _SAME_MAKE)
+    return max(tables) - change
 
 
 def _table_columns(arm, angles):
@@ -207,16 +200,15 @@ def _gain(one, given, expected, spread_of):
 class _Spread:
     """Covariance of the residuals of some poses about the model, along its own axes."""
 
-    def __init__(self, linear, rows, table):
-        linear = widened(linear)
-        shown, columns = Shown(linear, rows), linear.columns(rows.X)
-        known = shown.flat(columns @ linear.half)
+    def __init__(self, expected, table):
+        linear, rows, shown = expected.linear, expected.rows, expected.shown
+        known = shown.flat(expected.spread)
         if table:
             known = np.hstack([known, shown.flat(table * _table_columns(linear.arm, rows.X))])
         place = shown.flat(place_columns(linear.arm, rows.X, rows.codes is None))
         self.shown, self.whiten = shown, Whitened(known, place, shown.n_coordinates)
         self.freedom = self.whiten.freedom
-        changes = self.whiten(shown.flat(columns * changes_of(linear)[1]))
+        changes = self.whiten(shown.flat(expected.columns * changes_of(linear)[1]))
         size, self.axes = np.linalg.eigh(changes @ changes.T)
         self.size = np.maximum(size, 0.0)
         # Of the restricted likelihood: nuisances that are seen better cost more.
@@ -246,10 +238,10 @@ class _Spread:
         wider = 1 + np.square(taus)[:, None] * self.size
         squares = rest + (along / wider).sum(axis=1)
         log_noise = 0.5 * np.log(np.maximum(squares / self.freedom, 1e-300))
-        off = (log_noise - noise) / _NOISE_LOG_SD
+        off = (log_noise - noise) / NOISE_LOG_SD
         value = -0.5 * squares * np.exp(-2 * log_noise) - self.freedom * log_noise
         value -= 0.5 * np.log(wider).sum(axis=1) + 0.5 * np.square(off)
-        log_tau = np.log(np.maximum(taus, _TAUS[1]) / _TAU) / _TAU_LOG_SD
+        log_tau = np.log(np.maximum(taus, _TAUS[1]) / TAU) / TAU_LOG_SD
         return float(np.max(value - 0.5 * np.square(log_tau))) + self.log_volume
 
 

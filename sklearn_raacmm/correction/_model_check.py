@@ -19,9 +19,9 @@ from scipy.linalg import orth
 from scipy.stats import f as fisher
 
 from sklearn_raacmm.correction._change import day
-from sklearn_raacmm.correction._changes import NOISE, Table, likeliest_change, widened
+from sklearn_raacmm.correction._changes import NOISE, Table, likeliest_change
 from sklearn_raacmm.correction._condition import UNSEEN, Whitened, score_tests
-from sklearn_raacmm.correction._rows import new_rows, place_columns
+from sklearn_raacmm.correction._rows import Expected, new_rows, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
     listed,
@@ -227,9 +227,10 @@ def check_correction(
     if not all(isinstance(name, str) and name in ("base", "probe") for name in refitted):
         raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
     rows = new_rows(model, X, y, groups, lengths, features)
-    linear, correction = widened(model.linear_model_), model.predict(X)
-    table = Table(linear, rows, correction)
+    correction = model.predict(X)
+    table = Table(Expected.of(model.linear_model_, rows).widened(), correction)
     rows, shown, known, seen = table.rows, table.shown, table.known, table.seen
+    linear = table.expected.linear
     place = place_columns(linear.arm, rows.X, rows.codes is None)
     kept = np.repeat(["probe" in refitted, "base" in refitted], [3, 6])
     place = place[:, :, kept[: place.shape[2]]]
@@ -261,13 +262,11 @@ def check_correction(
     p_value = min(float(np.min(tests["p_value"] / shares)), 1.0)
     holds, suspect, size_mm = p_value >= false_alarm_rate, "nothing", 0.0
     # Of what the rows can show.
-    spread = linear.predict(rows.X, return_std=True)[1]
-    usual = rows.rank / 3 * (np.square(spread).sum(axis=1) + 3 * linear.noise_variance)
+    spread = np.square(table.expected.std).sum(axis=1)
+    usual = rows.rank / 3 * (spread + 3 * linear.noise_variance)
     usual_mm = float(np.sqrt(usual.mean()))
     if not holds:
-        beside = Whitened(np.zeros((len(residual), 1)), nuisance, shown.n_coordinates)
-        rest = {name: beside(cause) for name, cause in seen.items()}
-        given = beside(residual), beside(known), rest, beside.freedom
+        given = residual, np.hstack([known, nuisance]), seen, shown.n_coordinates
         suspect = likeliest_change(*given)[0]
     if suspect in seen:
         # By its most likely size; what base and probe do as well is no part of it.

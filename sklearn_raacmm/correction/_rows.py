@@ -4,8 +4,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from scipy.stats import chi
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import (
     ArmResidualRegressor,
+    LinearModel,
     Rows,
     check_poses,
     known_lengths,
@@ -118,12 +120,8 @@ def for_centres(measured: Measurements, points: np.ndarray) -> dict[str, Any]:
 
 def n_coordinates(rows: Rows) -> int:
     """Coordinates of the rows with weight, less the unknowns of what was touched, and lengths."""
-    used = rows.weights > 0
-    if rows.shown is None:
-        n_positions = 0 if rows.codes is None else len(np.unique(rows.codes[used]))
-        return int(3 * (np.count_nonzero(used) - n_positions)) + len(rows.lengths)
-    counted = rows._replace(weights=used.astype(float), root=rows.shown)
-    return round(counted.whitening().n_observations) + len(rows.lengths)
+    rows = rows._replace(weights=(rows.weights > 0).astype(float), root=rows.shown)
+    return round(rows.whitening().n_observations) + len(rows.lengths)
 
 
 def why_too_few(rows: Rows) -> str:
@@ -156,6 +154,65 @@ def place_columns(arm: Arm, angles: np.ndarray, with_base: bool) -> np.ndarray:
     return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
 
 
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What a linear model expects of some rows: its columns there, and roots of their covariance.
+
+    `columns` (n, 3, p); `spread` is ``columns @ linear.half``, (n, 3, r), and `doubts` (n, 3, q)
+    the same by what corrections fade by. In mm.
+    """
+
+    linear: LinearModel
+    rows: Rows
+    columns: np.ndarray
+    spread: np.ndarray
+    doubts: np.ndarray
+
+    @classmethod
+    def of(cls, linear: Any, rows: Rows) -> Self:
+        """Expectation of rows, checked by `new_rows`."""
+        columns, half, fading = linear.columns(rows.X), linear.half, linear.fading_half
+        # One product of matrices is three times as fast as one for each row.
+        flat = columns.reshape(-1, len(half))
+        spread = (flat @ half).reshape(*columns.shape[:2], half.shape[1])
+        doubts = spread if fading is half else (flat @ fading).reshape(*columns.shape[:2], -1)
+        return cls(linear, rows, columns, spread, doubts)
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """The correction, (n, 3) in mm."""
+        return self.columns @ self.linear.coef
+
+    @cached_property
+    def shown(self) -> "Shown":
+        """What the rows show."""
+        return Shown(self)
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard deviation (n, 3) of the correction, of what a test can show, mm."""
+        root = self.linear.gauge_free_half
+        by = self.spread if root is self.linear.half else self.columns @ root
+        return np.linalg.norm(by, axis=2)
+
+    def at(self, which: Any) -> Self:
+        """The same of some of the rows."""
+        some = (one[which] for one in (self.columns, self.spread, self.doubts))
+        return type(self)(self.linear, self.rows.at(which), *some)
+
+    def widened(self) -> Self:
+        """The same by a model that is as uncertain as positions left out of this arm ask for.
+
+        Never narrower than the posterior: tests of squares bear no tails that are longer than
+        normal ones, which a factor below 1 makes up for in intervals.
+        """
+        linear, wider = self.linear, max(self.linear.std_scale, 1.0)
+        noise = np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance
+        half, seen = wider * linear.half, wider * linear.seen
+        linear = replace(linear.with_noise(noise), half=half, seen=seen)
+        return replace(self, linear=linear, spread=wider * self.spread)
+
+
 class Shown:
     """What rows show of columns in mm, beside the unknowns of what was touched: see `Whitening`.
 
@@ -166,15 +223,16 @@ class Shown:
     `rank` (n + l,) how many coordinates each has; `n_coordinates` are all less the unknowns.
     """
 
-    def __init__(self, linear: Any, rows: Rows) -> None:
-        self.rows = rows = rows._replace(root=rows.shown)
-        self.noise_sd, n_lengths = linear.noise_sd, len(rows.lengths)
+    def __init__(self, expected: Expected) -> None:
+        rows = expected.rows
+        self.rows = rows = rows._replace(root=rows.shown, weights=np.ones(len(rows.X)))
+        self.noise_sd, n_lengths = expected.linear.noise_sd, len(rows.lengths)
+        self.whitened: Any = rows.whitening()
         self.rank = np.r_[rows.rank + np.zeros(len(rows.X)), np.ones(n_lengths)]
-        self.n_coordinates = n_coordinates(rows._replace(weights=np.ones(len(rows.X))))
+        self.n_coordinates = round(self.whitened.n_observations) + n_lengths
         self.n_unknown = int(self.rank.sum()) - self.n_coordinates
-        self.expected, self.errors = np.zeros((len(rows.X), 3)), np.zeros(n_lengths)
+        self.expected, self.errors = expected.mean, np.zeros(n_lengths)
         if rows.lengths:
-            self.expected = linear.predict(rows.X)[0]
             points = rows.arm.forward(rows.X[:, : rows.arm.n_joints]) - self.expected
             given = np.stack([points, rows.y - self.expected], axis=2)
             unknowns = np.moveaxis(self.whitened.unknowns(given), 2, 0)
@@ -215,11 +273,6 @@ class Shown:
         alone = np.linalg.norm(columns, axis=(0, 1)) / self.noise_sd
         return np.where(np.linalg.norm(found, axis=0) > least * alone, found, 0.0)
 
-    @cached_property
-    def whitened(self) -> Any:
-        """`Whitening` of the rows, all of which count alike."""
-        return self.rows._replace(weights=np.ones(len(self.rows.X))).whitening()
-
     def _beside(self, columns):
         """Columns (n, 3, k) without what unknowns explain of them, along what is shown."""
         if self.rows.shown is None:  # means of positions, without products of single rows
@@ -237,14 +290,15 @@ class Shown:
         return found
 
 
-def slipped_rows(linear: Any, rows: Rows, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def slipped_rows(expected: Expected, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows too far off for their own expected spread, if they are few, and residuals without tails.
 
     Where the distances of all are larger than expected, by a change of the arm, farther ones are
     usual in proportion.
     """
-    spread, rank = linear.predict(rows.X, return_std=True)[1], rows.rank
-    sd = np.sqrt(np.square(spread).max(axis=1) + linear.noise_variance)
+    rows = expected.rows
+    rank = rows.rank
+    sd = np.sqrt(np.square(expected.std).max(axis=1) + expected.linear.noise_variance)
     # Touches of a surface are about their form already.
     middle = np.where(np.reshape(rank, (-1, 1)) == 3, medians_of(left, rows.codes), 0.0)
     distance = np.linalg.norm(rows.along(left - middle), axis=1) / sd

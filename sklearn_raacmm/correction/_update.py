@@ -11,32 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.correction._change import (
-    LEAST_NOISE_MM,
-    as_prior,
-    changed_model,
-    day,
-    judged_fading,
-)
+from sklearn_raacmm.correction._change import LEAST_NOISE_MM, Change, as_prior, day
 from sklearn_raacmm.correction._changes import named_changes
-from sklearn_raacmm.correction._explanations import gain_of_change, what_is_wrong
+from sklearn_raacmm.correction._explanations import what_is_wrong
 from sklearn_raacmm.correction._rows import (
     REGISTERED_PLACE_MM,
-    Shown,
+    Expected,
     n_coordinates,
     new_rows,
     place_columns,
     why_too_few,
 )
-from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor, Rows
+from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor
 from sklearn_raacmm.measurements import EQUAL
-from sklearn_raacmm.utils import (
-    Finding,
-    ignored_findings,
-    one_blas_thread,
-    one_warning,
-    validate_params,
-)
+from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -154,81 +142,79 @@ def update_correction(
         said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
-    for finding in what_is_wrong(model, rows):
+    expected = Expected.of(as_prior(linear), rows)
+    for finding in what_is_wrong(model, expected):
         finding.report()
-    with ignored_findings():  # of a share of 0
-        left = rows.y - _predicted(model, rows)
-    if np.abs(left).max() <= ROUNDED * linear.arm.reach_mm:
-        _as_it_was(updated, rows, date)
+    if np.abs(_left(model, expected)).max() <= ROUNDED * linear.arm.reach_mm:
+        _as_it_was(updated, expected, date)
         return updated
-    named = named_changes(linear, rows)
-    changed = changed_model(linear, rows, date=date, named=named)
-    updated.linear_model_, entry, pose_weight, ended = changed
-    if entry["noise_sd_mm"] > _STRANGE * max(linear.noise_sd, LEAST_NOISE_MM):
-        said = (
-            f"The new poses scatter by {entry['noise_sd_mm']:.3g} mm a coordinate about the "
-            f"updated model, the old ones did by {linear.noise_sd:.3g} mm:"
-        )
-        advice = (
-            "are they of this arm, and residuals in its base frame, registered through the "
-            "correction?"
-        )
-        size_mm = entry["noise_sd_mm"]
-        Finding("strange-poses", said, advice, "repair", size_mm=size_mm).report()
-    rows = rows._replace(weights=rows.weights * pose_weight)
-    updated.fading_, judgement = judged_fading(linear, rows, model.fading_, ended, named=named)
+    change = Change(expected, named=named_changes(expected))
+    updated.linear_model_, entry, pose_weight = change.model(date)
+    _say_if_strange(linear, entry, "updated model", "repair")
+    updated.fading_, judgement = change.judged(model.fading_, rows.weights * pose_weight)
     updated.judgement_ = judgement or model.judgement_
     updated.updates_ = (*vars(model).get("updates_", ()), entry)
     return updated
 
 
-def _predicted(model, rows):
-    """What a model in use says of checked rows, whose angles are in rad."""
-    mean, _, doubt = model.linear_model_.predict_with_doubt(rows.X)
-    return model.fading_.share(doubt)[:, None] * mean
+def _left(model, expected):
+    """What a model in use leaves of rows, (n, 3)."""
+    doubt = np.linalg.norm(expected.doubts, axis=(1, 2))
+    return expected.rows.y - model.fading_.share(doubt)[:, None] * expected.mean
 
 
-def nothing_changed(model: Any, rows: Rows, date: Any) -> bool:
+def nothing_changed(model: Any, expected: Expected, date: Any) -> bool:
     """Whether rows, with the probe as it was, show nothing but noise; `updates_` then says so.
 
-    Noise of any size is an explanation like a change, and taken where none is clearly likelier: by
-    up to 6 nats a change is in 96 simulated updates whose angles are noisy.
+    Noise of any size is an explanation like a change, and taken where none is clearly likelier: of
+    36 simulated updates by three cones whose angles are noisy none has a change that is so by 4
+    nats, of 12 knocks all have one by 9.
     """
-    if why_too_few(rows) or gain_of_change(model, rows) > EQUAL:
+    if why_too_few(expected.rows) or named_changes(expected, ["base"], EQUAL) != []:
         return False
-    _as_it_was(model, rows, date)
+    _as_it_was(model, expected, date)
     return True
 
 
-def _as_it_was(model, rows, date):
+def _as_it_was(model, expected, date):
     """Note in `updates_` that rows showed noise alone."""
-    left = rows.along(rows.whitening().centred(rows.y - _predicted(model, rows)))
+    rows = expected.rows
+    left = rows.along(rows.whitening().centred(_left(model, expected)))
     n = n_coordinates(rows) - len(rows.lengths)
     noise_mm = float(np.sqrt(np.square(left).sum() / n))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)
+    if _say_if_strange(model.linear_model_, entry, "correction, which stays as it was", "doubt"):
+        return
     said = f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the correction and show"
-    said += " no change: it stays as it was."
-    usual_mm = max(model.linear_model_.noise_sd, LEAST_NOISE_MM)
-    if noise_mm > _STRANGE * usual_mm:
-        advice = f"The old ones did by {usual_mm:.3g} mm: are the new ones of this arm?"
-        Finding("strange-poses", said, advice, size_mm=noise_mm).report()
-    else:
-        Finding("nothing-changed", said, weight="note").report()
+    Finding("nothing-changed", f"{said} no change: it stays as it was.", weight="note").report()
 
 
-def probe_is_new(model: Any, rows: Rows) -> bool:
+def _say_if_strange(linear, entry, what, weight):
+    """Say that poses scatter far more about something than the old ones did, if they do."""
+    noise_mm, usual_mm = entry["noise_sd_mm"], max(linear.noise_sd, LEAST_NOISE_MM)
+    if noise_mm <= _STRANGE * usual_mm:
+        return False
+    said = (
+        f"The new poses scatter by {noise_mm:.3g} mm a coordinate about the {what}, the old ones "
+        f"did by {usual_mm:.3g} mm:"
+    )
+    advice = "are they of this arm, and residuals in its base frame, registered through the "
+    Finding("strange-poses", said, f"{advice}correction?", weight, size_mm=noise_mm).report()
+    return True
+
+
+def probe_is_new(expected: Expected) -> bool:
     """Whether rows show another probe than the one that the model was moved to.
 
     One that is off by d mm is likelier a new one, ``N(0, 100^2)`` of each coordinate, than the
     same one knocked or worn, ``N(0, 1)``: from 5.3 mm on.
     """
-    linear = model.linear_model_
+    linear, rows = expected.linear, expected.rows
     if not linear.terms.kinematics:  # no column of the model could hold where the probe is
         return True
-    shown, expected = Shown(as_prior(linear), rows), linear.predict(rows.X)[0]
-    place = shown(place_columns(linear.arm, rows.X, with_base=rows.codes is None))
-    left = shown.left(rows.y - expected, expected)
+    place = expected.shown(place_columns(linear.arm, rows.X, with_base=rows.codes is None))
+    left = expected.shown.left(rows.y - expected.mean, expected.mean)
     off = np.linalg.lstsq(place.reshape(left.size, -1), left.ravel(), rcond=1e-9)[0][:3]
     off = REGISTERED_PLACE_MM / _KNOCKED_PROBE_MM * off
     wider = _ANOTHER_PROBE_MM / _KNOCKED_PROBE_MM

@@ -7,7 +7,15 @@
 
 from sklearn_raacmm.error_model._arm_residual import ArmResidualRegressor
 from sklearn_raacmm.error_model._checks import check_extra, check_poses, touched_rows
-from sklearn_raacmm.error_model._columns import OF_LOADS, OWN, Column, Effect, Terms, torque_axis
+from sklearn_raacmm.error_model._columns import (
+    FAMILIES,
+    OF_LOADS,
+    OWN,
+    Column,
+    Effect,
+    Terms,
+    torque_axis,
+)
 from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, ROUNDED, order_price, smooth_shares
 from sklearn_raacmm.error_model._left_out import Fading, Judgement, interval_scales, judge
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, shoulder

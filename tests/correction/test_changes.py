@@ -6,7 +6,16 @@ from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from sklearn_raacmm.correction._changes import _NOISES, _SIZES, NOISE, likeliest_change
+from sklearn_raacmm import Arm, ArmResidualRegressor
+from sklearn_raacmm.correction._change import as_prior
+from sklearn_raacmm.correction._changes import (
+    _NOISES,
+    _SIZES,
+    NOISE,
+    likeliest_change,
+    named_changes,
+)
+from sklearn_raacmm.correction._rows import Expected, new_rows
 
 M = 40
 
@@ -44,8 +53,9 @@ def test_the_likeliest_change_is_that_of_the_highest_density(drawn):
                 residual = known @ rng.normal(size=6) + noise * rng.normal(size=M)
                 residual += size * columns @ rng.normal(size=columns.shape[1])
                 expected = log_evidences(residual, known, causes)
-                found, change = likeliest_change(residual, known, causes, M)
+                found, change, nats = likeliest_change(residual, known, causes, M)
                 assert found == max(expected, key=expected.get)
+                assert nats == pytest.approx(expected[found] - expected[NOISE], abs=1e-6)
                 assert (change is None) == (found == NOISE)
                 if size == 30.0:
                     assert found == name
@@ -62,3 +72,16 @@ def test_more_noise_is_no_change(drawn):
         residual = known @ rng.normal(size=6) + 50 * rng.normal(size=M)
         names.append(likeliest_change(residual, known, causes, M)[0])
     assert names.count(NOISE) > 85
+
+
+def test_a_probe_that_was_fitted_to_the_poses_has_not_changed():
+    """What it shows beside an aligned base is its own; fitted to the same poses it is no change."""
+    arm, rng = Arm.from_name("ur10", probe=(0, 0, 93)), np.random.default_rng(0)
+    angles, today = rng.uniform(-2, 2, (300, 6)), rng.uniform(-2, 2, (30, 6))
+    model = ArmResidualRegressor(arm, orders=4).fit(angles, rng.normal(0, 0.01, (300, 3)))
+    bent = arm.forward(today) - arm.replace(probe=(0.3, 0, 93)).forward(today)
+    rows = new_rows(model, today, bent + rng.normal(0, 0.01, bent.shape))
+    expected = Expected.of(as_prior(model.linear_model_), rows)
+    assert named_changes(expected, ["base"]) == ["probe"]
+    assert named_changes(expected, ["base"], least_nats=1e9) == []
+    assert named_changes(expected) == []

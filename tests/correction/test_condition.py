@@ -10,9 +10,9 @@ from scipy.special import betainc
 from scipy.stats import chi2, kstest, multivariate_normal, ncx2
 
 from sklearn_raacmm.correction._condition import (
+    Evidence,
     Whitened,
     condition,
-    log_density,
     narrowed,
     score_tests,
 )
@@ -144,17 +144,21 @@ def test_noise_stays_within_its_bounds():
 def test_narrowed_is_the_inverse_of_summed_precisions():
     rng = np.random.default_rng(0)
     half, rows = rng.normal(size=(4, 4)), rng.normal(size=(7, 4))
-    after = narrowed(half, rows)
+    after = narrowed(half, rows @ half)
     expected = np.linalg.inv(np.linalg.inv(half @ half.T) + rows.T @ rows)
     assert_allclose(after @ after.T, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("k", [3, 12])
-def test_log_density_is_that_of_scipy(k):
+def test_log_evidence_is_that_of_scipy(k):
+    """Of three more coordinates, which hold noise alone, y has summed up what is 0 of them."""
     rng = np.random.default_rng(0)
     y, seen = rng.normal(size=8), rng.normal(size=(8, k))
-    expected = multivariate_normal(np.zeros(8), seen @ seen.T + 0.3**2 * np.eye(8)).logpdf(y)
-    assert log_density(y, seen, 0.3, 8) == pytest.approx(expected + 4 * np.log(2 * np.pi))
+    covariance = np.pad(seen @ seen.T, (0, 3)) + 0.3**2 * np.eye(11)
+    expected = multivariate_normal(np.zeros(11), covariance).logpdf(np.pad(y, (0, 3)))
+    nothing = np.zeros(0), np.zeros(0)
+    found = Evidence(nothing, seen, seen, y, 0.3**2, 11, (0.0, 0.0))(np.zeros(1))[0]
+    assert -found == pytest.approx(expected + 5.5 * np.log(2 * np.pi))
 
 
 @pytest.fixture(scope="module")

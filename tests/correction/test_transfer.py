@@ -103,8 +103,7 @@ def credulous(monkeypatch):
     """Earlier arms are believed whatever the evidence, and used as a whole."""
     monkeypatch.setattr("sklearn_raacmm.correction._change.LEAST_GAIN_NATS", -np.inf)
     monkeypatch.setattr(
-        "sklearn_raacmm.correction._change.judged_fading",
-        lambda _, rows, fading, *others, **more: (fading, None),
+        "sklearn_raacmm.correction._change.Change.judged", lambda _, fading, weights: (fading, None)
     )
 
 
