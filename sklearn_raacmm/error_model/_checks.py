@@ -190,7 +190,9 @@ def poses_of(rows, extra):
     `Rows`.
     """
     n_joints = rows.arm.n_joints
-    kinds = [n_joints + i for i, name in enumerate(extra) if name.startswith("direction")]
+    kinds = [
+        n_joints + i for i, name in enumerate(extra) if parsed(name, n_joints)[0] == "direction"
+    ]
     kinds += range(n_joints + len(extra), rows.X.shape[1])
     codes = np.zeros(len(rows.X)) if rows.codes is None else rows.codes
     codes = np.unique(np.column_stack([codes, rows.X[:, kinds]]), axis=0, return_inverse=True)[1]

@@ -286,7 +286,7 @@ def _base(arm, name, by, reference):
 
 def _of_extra(arm, extra):
     """What the columns of X after the angles do."""
-    if any(name.startswith(("force", "payload")) for name, _ in extra):
+    if any(parsed(name, arm.n_joints)[0] in ("force", "payload") for name, _ in extra):
         # Turns of each frame about each of its axes, by the torque of a force on the probe.
         for frame, axis in product(range(arm.n_joints + 1), range(3)):
             name = f"force bends frame {frame} about {'xyz'[axis]}"

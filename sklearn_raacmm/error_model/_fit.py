@@ -19,6 +19,7 @@ from sklearn_raacmm.error_model._columns import (
     KINEMATICS,
     Columns,
     columns_of,
+    parsed,
 )
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
 from sklearn_raacmm.error_model._noise import even_noise, joint_noise
@@ -226,7 +227,7 @@ def fit_rows(rows, positions, columns, with_field, up=None):
     terms, known, looked, turned = columns.terms, np.inf, 0, 0
     columns = columns if up is None else columns_of(rows.arm, terms._replace(up=up))
     # A force that is always there is not told from gravity in its direction.
-    forced = any(name.startswith("force") for name, _ in terms.extra)
+    forced = any(parsed(name, rows.arm.n_joints)[0] == "force" for name, _ in terms.extra)
     may_turn = up is None and terms.gravity and not forced
     n_positions = 0 if positions is None or rows.codes is not None else int(positions.max()) + 1
     may_differ = LEAST_POSITIONS <= n_positions <= len(rows.y) / 2
