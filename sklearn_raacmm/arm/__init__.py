@@ -3,7 +3,14 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from sklearn_raacmm.arm._arm import Arm, arm_for, check_arm, without_first
+# ruff: noqa: F401  (used by the other subpackages)
+
+from sklearn_raacmm.arm._arm import (
+    Arm as Arm,  # "as" for type checkers: users import it from here
+    arm_for,
+    check_arm,
+    without_first,
+)
 from sklearn_raacmm.arm._built_in import usual_pose
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
@@ -30,32 +37,4 @@ from sklearn_raacmm.arm._kinematics import (
 from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
 from sklearn_raacmm.arm._urdf import read_far_axes
 
-__all__ = [
-    "FIELDS",
-    "MAX_LENGTH_MM",
-    "MIN_LENGTH_MM",
-    "Arm",
-    "angles_for",
-    "arm_for",
-    "axis_vectors",
-    "carried",
-    "check_angles",
-    "check_arm",
-    "in_unit",
-    "joint_axes",
-    "limits_of",
-    "own_angles",
-    "parameter_jacobian",
-    "phase_factors",
-    "phases",
-    "points_of",
-    "random_poses",
-    "read_far_axes",
-    "scale_of",
-    "slides_of",
-    "solve",
-    "spans_of",
-    "turn_mm",
-    "usual_pose",
-    "without_first",
-]
+__all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -3,9 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
+from sklearn.utils import check_scalar
 
 from sklearn_raacmm.utils import Finding, check_option, floats
 
@@ -48,7 +50,7 @@ def check_fields(arm: Any) -> dict[str, Any]:
         "up": check_direction("up", arm.up),
         "couplings": check_couplings(arm.couplings, n, types),
         "joint_types": types,
-        "up_frame": check_up_frame(arm.up_frame, n),
+        "up_frame": int(check_scalar(arm.up_frame, "up_frame", Integral, min_val=0, max_val=n)),
     }
     off = np.abs(np.abs(checked["joint_signs"]) - 1)
     if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
@@ -96,13 +98,6 @@ def check_couplings(value, n, types):
                 "the other slides: rad and mm have no sum."
             )
     return tuple(sorted(tuple(map(int, one)) for one in couplings))
-
-
-def check_up_frame(value, n):
-    """A whole number from 0 to the number of joints."""
-    if not (isinstance(value, int | np.integer) and 0 <= value <= n):
-        raise ValueError(f"up_frame must be a whole number from 0 to {n}, got {value!r:.60}.")
-    return int(value)
 
 
 def check_numbers(name, value, size, unit, bound, broadcast=False):

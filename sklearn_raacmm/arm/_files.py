@@ -66,19 +66,19 @@ def json_text(arm: Any) -> str:
     for field, key in _JSON_KEYS.items():
         value = getattr(arm, field)
         content[key] = value.tolist() if isinstance(value, np.ndarray) else value
-    if arm.names:
-        content["joint_names"] = list(arm.names)
-    if arm.limits is not None:  # JSON has no infinity
-        shown: Any = np.where(np.isfinite(arm.limits), arm.limits, None)
-        content["limits_rad_mm" if "P" in arm.joint_types else "limits_rad"] = shown.tolist()
-    if arm.up.tolist() != [0, 0, 1]:  # files of upright arms are read by earlier versions, too
-        content["up"] = arm.up.tolist()
-    if arm.couplings:
-        content["couplings"] = [list(one) for one in arm.couplings]
-    if "P" in arm.joint_types:
-        content["joint_types"] = arm.joint_types
-    if arm.up_frame:
-        content["up_frame"] = arm.up_frame
+    slides, limits = "P" in arm.joint_types, arm.limits
+    if limits is not None:  # JSON has no infinity
+        limits = np.where(np.isfinite(limits), limits, None).tolist()
+    # What is as usual is left out: such files are read by earlier versions, too.
+    optional = {
+        "joint_names": list(arm.names),
+        "limits_rad_mm" if slides else "limits_rad": limits,
+        "up": arm.up.tolist() if arm.up.tolist() != [0, 0, 1] else None,
+        "couplings": [list(one) for one in arm.couplings],
+        "joint_types": arm.joint_types if slides else None,
+        "up_frame": arm.up_frame,
+    }
+    content |= {key: value for key, value in optional.items() if value}
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

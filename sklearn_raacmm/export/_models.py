@@ -415,13 +415,14 @@ def _sizes(chain, linear, table, vectors):
         axis = torque_axis(table[loaded])
         axis = 12 * (axis // 3) + 3 * (axis % 3)
         up, torque = linear.layout.up, None
-        upright = _upright(chain, arm, up) if arm.up_frame else None
         for c in range(3) if arm.up_frame else np.flatnonzero(up).tolist():
             pair = (c + 1) % 3, (c + 2) % 3
             x, y = (p("sub", p.take(places, of + k), p.take(places, frame + k)) for k in pair)
             ux, uy = (p.take(places, axis + k) for k in pair)
             part = p("sub", p("mul", uy, x), p("mul", ux, y))
-            if upright is not None:
+            if arm.up_frame:  # as seen from a positioner the vertical turns with a frame
+                axes = p.take(chain.frames, 12 * arm.up_frame + np.arange(9))
+                upright = p.affine(axes, np.kron(up, np.eye(3)))
                 part = p("mul", part, p.take(upright, np.full(len(loaded), c)))
             elif up[c] != 1:
                 part = p("mul", part, p.constant(up[c]))
@@ -450,12 +451,6 @@ def _sizes(chain, linear, table, vectors):
         return sizes
     factors = p("sub", p.take(values, table["by"][given]), table["reference"][given])
     return p("mul", sizes, _at_columns(p, m, given, factors))
-
-
-def _upright(chain, arm, up):
-    """Direction against gravity in the base frame, which turns as seen from a positioner."""
-    axes = chain.p.take(chain.frames(), 12 * arm.up_frame + np.arange(9))
-    return chain.p.affine(axes, np.kron(up, np.eye(3)))
 
 
 def _at_columns(p, m, columns, factors):

@@ -119,7 +119,7 @@ def test_faults_have_one_sentence():
         arm.seen_from(table, BASE)
     with pytest.raises(TypeError, match="arm must be an Arm"):
         robot.seen_from("table", BASE)
-    with pytest.raises(ValueError, match="up_frame must be a whole number from 0 to 7, got 8"):
+    with pytest.raises(ValueError, match="up_frame == 8, must be <= 7"):
         robot.replace(up_frame=8)
     with pytest.raises(ValueError, match=r"in frame 2, which is not along the base axis"):
         PoseFeatures(arm).fit(random_poses(arm, 5))
