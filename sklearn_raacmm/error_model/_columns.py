@@ -166,11 +166,13 @@ def _of_encoder(arm, j):
 
 def _harmonics(arm, pairs):
     """Waves of the error of each joint's encoder: a cosine and a sine for each order."""
-    first = _first_frame(arm)
-    for j, k in pairs.tolist():
-        kind, unit = _of_encoder(arm, j)
-        for order in (k, -k):
-            yield Column("", HARMONICS, kind, j + first, 2, unit, j, order)
+    waves, joint = np.zeros(2 * len(pairs), dtype=_NUMBERS), np.repeat(pairs[:, 0], 2)
+    kinds, units = zip(*(_of_encoder(arm, j) for j in range(arm.n_joints)), strict=True)
+    waves["family"], waves["axis"], waves["by"] = HARMONICS, 2, -1
+    waves["kind"], waves["unit"] = np.take(kinds, joint), np.take(units, joint)
+    waves["joint"], waves["frame"] = joint, joint + _first_frame(arm)
+    waves["order"] = np.column_stack([pairs[:, 1], -pairs[:, 1]]).ravel()
+    return waves
 
 
 def _gravity(arm):
@@ -400,8 +402,9 @@ class Columns:
     @cached_property
     def table(self) -> np.ndarray:
         """What each column is, as a structured array of the numbers of `Column`."""
-        columns = [*_harmonics(self.arm, self.terms.harmonics), *self.others]
-        return np.array([column[1:] for column in columns], dtype=_NUMBERS)
+        if self.alone is self:
+            return np.array([column[1:] for column in self.others], dtype=_NUMBERS)
+        return np.concatenate([_harmonics(self.arm, self.terms.harmonics), self.alone.table])
 
     @cached_property
     def scale(self) -> np.ndarray:

@@ -233,7 +233,8 @@ def without_motions(sums, columns):
     motions = motions_of(columns.alone)
 
     def beside(products):
-        return products - motions @ (motions.T @ products)
+        found = motions @ (motions.T @ products)
+        return np.subtract(products, found, out=found)
 
     gram = beside(beside(sums.gram).T)
     return sums._replace(gram=gram, moment=beside(sums.moment), cross=beside(sums.cross))

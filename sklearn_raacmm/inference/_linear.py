@@ -443,5 +443,7 @@ def _without_rounding(sums):
     root = size[:, None] * vectors[:, is_seen] * np.sqrt(value[is_seen])
     unseen = vectors[:, ~is_seen]
     to_unseen, unseen = unseen.T / size, size[:, None] * unseen
-    moment, cross = (v - unseen @ (to_unseen @ v) for v in (sums.moment, sums.cross))
+    moment = sums.moment - unseen @ (to_unseen @ sums.moment)
+    cross = unseen @ (to_unseen @ sums.cross)
+    np.subtract(sums.cross, cross, out=cross)
     return sums._replace(gram=root @ root.T, moment=moment, cross=cross)

@@ -223,7 +223,7 @@ class _Leftover:
         self.own = sums.own[:, self.free] / noise + np.array([[1.0], [1.0], [0.0]]) / self.prior
         self.size = len(S)
         self.factor = np.empty((self.size + 64, len(columns)))
-        self.factor[:m] = sums.cross[:, columns]
+        np.take(sums.cross, columns, axis=1, out=self.factor[:m], mode="clip")
         self.factor[m : self.size] = sums.rows(pairs, (), self.free)
         self.extra = None
         if sums.extra is not None:

@@ -91,8 +91,8 @@ def check_features(
                 "each of features must be (label, kind), perhaps with size and standard deviation "
                 f'in mm, and then "outside" or "inside", got {entry!r:.80}.'
             ) from None
-        if kind not in _TOUCHED:
-            raise ValueError(f"a feature is a {', '.join(_TOUCHED)}, got {entry!r:.80}.")
+        if kind not in KINDS:
+            raise ValueError(f"a feature is a {', '.join(KINDS)}, got {entry!r:.80}.")
         if label not in number:
             raise ValueError(f"features name {label!r}, which has no rows.")
         if stated and not KINDS[kind].has_size:
@@ -117,8 +117,7 @@ def linearise(
     Parameters
     ----------
     kind : str
-        A name of `KINDS`: "cone" (a point that is held: its place is unknown, 3), "tracker" (the
-        `points` are those of the arm less the measured ones: nothing is unknown), "plane" (unknown
+        A name of `KINDS`: "cone" (a point that is held: its place is unknown, 3), "plane" (unknown
         are its shift along the normal in mm, and two turns in rad) or "sphere" (its centre in mm,
         and its size).
     points : ndarray of shape (n, 3) or (g, n, 3)
@@ -330,11 +329,6 @@ def _point_rows(points, form):
     return Linearised(points - form.centre[..., None, :], whole, whole)
 
 
-def _tracker_rows(points, form):
-    whole = np.broadcast_to(np.eye(3), (*points.shape, 3))
-    return Linearised(points, whole, whole[..., :0])
-
-
 def _plane(points, size, weights, through=False):
     centre = _mean(points, size, weights)
     away = points - centre[..., None, :]
@@ -399,11 +393,8 @@ def _sphere_rows(points, form):
 
 KINDS: dict[str, Kind] = {
     "cone": Kind(_point, _point_rows, 3, 3),
-    "tracker": Kind(_point, _tracker_rows, 0, 3),
     "plane": Kind(_plane, _plane_rows, 3, 1, flat=2, simpler="line", part="a line"),
     "sphere": Kind(
         _sphere, _sphere_rows, 4, 1, has_size=True, flat=1, simpler="plane", part="a small cap"
     ),
 }
-# Those that a user may name: a tracker is known by its points.
-_TOUCHED = [kind for kind in KINDS if kind != "tracker"]
