@@ -61,7 +61,7 @@ def log_likelihood(data, value):
 
 
 def of_noise(data):
-    """Negative log likelihood where all is noise, and what `left_out` gives there."""
+    """Negative log likelihood where all is noise, and what `likelihoods` says of rows left out."""
     square = np.square(data.targets)
     total = square.sum(axis=0) + data.lost
     value = 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
@@ -160,11 +160,6 @@ def likelihoods(data, K, alphas, ratio=0.0, leave_out=True):
                 log_det += 2 * np.log(root.diagonal()).sum()
         density += 0.5 * (square / signal - log_det + n * np.log(signal))
     return value, density, signals
-
-
-def left_out(data, K, alphas, ratio=0.0):
-    """Negative log density of what is left out, see `likelihoods`."""
-    return likelihoods(data, K, alphas, ratio)[1]
 
 
 def used_share(data, K, alphas, ratio=0.0):

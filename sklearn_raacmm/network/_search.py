@@ -25,7 +25,7 @@ from sklearn_raacmm.network._likelihood import (
     Task,
     covariance,
     judge,
-    left_out,
+    likelihoods,
     log_likelihood,
     minimise,
     of_noise,
@@ -400,7 +400,7 @@ def _linear(data, value, density, margin):
     lead = together = value - goal
     K, alphas = (root * columns) @ (root * columns).T / ridge, np.ones(data.Y.shape[1])
     if density is not None:
-        own_density = left_out(data, K, alphas, ratio)
+        own_density = likelihoods(data, K, alphas, ratio)[1]
         together += min(1.0, data.n_total / (TRUSTED * data.X.shape[1])) * (density - own_density)
     if min(lead, together) <= margin:
         return None
