@@ -68,7 +68,8 @@ def json_text(arm: Any) -> str:
         content[key] = value.tolist() if isinstance(value, np.ndarray) else value
     slides, limits = "P" in arm.joint_types, arm.limits
     if limits is not None:  # JSON has no infinity
-        limits = np.where(np.isfinite(limits), limits, None).tolist()
+        shown: Any = np.where(np.isfinite(limits), limits, None)
+        limits = shown.tolist()
     # What is as usual is left out: such files are read by earlier versions, too.
     optional = {
         "joint_names": list(arm.names),

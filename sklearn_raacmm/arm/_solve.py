@@ -46,13 +46,13 @@ def angles_for(
             f"start has {len(start)} poses for {len(points)} points: give one, or one each."
         )
     rng, shape = np.random.default_rng(0), (len(points), arm.n_joints)
-    first, last = spans_of(arm)
+    first, last = np.clip(spans_of(arm), low, high)  # limits may be beyond half a turn
     aside = _ASIDE * scale_of(arm.joint_types, 1.0, arm.reach_mm)
     angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
     open_ = np.arange(len(points))
     for again in range(_STARTS if start is None else _TRIES):
         if start is None:
-            own = rng.uniform(np.maximum(low, first), np.minimum(high, last)) * (again > 0)
+            own = rng.uniform(first, last) * (again > 0)
         else:
             own = start + rng.normal(0, aside, shape) * (again > 0)
         own, rows = np.broadcast_to(own, shape)[open_], open_

@@ -175,8 +175,7 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
     """Poses that reach a place, as different as may be, or None where there are too few."""
     low, high = limits_of(arm)
     size = (_STARTS * n_poses, arm.n_joints)
-    first, last = spans_of(arm)
-    start = rng.uniform(np.maximum(low, first), np.minimum(high, last), size)
+    start = rng.uniform(*np.clip(spans_of(arm), low, high), size)
     aim = np.broadcast_to(place, (len(start), 3))
     found, _ = solve(arm, aim, start)
     found = found[~np.isnan(found[:, 0])]

@@ -76,7 +76,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         angles; where these do not repeat, all above 72, too. A list offers these orders only. One
         turn of a slide is twice its travel, and waves of 4 mm and more are offered.
     causes : list of str or callable, default=("gravity", "kinematics", "wobble")
-        Which of these causes are in the model, and functions that are causes: see `Column`.
+        Which of these causes are in the model, and functions that are causes: see
+        `sklearn_raacmm.error_model.Column`.
     offsets : bool or "auto", default="auto"
         Whether each position (`groups` of `fit`) has an unknown constant offset of any size. True:
         every position has such an offset: choose it where `y` are deviations from the position's

@@ -453,19 +453,18 @@ def test_what_needs_a_look_at_cells_is_not_cut_by_columns(row, tmp_path):
 
 def test_short_commands_leave_skops_alone(folder, tmp_path):
     """It takes longer to import than all else that they do."""
-    code = (
-        "import sys; from sklearn_raacmm.app import main; main(sys.argv[1:]); "
-        "print(sorted({'skops', 'sklearn.ensemble', 'matplotlib'} & sys.modules.keys()))"
-    )
-    for words in (["correct", "--out", tmp_path / "out.csv"], ["check"]):
-        words[1:1] = [folder / "more.csv", "--model", folder / "cones"]
-        done = subprocess.run(
-            [sys.executable, "-c", code, *map(str, words)],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
+    code = """
+import sys
+from sklearn_raacmm.app import main
+table, model, out = sys.argv[1:]
+main(["correct", table, "--model", model, "--out", out])
+main(["check", table, "--model", model])
+print(sorted({"skops", "sklearn.ensemble", "matplotlib"} & sys.modules.keys()))
+"""
+    words = [folder / "more.csv", folder / "cones", tmp_path / "out.csv"]
+    command = [sys.executable, "-c", code, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
     history = json.loads((folder / "cones" / "correction.json").read_text())["history"]
     assert history[-1]["what"] == "check"
     Correction.load(folder / "cones")

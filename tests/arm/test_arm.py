@@ -62,6 +62,20 @@ def test_kinematics_against_products_of_matrices(convention, n_joints):
     assert_allclose(arm.azimuth(angles), np.arctan2(points[:, 1], points[:, 0]), atol=1e-12)
 
 
+ARMS = {kind: random_arm(kind) for kind in ("standard", "modified")}
+ARMS["rail"] = Arm.from_name("ur10_rail")
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_one_row_is_that_row_of_many_to_the_last_bit(arm):
+    """It is computed by Python's numbers, where many rows are arrays."""
+    angles = random_angles(arm, 5)
+    for ask in (arm.frames, arm.forward, arm.jacobian):
+        many = ask(angles)
+        for row, expected in zip(angles, many, strict=True):
+            assert_array_equal(ask(row[None])[0], expected)
+
+
 def test_panda_against_the_controllers_own_poses(panda):
     data = panda("panda_3")
     known = np.isfinite(data.tool_poses[:, 0])

@@ -49,3 +49,13 @@ def test_half_a_turn_and_limits():
     inside = arm.replace(limits=np.tile([-2.0, 2.0], (7, 1)))
     found = inside.angles_for(points, orientations=turned)
     assert np.abs(found).max() <= 2.0
+
+
+def test_limits_beyond_half_a_turn_are_kept():
+    """Such as those of a wrist that counts from 0 to two turns, or that has one limit only."""
+    limits = [(-np.inf, 0.5), (-np.inf, np.inf), (3.5, 6), (-7, -4), (-3, 3), (4, np.inf)]
+    arm = Arm.from_name("ur10", probe=(0, 0, 100), limits=limits)
+    points = arm.forward([[0.1, -1.2, 4.0, -5.5, -1.4, 4.5], [-2.0, -1.0, 5.0, -4.5, 1.0, 5.0]])
+    found = arm.angles_for(points)
+    assert_allclose(arm.forward(found), points, atol=1e-6)
+    assert np.all((found >= arm.limits[:, 0]) & (found <= arm.limits[:, 1]))

@@ -10,11 +10,11 @@ from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.measurements import medians_of, of_own_points
 from sklearn_raacmm.utils import centred, collected_findings
 
-NAMES = ["panda_2", "panda_3", "panda_6", "panda_7"]
+MORE = [pytest.param(name, marks=pytest.mark.exhaustive) for name in ("panda_6", "panda_7")]
 ARMS = {}
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(params=["panda_2", "panda_3", *MORE])
 def real(request, panda):
     """Arm, angles, deviations and codes of a real test, calibrated once."""
     data = panda(request.param)
