@@ -42,6 +42,7 @@ SHAPES = [(10, 60), (30, 20)]
 TEST_POSITIONS, TEST_POSES = 20, 20
 N_OTHERS, OTHER_POSES, SLIP = 12, 30, 1.0  # of dirty and of few rows; mm
 SIZES = ((10, 12), (8, 20), (12, 100))
+MACHINES = ("typical", "eccentricity")
 REAL = ["panda_3", "panda_2"]
 
 
@@ -137,14 +138,14 @@ def slips():
         print(f"worst over {what} {found.max():.3f}, above {limit}: {np.sum(found > limit)}")
 
 
-def few():
+def few(seeds, machines):
     kernel = ConstantKernel() * RBF(np.ones(3), (1e-2, 1e3)) + WhiteKernel(0.1, (1e-8, 1e2))
     peer = GaussianProcessRegressor(
         kernel, normalize_y=True, n_restarts_optimizer=1, random_state=0
     )
-    for size, machine in product(SIZES, ("typical", "eccentricity")):
+    for size, machine in product(SIZES, machines):
         ratios = []
-        for seed in range(8):
+        for seed in seeds:
             test, learn, others = cones(seed, *size, machine)
             regressors = None, RBFNetRegressor(random_state=0), MultiOutputRegressor(peer)
             left = [left_um(test, others, r, learn, test.points[learn]) for r in regressors]
@@ -158,20 +159,23 @@ def few():
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", nargs="*", type=int, default=[50, 51, 52, 53])
+    parser.add_argument("--seeds", nargs="*", type=int, help="default 50 to 53; of --few 0 to 7")
     parser.add_argument("--shapes", nargs="*", type=int, default=[0, 1], choices=[0, 1])
     parser.add_argument("--real", nargs="*", default=REAL, choices=REAL)
     parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
     parser.add_argument("--slips", action="store_true", help="rows that slipped by 1 mm")
     parser.add_argument("--few", action="store_true", help="few poses, beside a process")
+    parser.add_argument(
+        "--machines", nargs="*", default=MACHINES, choices=MACHINES, help="of --few"
+    )
     args = parser.parse_args()
     if args.slips or args.few:
         warnings.simplefilter("ignore")
-        return slips() if args.slips else few()
+        return slips() if args.slips else few(args.seeds or range(8), args.machines)
     ratios = {}
     data = [
         (f"{mix}, {SHAPES[shape][0]} x {SHAPES[shape][1]}", simulated, (mix, seed, *SHAPES[shape]))
-        for shape, mix, seed in product(args.shapes, MIXES, args.seeds)
+        for shape, mix, seed in product(args.shapes, MIXES, args.seeds or range(50, 54))
     ]
     data += [(name, real, (name, args.data_home)) for name in args.real]
     for kind, make, how in data:

@@ -24,7 +24,7 @@ however steep it is; one that cannot be told from 0 costs nothing.
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, lapack
+from scipy.linalg import LinAlgError, lapack
 from scipy.optimize import minimize
 
 from sklearn_raacmm.network._kernels import radial, squared_distances
@@ -47,8 +47,8 @@ RATIO_BOUNDS, START_RATIO = (1e-5, 1e8), 0.1
 PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 # Standard errors by which the share of a function that is used is smaller than what groups left out
 # show. Of 16 tests of arms whose encoders alone err, which three inputs hardly show, 1 made two
-# worse by more than 2 %, 2 none; other arms became 1 to 3 % less good
-# (``benchmarks/bench_chain.py --few`` with other seeds).
+# worse by more than 2 %, 2 none; other arms became 1 to 3 % less good. Of 16 tests that chose
+# nothing, 2 made three worse by 3 to 5 % (``benchmarks/bench_chain.py --few``, seeds 200 to 207).
 SHARE_ERRORS = 2.0
 TINY = np.finfo(float).tiny
 
@@ -61,7 +61,7 @@ def log_likelihood(data, value):
 
 
 def of_noise(data):
-    """Negative log likelihood where all is noise, and what `left_out` gives there."""
+    """Negative log likelihood where all is noise, and what `likelihoods` says of rows left out."""
     square = np.square(data.targets)
     total = square.sum(axis=0) + data.lost
     value = 0.5 * np.sum(data.n_total * np.log(np.maximum(total, TINY)))
@@ -69,14 +69,14 @@ def of_noise(data):
     return value, 0.5 * (np.sum(square / variance) + len(square) * np.sum(np.log(variance)))
 
 
-def covariance(data, kernel, log_width):
-    """Kernel matrix and its derivative by squared distances, times root weights; scaled rows."""
+def covariance(data, kernel, log_width, slope=False):
+    """Kernel matrix times root weights; with its `slope` by squared distances and scaled rows."""
     root, Xs = np.sqrt(data.weights), data.X * np.exp(-log_width)
-    K, slope = radial(kernel, squared_distances(Xs, Xs), slope=True)
-    for matrix in (K, slope) if np.any(root != 1.0) else ():
+    found = radial(kernel, squared_distances(Xs, Xs), slope)
+    for matrix in (found if slope else (found,)) if np.any(root != 1.0) else ():
         matrix *= root[:, None]
         matrix *= root
-    return K, slope, Xs
+    return (*found, Xs) if slope else found
 
 
 def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
@@ -86,21 +86,24 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     groups' constants to the noise, (d + q + 1,); the signal variance (q,); and its gradient.
     """
     (n, d), q = data.X.shape, len(log_alpha)
-    n_total, Y, lost, noise = data.n_total, data.targets, data.lost, data.noise(ratio)
-    K, slope, Xs = covariance(data, kernel, log_width)
+    n_total, Y, lost, constants = data.n_total, data.targets, data.lost, data.constants(ratio)
+    K, slope, Xs = covariance(data, kernel, log_width, slope=True)
     value, gradient, signal = 0.0, np.zeros(d + q + 1), np.empty(q)
     by_theta = np.zeros((q, d + q + 1))
     for i, alpha in enumerate(np.exp(log_alpha)):
-        solved, log_det, half = solve_and_invert(K + alpha * noise, Y[:, i])
+        solved, log_det, half = solve_and_invert(data.add_noise(K, alpha, ratio), Y[:, i])
         of_noise = lost[i] / alpha
         quadratic = max(Y[:, i] @ solved + of_noise, TINY)
         value += log_det + (n_total - n) * log_alpha[i] + n_total * np.log(quadratic)
-        # Traces of the inverse, which is the half and its transpose, times parts of the noise.
-        trace, square, alone = 2 * np.vdot(half, noise), solved @ noise @ solved, solved @ solved
-        gradient[d + i] = 0.5 * (alpha * trace + n_total - n)
-        gradient[-1] += 0.5 * alpha * (trace - 2 * np.trace(half))
-        by_theta[i, d + i] = -alpha * square - of_noise
-        by_theta[i, -1] = -alpha * (square - alone)
+        # Of the inverse, which is the half and its transpose, and of the square of what is solved:
+        # the parts that each row's own noise has, and those of groups' constants.
+        trace, square = 2 * np.trace(half), solved @ solved
+        of_groups = 2 * sum(root @ half[rows, rows] @ root for rows, root in constants)
+        between = sum((root @ solved[rows]) ** 2 for rows, root in constants)
+        gradient[d + i] = 0.5 * (alpha * (trace + of_groups) + n_total - n)
+        gradient[-1] += 0.5 * alpha * of_groups
+        by_theta[i, d + i] = -alpha * (square + between) - of_noise
+        by_theta[i, -1] = -alpha * between
         half *= slope.T  # symmetric, and the half is in Fortran's order
         gradient[:d] += width_gradient(half, Xs)
         # Of the quadratic form: a'K'a, the weights a being the solution.
@@ -111,8 +114,13 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
 
 
 def solve_and_invert(C, y, invert=True) -> tuple[Any, Any, Any]:
-    """Solution of C x = y, log determinant, and half of the inverse: with its transpose all."""
-    factor = cholesky(C.T, lower=True, check_finite=False)
+    """Solution of C x = y, log determinant, and half of the inverse: with its transpose all.
+
+    C, symmetric, is overwritten.
+    """
+    factor, failed = lapack.dpotrf(C.T, lower=1, overwrite_a=1)
+    if failed:
+        raise LinAlgError(f"The covariance is not positive definite at row {failed}.")
     log_det = 2 * np.log(factor.diagonal()).sum()
     solved = lapack.dpotrs(factor, y, lower=1)[0]
     if not invert:  # which takes two thirds of the time
@@ -130,10 +138,10 @@ def likelihoods(data, K, alphas, ratio=0.0, leave_out=True):
     form (section 5.4.2 of Rasmussen and Williams), up to a constant, or 0 without `leave_out`.
     Returns, third, the signal variance (q,).
     """
-    value, density, n, noise = 0.0, 0.0, len(K), data.noise(ratio)
+    value, density, n = 0.0, 0.0, len(K)
     signals = np.empty(len(alphas))
     for i, (y, within, alpha) in enumerate(zip(data.targets.T, data.lost, alphas, strict=True)):
-        solved, log_det, half = solve_and_invert(K + alpha * noise, y, leave_out)
+        solved, log_det, half = solve_and_invert(data.add_noise(K, alpha, ratio), y, leave_out)
         quadratic = max(y @ solved + within / alpha, TINY)
         log_det += (data.n_total - n) * np.log(alpha)
         value += 0.5 * (log_det + data.n_total * np.log(quadratic))
@@ -154,11 +162,6 @@ def likelihoods(data, K, alphas, ratio=0.0, leave_out=True):
     return value, density, signals
 
 
-def left_out(data, K, alphas, ratio=0.0):
-    """Negative log density of what is left out, see `likelihoods`."""
-    return likelihoods(data, K, alphas, ratio)[1]
-
-
 def used_share(data, K, alphas, ratio=0.0):
     """Share (q,) of a function that is used, by the deviations from the means of groups left out.
 
@@ -167,7 +170,7 @@ def used_share(data, K, alphas, ratio=0.0):
     """
     found, weights = np.empty_like(data.Y), data.weights[:, None]
     for i, (y, alpha) in enumerate(zip(data.targets.T, alphas, strict=True)):
-        solved, _, half = solve_and_invert(K + alpha * data.noise(ratio), y)
+        solved, _, half = solve_and_invert(data.add_noise(K, alpha, ratio), y)
         for rows in data.groups:
             inverse = half[rows, rows] + half[rows, rows].T
             found[rows, i] = y[rows] - np.linalg.solve(inverse, solved[rows])
@@ -317,10 +320,13 @@ class End(NamedTuple):
         return self.value + self.density
 
 
-def judge(task, kernel, theta, data, leave_out=True):
-    """How good an end is, by one factor for all that is asked; see `likelihoods`."""
+def judge(task, kernel, theta, data, leave_out=True, K=None):
+    """How good an end is, by one factor for all that is asked; see `likelihoods`.
+
+    The kernel matrix K of these widths may be given.
+    """
     log_width, log_alpha, ratio = task.unpack(theta)
-    K = covariance(data, kernel, log_width)[0]
+    K = covariance(data, kernel, log_width) if K is None else K
     try:
         value, density, signals = likelihoods(data, K, np.exp(log_alpha), ratio, leave_out)
     except LinAlgError:
@@ -330,21 +336,26 @@ def judge(task, kernel, theta, data, leave_out=True):
     return End(kernel, theta, value, value + penalty, density)
 
 
-def minimise(task, theta, data, kernel, steps, kappa=KAPPA):
-    """Search from a start; returns where it ends, never worse."""
+def minimise(task, theta, data, kernel, steps, kappa=KAPPA, nats=0.0):
+    """Search from a start until two steps gain less than some nats; where it ends, never worse."""
     unit = data.n_total * data.Y.shape[1]
-    # Small steps along a valley of the likelihood add up: the tolerance in nats is as small as the
-    # cost of a step allows.
-    nats = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
+    # Small steps along a valley of the likelihood add up: the tolerance is as small as the cost of
+    # a step allows.
+    least = np.clip(1e-11 * float(len(data.X)) ** 3, 1e-4, 1e-2)
+    values = [np.inf, np.inf]
 
     def per_observation(theta):
         value, gradient = objective(task, theta, data, kernel, kappa)
         return value / unit, gradient / unit
 
+    def stop(intermediate_result):
+        values.append(intermediate_result.fun * unit)
+        if values[-3] - values[-1] < nats:  # the first step is a small one
+            raise StopIteration
+
     theta = np.clip(theta, *task.bounds.T)
     if not len(theta):
         return theta
-    options = {"maxiter": steps, "ftol": nats / unit}
-    return minimize(
-        per_observation, theta, method="L-BFGS-B", jac=True, bounds=task.bounds, options=options
-    ).x
+    options = {"maxiter": steps, "ftol": least / unit}
+    how = {"method": "L-BFGS-B", "jac": True, "bounds": task.bounds, "options": options}
+    return minimize(per_observation, theta, callback=stop, **how).x

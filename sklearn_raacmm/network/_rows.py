@@ -93,14 +93,23 @@ class Rows(NamedTuple):
         rows[-1] = random_state.permutation(rows[-1])[: size - sum(map(len, rows[:-1]))]
         return np.sort(np.concatenate(rows))
 
-    def noise(self, ratio):
-        """Covariance (n, n) of the noise, times root weights: 1, and r within groups."""
-        matrix = np.eye(len(self.X))
-        if self.codes is not None and ratio:
-            root = np.sqrt(ratio * self.weights)
-            for rows in self.groups:
-                matrix[rows, rows] += np.outer(root[rows], root[rows])
-        return matrix
+    def add_noise(self, K, alpha, ratio):
+        """A kernel matrix (n, n), times root weights, with the noise: a new matrix."""
+        K = K.copy()
+        K[np.diag_indices(len(K))] += alpha
+        for rows, root in self.constants(ratio):
+            K[rows, rows] += alpha * np.outer(root, root)
+        return K
+
+    def constants(self, ratio):
+        """Slices of the groups that have constants, and what these add to a unit of noise.
+
+        The covariance is the product of the roots, of the weights and of the ratio.
+        """
+        if self.codes is None or not ratio:
+            return []
+        root = np.sqrt(ratio * self.weights)
+        return [(rows, root[rows]) for rows in self.groups]
 
     @property
     def groups(self):

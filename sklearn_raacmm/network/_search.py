@@ -21,10 +21,11 @@ from sklearn_raacmm.network._likelihood import (
     ALPHA_BOUNDS,
     LOOSE_KAPPA,
     WIDTH_BOUNDS,
+    End,
     Task,
     covariance,
     judge,
-    left_out,
+    likelihoods,
     log_likelihood,
     minimise,
     of_noise,
@@ -40,12 +41,16 @@ from sklearn_raacmm.utils import stage, warn_user
 # takes all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
+# Nats that two steps gain at the least where a search goes on from the end; and, as a share of the
+# margin below, where the end is only compared with another one.
+GOES_ON, COMPARED = 0.02, 0.02
 # Iterations after which ranks as inputs have to lead on the first stage's rows to be searched.
 TRIAL_STEPS = 15
 # Starts: all widths, in units of sqrt(d) spreads, and the ridge.
 START_WIDTHS, START_RIDGES = (0.05, 0.2, 0.5, 1.0, 2.5), (1e-3, 1e-1)
-# Width from which on a start is that of a smooth function.
-WIDE = 0.7
+# Width from which on a start is that of a smooth function; and the difference of logarithms of
+# widths and ridge below which two starts have led to the same place.
+WIDE, ALIKE = 0.7, 0.1
 # Nats for each observation by which the start of a search may trail.
 HOPELESS = 0.3
 # Cap of the widths at the start of the second stage, in sqrt(d) spreads: it gives features that a
@@ -111,14 +116,16 @@ def search(
 
     The data are distinct rows with targets in units of their spread. Given may be widths (d,)
     or ridges (q,). A `start` is what was found for other weights of the rows. Slips bend a
-    function, and rough kernels follow them: the first refit has the first kernel, the second
-    decides anew on kernel, inputs and groups' constants, and the others stay near the one before.
+    function, and rough kernels follow them: the first refit has the first kernel, and looks far
+    off; the others stay near the one before, and the second decides anew on kernel, inputs and
+    groups' constants.
     With `ranks`, as `mid_ranks` makes them, these may be the inputs, or have to be.
     """
     (n, d), q = data.X.shape, data.Y.shape[1]
-    decides = start is None or refit == 2
-    if start is not None and not decides:
-        may_be_raw, ranks = start.ranks is None, None if start.ranks is None else ranks
+    decides = refit != 1 and (start is None or refit == 2)
+    if not decides and may_be_raw:
+        may_be_raw = start is None or start.ranks is None
+        ranks = None if may_be_raw else ranks
     first_ranks = None if may_be_raw else ranks
     sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     drawn = [data.draw(size, random_state) for size in sizes]
@@ -128,18 +135,22 @@ def search(
         ridge = np.ones(q) if alpha is None else alpha
         return Structure(kernels[0], width, ridge, ranks=first_ranks)
     constants = data.codes is not None and bool(data.codes.any())
-    if start is not None and not decides:
+    if not decides:
         kernels = kernels[:1] if refit == 1 else (start.kernel,)
-        constants = start.ratio > 0
+        constants = constants and (start is None or start.ratio > 0)
 
     def look(view):
         task = Task(view.spread, view.used, q, isotropic, length_scale, alpha, constants)
         same_inputs = start is not None and (start.ranks is None) == (view.ranks is None)
         known = start if same_inputs else None
-        task, ends = _first_stage(task, kernels, view.few, known, decides, refit > 2)
-        ends = _second_stage(task, ends, view.few, view.many)
+        task, ends = _first_stage(task, kernels, view.few, known, decides, refit > 1)
+        more = len(view.many.X) > len(view.few.X)
+        ends = _second_stage(task, ends, view.many) if more else ends
         # The first kernel, unless another one leads clearly.
-        return task, min(ends, key=_handicapped(kernels[0], view.many))
+        end = min(ends, key=_handicapped(kernels[0], view.many))
+        if more or not decides:
+            return task, end
+        return task, _end(task, end.kernel, end.theta, view.few, 0.0)
 
     silent = silent_widths(view.spread, view.used)
     task, end = look(view)
@@ -172,7 +183,7 @@ def search(
         n_observations=many.n_total,
         n_found=n_found / q,
         ranks=view.ranks,
-        used=_used(many, covariance(many, end.kernel, log_width)[0], np.exp(log_alpha), ratio),
+        used=_used(many, covariance(many, end.kernel, log_width), np.exp(log_alpha), ratio),
     )
 
 
@@ -202,8 +213,8 @@ def _may_win(task, end, view, other):
     """Whether ranks may be the better inputs: by a short search on few rows, if they say more."""
     if are_alike(view.few.X, other.few.X):
         return False
-    ranked = task._replace(spread=other.spread)
-    theta = minimise(ranked, end.theta, other.few, end.kernel, TRIAL_STEPS)
+    ranked, nats = task._replace(spread=other.spread), COMPARED * margin(view.few)
+    theta = minimise(ranked, end.theta, other.few, end.kernel, TRIAL_STEPS, nats=nats)
     lead = judge(task, end.kernel, end.theta, view.few).score
     return lead - judge(ranked, end.kernel, theta, other.few).score > margin(view.few)
 
@@ -218,7 +229,7 @@ def _first_stage(task, kernels, few, start, decides, near):
     def find(task):
         if start is None or not near:
             return _coarse(task, first, few, start)
-        return judge(task, first, minimise(task, task.pack(start), few, first, COARSE_STEPS), few)
+        return _end(task, first, task.pack(start), few)
 
     end = find(task)
     if task.constants and decides:
@@ -229,17 +240,20 @@ def _first_stage(task, kernels, few, start, decides, near):
             task, end = plain, other
     ends = [end]
     for kernel in others:
-        theta = minimise(task, ends[0].theta, few, kernel, COARSE_STEPS)
-        ends.append(judge(task, kernel, theta, few))
+        ends.append(_end(task, kernel, ends[0].theta, few, COMPARED * margin(few)))
         if ends[-1].score > ends[-2].score + margin(few):
             break
     return task, ends
 
 
-def _second_stage(task, ends, few, many):
+def _end(task, kernel, theta, data, nats=GOES_ON):
+    """Where a search for a kernel ends, from a start."""
+    theta = minimise(task, theta, data, kernel, COARSE_STEPS, nats=nats)
+    return judge(task, kernel, theta, data)
+
+
+def _second_stage(task, ends, many):
     """Ends on many rows, of the kernels that may be the best there."""
-    if len(many.X) == len(few.X):
-        return ends
     ends = [judge(task, end.kernel, end.theta, many) for end in ends]
     handicapped = _handicapped(ends[0].kernel, many)
     limit = min(map(handicapped, ends)) + margin(many)
@@ -285,26 +299,31 @@ def silent_widths(spread, used):
 
 def _coarse(task, kernel, data, start=None):
     """Where the search for one kernel ends on few rows, from several starts and a given one."""
-    starts = [task.start(c, a) for c in START_WIDTHS for a in START_RIDGES]
+    starts = [[task.start(c, a) for a in START_RIDGES] for c in START_WIDTHS]
     if start is not None:
-        starts.append(_revived(task, task.pack(start)))
-    values = [judge(task, kernel, theta, data, leave_out=False).value for theta in starts]
+        starts.append([_revived(task, task.pack(start))])
+    found = []
+    for alike in starts:  # but for the ridge
+        K = covariance(data, kernel, task.unpack(alike[0])[0])
+        found += [judge(task, kernel, theta, data, False, K) for theta in alike]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
-    limit = min(values) + HOPELESS * data.n_total * task.n_outputs
-    best = {}
-    for value, theta in sorted(zip(values, starts, strict=True), key=lambda pair: pair[0]):
-        if value <= limit:
-            best.setdefault(middle is not None and bool(theta[0] < middle), theta)
-    ends = []
+    found.sort(key=lambda end: end.value)
+    limit = found[0].value + HOPELESS * data.n_total * task.n_outputs
+    best: dict[bool, Any] = {}
+    for end in found:
+        if end.value <= limit:
+            best.setdefault(middle is not None and bool(end.theta[0] < middle), end.theta)
+    ends: list[End] = []
     for theta in best.values():
         if start is None:
             # At the price of many features a weak signal in a few of them is not found from far off
             # (tests/network/test_search.py): it has to stand out first.
-            theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA)
-        ends.append(minimise(task, theta, data, kernel, COARSE_STEPS))
-    return min((judge(task, kernel, theta, data) for theta in ends), key=lambda end: end.score)
+            theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA, GOES_ON)
+        if not any(np.allclose(theta, end.theta, rtol=0, atol=ALIKE) for end in ends):
+            ends.append(_end(task, kernel, theta, data))
+    return min(ends, key=lambda end: end.score)
 
 
 def _leave_out_flat(task, end, data):
@@ -381,7 +400,7 @@ def _linear(data, value, density, margin):
     lead = together = value - goal
     K, alphas = (root * columns) @ (root * columns).T / ridge, np.ones(data.Y.shape[1])
     if density is not None:
-        own_density = left_out(data, K, alphas, ratio)
+        own_density = likelihoods(data, K, alphas, ratio)[1]
         together += min(1.0, data.n_total / (TRUSTED * data.X.shape[1])) * (density - own_density)
     if min(lead, together) <= margin:
         return None

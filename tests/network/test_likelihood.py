@@ -11,7 +11,7 @@ from sklearn_raacmm.network._likelihood import (
     covariance,
     exact_likelihood,
     judge,
-    left_out,
+    likelihoods,
     objective,
 )
 from sklearn_raacmm.network._rows import Rows
@@ -70,7 +70,7 @@ def test_what_is_left_out_by_leaving_it_out(ratio):
             of_left = signal * root[:, None] * of_left * root
             density += 0.5 * (left @ np.linalg.solve(of_left, left) + np.linalg.slogdet(of_left)[1])
     data = data if ratio is None else data._replace(codes=codes)
-    found = left_out(data, covariance(data, "matern52", np.zeros(3))[0], alphas, ratio or 0.0)
+    found = likelihoods(data, covariance(data, "matern52", np.zeros(3)), alphas, ratio or 0.0)[1]
     assert found == pytest.approx(density, rel=1e-8)
 
 

@@ -10,7 +10,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._blocks import ArrayChunks, draw_rows, extend
 from sklearn_raacmm.network._kernels import kernel_matrix
-from sklearn_raacmm.network._likelihood import left_out, log_likelihood
+from sklearn_raacmm.network._likelihood import likelihoods, log_likelihood
 from sklearn_raacmm.network._linear import RIDGES, linear_evidence
 from sklearn_raacmm.network._rows import merge, prepare
 
@@ -131,7 +131,7 @@ def test_evidence_of_a_linear_model_is_the_density_of_a_normal_variable():
             alone += 0.5 * (error / spread + np.log(spread))
     assert log_likelihood(data, value) == pytest.approx(density, rel=1e-9)
     K = root * (Z @ Z.T) * root.T / ridge
-    assert left_out(data, K, np.ones(2)) == pytest.approx(alone, rel=1e-8)
+    assert likelihoods(data, K, np.ones(2))[1] == pytest.approx(alone, rel=1e-8)
 
 
 @pytest.mark.parametrize(("n", "d", "noise"), [(20, 4, 0.1), (40, 12, 0.3), (150, 5, 1.0)])
