@@ -136,7 +136,7 @@ def search(
         return Structure(kernels[0], width, ridge, ranks=first_ranks)
     constants = data.codes is not None and bool(data.codes.any())
     if not decides:
-        kernels = kernels[:1] if refit == 1 else (start.kernel,)
+        kernels = kernels[:1] if start is None or refit == 1 else (start.kernel,)
         constants = constants and (start is None or start.ratio > 0)
 
     def look(view):
