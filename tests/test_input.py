@@ -619,7 +619,7 @@ def refused_in_models():
     yield partial(harmonics().fit, y=RESIDUALS), "X", [ANGLES[:, :5]], no_angles
     no_vectors = r"y has shape \(40,( 2)?\); Cartesian residuals \(n_samples, 3\)"
     yield partial(harmonics().fit, ANGLES), "y", [RESIDUALS[:, :2], RESIDUALS[:, 0]], no_vectors
-    yield fitted, "causes", [["gears"]], "some of gravity, kinematics, wobble, got 'gears'"
+    yield fitted, "causes", [["gears"]], "wobble, or functions, got 'gears'"
     yield fitted, "causes", ["gravity"], "'causes' parameter"
     absolute = partial(harmonics(offsets=False).fit, ANGLES, RESIDUALS, groups=GROUPS)
     yield absolute, "lengths", [[(0, 1, 100, 1)]], "lengths are for positions with offsets"
