@@ -166,9 +166,8 @@ def _left(model, expected):
 def nothing_changed(model: Any, expected: Expected, date: Any) -> bool:
     """Whether rows, with the probe as it was, show nothing but noise; `updates_` then says so.
 
-    Noise of any size is an explanation like a change, and taken where none is clearly likelier: of
-    36 simulated updates by three cones whose angles are noisy none has a change that is so by 4
-    nats, of 12 knocks all have one by 9.
+    Noise of any size is an explanation like a change, and taken where none is clearly likelier
+    (``benchmarks/bench_after_the_lab.py knocks`` has both).
     """
     if why_too_few(expected.rows) or named_changes(expected, ["base"], EQUAL) != []:
         return False

@@ -292,13 +292,13 @@ class ArmResidualRegressor(PointCorrectionMixin):
         left_out = leave_out(fitted, positions) if self._judged else None
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
-        centre = beside_table(fitted)
+        centre = beside_table(fitted.rows)
         fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale, centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
             judged = *left_out[:2], fading, robust, rows.codes, positions, None, centre
             fading, self.judgement_ = judge(rows.y, *judged)
-            fading = near_and_far(fading, fitted, left_out, positions)
+            fading = near_and_far(fading, fitted, left_out, positions, centre)
             shares = fading.found(left_out[1])
             if fading.most > 0 and shares.min() < 1:
                 of_shares = left_out, with_constants, positions, shares[:, None]

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import digamma, gammaln
 from scipy.stats import norm, t
 
-from sklearn_raacmm.error_model._columns import KINEMATICS, columns_of
+from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
 from sklearn_raacmm.inference import Problem, combined, search_at
 from sklearn_raacmm.utils import Finding, centred, group_means, stage
@@ -186,18 +186,16 @@ def judge(
     return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
 
 
-def beside_table(fitted):
+def beside_table(rows):
     """`centre`, as `judge` takes it, of touches that the arm was calibrated with.
 
     The calibration has taken out of them what its table explains, right or wrong: of so few numbers
     that is much. How far a correction of the table is right at other places they do not say.
     """
-    rows = fitted.rows
     if rows.centre is None:
         return None
-    terms = fitted.columns.terms._replace(harmonics=np.empty((0, 2), dtype=int), kinematics=True)
-    columns = columns_of(rows.arm, terms._replace(gravity=False, wobble=False))
-    table = columns.at(rows.X)[:, :, columns.family == KINEMATICS]
+    kinematics = columns_of(rows.arm, Terms(np.empty((0, 2), dtype=int), False, True, False))
+    table = kinematics.at(rows.X[:, : rows.arm.n_joints])
 
     def centre(values, weights):
         scale = np.sqrt(weights)[:, None, None]
@@ -211,7 +209,7 @@ def beside_table(fitted):
     return centre
 
 
-def near_and_far(fading, fitted, left_out, positions):
+def near_and_far(fading, fitted, left_out, positions, centre):
     """Fading whose share far from the data is that of blocks left out, near them of positions.
 
     The share of `fading` is that of the blocks. In the middle between both are doubts between those
@@ -224,7 +222,7 @@ def near_and_far(fading, fitted, left_out, positions):
     if near is None:
         return fading
     judged = rows.y, *near[:2], fading, weights, rows.codes, positions
-    most = judge(*judged, centre=beside_table(fitted))[0].most
+    most = judge(*judged, centre=centre)[0].most
     if not most > fading.most:
         return fading
     squares = (np.average(np.square(doubt), weights=weights) for doubt in (near[1], left_out[1]))

@@ -43,7 +43,8 @@ _CHUNK = 1024
 # Orders and poses from which on the grid is faster: without it the fit of 3000 poses of the UR10
 # that ``benchmarks/golden.py`` times takes 1.3 times as long.
 _MANY_ORDERS, _MANY_POSES = 128, 256
-# Chunks of poses, of each joint, whose waves are held, or how they spread over the grid: 10 MB.
+# Chunks of poses, of each joint, for which is held how they spread over the grid (15 MB), or their
+# waves, of at most 127 orders there (130 MB).
 _HELD = 64
 # Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
 # beside the sharpest that the grid allows (``tests/error_model/test_sums.py``).

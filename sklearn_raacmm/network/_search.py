@@ -41,8 +41,9 @@ from sklearn_raacmm.utils import stage, warn_user
 # takes all (``benchmarks/bench_rows.py --cliffs``).
 COARSE_ROWS, WHOLE_ROWS, EXACT_ROWS = 300, 400, 1000
 COARSE_STEPS, EXACT_STEPS = 60, 40
-# Nats that two steps gain at the least where a search goes on from the end; and, as a share of the
-# margin below, where the end is only compared with another one.
+# Nats that two steps gain at the least where a search goes on from the end: five times as many take
+# noise for a signal (``tests/network/test_search.py``). And, as a share of the margin below, where
+# the end is only compared with another one.
 GOES_ON, COMPARED = 0.02, 0.02
 # Iterations after which ranks as inputs have to lead on the first stage's rows to be searched.
 TRIAL_STEPS = 15
