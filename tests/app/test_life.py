@@ -1,7 +1,6 @@
 """The words for the life of an arm: register, update, move, check; by cones and by a tracker."""
 
 import functools
-import html
 import io
 import json
 import os
@@ -196,7 +195,7 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     # The sentence of the check stands below the title, and its point in the chart.
     (sentence,) = re.findall(r"<strong>(.*?)</strong>", page)
     checked = Correction.load(out).facts["history"][-1]
-    assert sentence == html.escape(f"Checked on {step['date']}. {checked['said']}", quote=False)
+    assert sentence == f"Checked on {step['date']}. {checked['said'].replace('->', '→')}"
     assert checked["said"] in printed
     assert ('class="verdict good"' in page) == checked["holds"]
     assert page.count("<circle") == checked["holds"]
