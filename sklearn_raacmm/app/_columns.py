@@ -459,8 +459,7 @@ class Columns:
                 steps = np.diff(self.source.numbers(self.cells(joints[0])))
                 even = len(steps) > 1 and steps[0] > 0 and np.ptp(steps) <= 1e-6 * steps[0]
                 joints = joints[1:] if even else joints
-            fitting = [joints] * (len(joints) == self.n_joints)
-            what = "the columns of numbers in their order, "
+            fitting, what = [joints] * (len(joints) == self.n_joints), "the columns of numbers, "
             if not fitting and poses and len(joints) < self.n_joints:
                 named = ", ".join(self.header[i] for i in poses)
                 raise TableError(
