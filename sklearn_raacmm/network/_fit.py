@@ -17,7 +17,7 @@ from scipy.linalg import lapack, solve_triangular
 
 from sklearn_raacmm.network._blocks import extend
 from sklearn_raacmm.network._centers import MAX_CENTERS, MODERATE, choose_centers, features_at
-from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix, psd_root
+from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._likelihood import ALPHA_BOUNDS, LEAST_RIDGE
 from sklearn_raacmm.network._linear import (
     first_weights,
@@ -48,7 +48,9 @@ FIRST_SAMPLE, LARGEST_SAMPLE = 500, 2000
 FEWEST_DEGREES, OF_TWO = 0.5, (1.96 / 12.706) ** 2
 
 
-def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=None, refit=0):
+def fit_outputs(
+    estimator, rows, elsewhere, outputs, kernels, width, alpha, rng, before=None, refit=0
+):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
@@ -63,7 +65,6 @@ def fit_outputs(estimator, rows, elsewhere, outputs, width, alpha, rng, before=N
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
-    kernels = tuple(KERNELS) if estimator.kernel == "auto" else (estimator.kernel,)
     sample, problem = set_up(degree)
     varying = sample.varying
     spread = sample.spread[varying]

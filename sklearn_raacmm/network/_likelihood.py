@@ -308,7 +308,7 @@ def _penalty(task, theta, data, kappa, signals, of_signals):
 class End(NamedTuple):
     """Where a search for a kernel ended, and how good that is: all in nats, less is better."""
 
-    kernel: str
+    kernel: Any  # a name of `KERNELS`, or a function
     theta: np.ndarray
     likelihood: float  # negative log likelihood
     value: float  # with the penalty

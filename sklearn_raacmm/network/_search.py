@@ -82,7 +82,7 @@ TENTHS, OUTLYING = (0.1, 0.9), 3.0
 class Structure(NamedTuple):
     """What the likelihood chose."""
 
-    kernel: str
+    kernel: Any  # a name of `KERNELS`, or a function
     length_scale: np.ndarray  # (d,)
     alpha: np.ndarray  # (q,)
     ratio: float = 0.0  # variance of groups' constants over that of an observation's noise
