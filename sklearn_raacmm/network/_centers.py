@@ -26,6 +26,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
 from sklearn_raacmm.network._linear import penalise
+from sklearn_raacmm.network._ranks import to_ranks
 from sklearn_raacmm.utils import warn_user
 
 # Share of the error that noise causes anyway which leaving out candidates may add, about.
@@ -165,14 +166,14 @@ def features_at(problem, Z, structure, root=None, known=None):
     The functions are centred at Z (m, d), in units of the widths, and multiplied by the inverse of
     a lower triangular root (m, m). Where all rows are candidates the columns are `known`.
     """
-    shift = structure.seen(problem.rows.X).mean(axis=0)
+    shift = to_ranks(structure.ranks, problem.rows.X).mean(axis=0)
 
     def columns(block):
         if known is not None and block.part is not None:
             rows = known[block.part]
             plain = block.codes is None and np.all(block.root == 1)
             return rows if plain else problem.weigh(rows.copy(order="K"), block)
-        X = (structure.seen(block.X) - shift) / structure.length_scale
+        X = (to_ranks(structure.ranks, block.X) - shift) / structure.length_scale
         K = kernel_matrix(Z, X, structure.kernel).T
         if root is not None and len(K):
             K = blas.dtrsm(1.0, root, K, side=1, lower=1, trans_a=1, overwrite_b=1)

@@ -50,6 +50,8 @@ PRICE, KAPPA, LOOSE_KAPPA, NARROW = 0.9, 2.0, 20.0, 1.5
 # worse by more than 2 %, 2 none; other arms became 1 to 3 % less good. Of 16 tests that chose
 # nothing, 2 made three worse by 3 to 5 % (``benchmarks/bench_chain.py --few``, seeds 200 to 207).
 SHARE_ERRORS = 2.0
+# Groups at the least of which that share is found: of three the rest is hardly the same function.
+LEAST_GROUPS = 4
 TINY = np.finfo(float).tiny
 
 
@@ -166,8 +168,11 @@ def used_share(data, K, alphas, ratio=0.0):
     """Share (q,) of a function that is used, by the deviations from the means of groups left out.
 
     With y these deviations and f those predicted it is ``sum y.f / sum f.f`` less twice its
-    standard error over groups, from 0 to 1. Returns with it the mean square (q,) of what it leaves.
+    standard error over groups, from 0 to 1. Returns with it the mean square (q,) of what it leaves;
+    None if groups are few.
     """
+    if data.codes is None or data.codes[-1] + 1 < LEAST_GROUPS:
+        return None
     found, weights = np.empty_like(data.Y), data.weights[:, None]
     for i, (y, alpha) in enumerate(zip(data.targets.T, alphas, strict=True)):
         solved, _, half = solve_and_invert(data.add_noise(K, alpha, ratio), y)

@@ -126,7 +126,7 @@ class Network:
 
     def seen(self, X: np.ndarray) -> np.ndarray:
         """Rows (n, d) as the radial functions see them, not yet in units of the widths."""
-        return X if self.ranks is None else to_ranks(self.ranks, X)
+        return to_ranks(self.ranks, X)
 
     def scaled(self, X: np.ndarray) -> np.ndarray:
         """The same about the middle of the centres, in units of the widths."""

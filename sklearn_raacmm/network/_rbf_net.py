@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.network._fit import fit_outputs
+from sklearn_raacmm.network._fit import fit_outputs, reweigh
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_data
-from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.utils import (
     Floats,
     Pair,
