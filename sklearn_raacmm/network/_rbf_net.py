@@ -114,8 +114,8 @@ class RBFNetRegressor(VersionedRegressor):
         Centres, in the order of selection, of one network after another.
 
     center_indices_ : ndarray of shape (n_centers,)
-        Rows of the centres in X. Of candidates that explain the same share, to 1e-9, the network
-        takes the first in the order of their features.
+        Rows of the centres in X. Of candidates that explain the same, to 1e-9, the first in the
+        order of their features is taken.
 
     coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
         Weights; 0 at the centres of other outputs.
@@ -127,16 +127,15 @@ class RBFNetRegressor(VersionedRegressor):
         Linear term.
 
     kernel_, inputs_, length_scale_, alpha_ : str, str, ndarray of shape (n_features,) and float
-        Kernel, inputs, widths and ridge of the network, as given or found by `fit`. With a network
-        for each output arrays of one entry or row for each.
+        Kernel, inputs, widths and ridge, as given or found by `fit`; of several networks arrays
+        with an entry or row for each.
 
     noise_variance_, signal_variance_, group_std_ : float or ndarray of shape (n_outputs,)
         Variance of the noise of one observation, and variance of the function, in squared units of
         `y`; standard deviation of the groups' constants, in units of `y`.
 
     log_marginal_likelihood_value_ : float
-        Log marginal likelihood of the rows on which `fit` compared kernels and widths, in nats,
-        over all outputs.
+        Of the rows on which `fit` compared kernels and widths, in nats, over all outputs.
 
     error_reduction_ : ndarray of shape (n_centers,)
         Share of the variance by which a centre lowered the objective.
