@@ -179,18 +179,19 @@ def check(options):
     if used := _used_poses(saved, today):
         print_notes([f"{used} A check by them says that the correction holds, whatever happened."])
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    facts, found, advice = {}, None, ""
+    facts, advice = {}, ""
+    result: Any = None  # of the model's check
     if has_causes:
-        facts, found, advice = _check_model(saved, today, measured, rate, options)
+        facts, result, advice = _check_model(saved, today, measured, rate, options)
     holds = not advice
     if by_spread:
         # Rows that slipped are left out where each position keeps two or more.
-        kept = np.delete(np.arange(len(today.angles)), list(found.slipped if found else ()))
+        kept = np.delete(np.arange(len(today.angles)), list(result.slipped if result else ()))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        spread = _check_spread(saved, today, rate, advice)
-        facts, holds = facts | spread, holds and spread["after_mm"] < spread["before_mm"]
-        holds = holds and spread["after_mm"] <= spread["expected_below_mm"]
+        scatter = _check_spread(saved, today, rate, advice)
+        facts, holds = facts | scatter, holds and scatter["after_mm"] < scatter["before_mm"]
+        holds = holds and scatter["after_mm"] <= scatter["expected_below_mm"]
     else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         said = advice and f"It does not hold. {advice}"
@@ -200,7 +201,7 @@ def check(options):
         try:
             names = ("before_mm", "after_mm", "expected_below_mm", "holds", "said")
             answer = {name: facts.get(name, "") for name in names}
-            replace(found, record=found.record | answer).append_to(options.record)
+            replace(result, record=result.record | answer).append_to(options.record)
             print(f"Appended to {options.record}")
         except OSError as error:
             print_notes([f"This check is not in {options.record}: {error}"])
@@ -222,23 +223,23 @@ def check(options):
 def _check_model(saved, today, measured, rate, options):
     """Facts of what the model sees, its check, and what to do about a change; else ""."""
     accept, new_base = options.accept or (), options.new_base
-    found = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
-    changed = bool(found.matters and not found.holds)
+    result = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
+    changed = bool(result.matters and not result.holds)
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
-    if not found.holds:
+    if not result.holds:
         little = "" if changed else " That is too little to act on."
         print(
-            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
+            f"Suspect: {result.suspect}, {result.size_mm:.3f} mm at the probe (p = "
+            f"{result.p_value:.2g}), where {result.usual_mm:.3f} mm is usual.{little}"
         )
     _print_doubts(saved, today.angles, today.positions)
-    for row in found.slipped:
+    for row in result.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-    facts = {name: getattr(found, name) for name in names}
-    return facts, found, found.advice if changed else ""
+    facts = {name: getattr(result, name) for name in names}
+    return facts, result, result.advice if changed else ""
 
 
 def _check_spread(saved, today, rate, advice):
