@@ -30,7 +30,7 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._columns import MM_PER_UNIT, Columns, split_unit
+from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import (
     correction_files,
     in_rad,
@@ -50,6 +50,7 @@ from sklearn_raacmm.app._sources import (
     read_sheets,
 )
 from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
 

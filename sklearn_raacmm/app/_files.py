@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._columns import MM_PER_UNIT, split_unit
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
 from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
+from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.arm import Arm, scale_of
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction

@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._columns import MEASURED, Columns
+from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._joints import MEASURED, columns_of_numbers, external_axes, find_joints
 from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.app._units import find_unit, mm_of_slide
 from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.utils import Floats
 
@@ -159,28 +161,29 @@ class Layout(Columns):
         if position is not None:
             taken.add(self.column(position, "--position"))
         self.types, slides = joint_types, slides_of(joint_types)
-        self.angle_columns = self.find_angles(angles, joint_names, taken, slides)
+        self.angle_columns = find_joints(self, angles, joint_names, taken, slides)
         self.labelled, self.position_column, self.needed = labelled and points is None, None, needed
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
             self.position_column = self.find_position(position, taken, needed)
-        self.turns = np.ones(1)
+        self.angle_unit, self.factor, self.turns = angle_unit or "rad", 1.0, np.ones(1)
+        turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
         if counts_per_turn is not None:
-            self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
-            self.factor = 360.0
+            self.turns = np.asarray(counts_per_turn, dtype=float)
+            self.angle_unit, self.factor = "deg", 360.0
+        elif turning and not angle_unit:
+            self.angle_unit, self.factor = find_unit(self, turning)
         if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
             each = f"one for each of {n_joints} joints"
             raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
-        turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
-        self.angle_unit = angle_unit or (self.find_unit(turning) if turning else "rad")
         if slides:
             unit = np.broadcast_to(self.factor / self.turns, n_joints).copy()
-            unit[slides] = [self.mm_per_unit(self.angle_columns[i]) for i in slides]
+            unit[slides] = [mm_of_slide(self, self.angle_columns[i]) for i in slides]
             self.factor, self.turns = unit, np.ones(1)
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
-        self.notes += self.external_axes(used)
+        self.external = external_axes(self, used)
         if unused := [name for i, name in enumerate(self.header) if i not in used]:
             self.notes.append(named_first("Columns not used", unused))
 
@@ -333,7 +336,7 @@ def read_points(path, wanted=None):
 
 def _points_by_coordinate(columns, axis):
     """Names and points of a table that has a row for each coordinate, as reports have them."""
-    numbers = columns.columns_of_numbers()
+    numbers = columns_of_numbers(columns)
     value = ([i for i in numbers if MEASURED.search(columns.names[i])] or numbers)[0]
     rows = list(columns.rows([value]))
     names = [text_of_label(cells[axis - 1]) for _, cells in rows]
@@ -365,10 +368,7 @@ def _columns_of_points(columns, wanted):
     found = [i for i in found if i not in columns.label_columns and columns.names[i] not in _NAMES]
     found = found[len(found) == 4 and found[0] == 0 :][:3]
     if len(found) != 3 or len(triples) > 1:
-        raise TableError(
-            f"{columns.path}: which columns are x, y and z? Say it with --points "
-            f"{columns.path.name}:X,Y,Z; it has {columns}."
-        )
+        raise columns.unclear("which columns are x, y and z", f"--points {columns.path.name}:X,Y,Z")
     return found
 
 
