@@ -91,10 +91,10 @@ def accept(options):
     check_places(filter(None, [out, options.dcc]), filter(None, read))
     left_arm = saved.arm if saved else arm
     run, rows, entries, limits, digest = _read_run(path, left_arm)
-    found = arm if saved else None
+    found_arm = arm if saved else None
     with numbered_rows(rows):
         result = evaluate_acceptance(
-            run, left_arm, saved, found=found, limits=limits, rule=options.rule
+            run, left_arm, saved, found=found_arm, limits=limits, rule=options.rule
         )
     expected, words = {}, WORDS[options.language]
     software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}
@@ -228,15 +228,15 @@ def _read_readings(path, arm, sheet, rows):
     options = {"labelled": False, "others": given, "sheet": sheet, "points": points}
     if has_points and not has_angles:  # the reader of angles reads any three columns of numbers
         table = Layout(path, 3, angles=points, angle_unit="deg", **options).read()
-        found = {"points": table.points}
+        measured = {"points": table.points}
     else:
         if arm is None:
             raise TableError(f"{path} holds joint angles: name --model or --arm, whose they are.")
         options |= {"joint_names": arm.names, "joint_types": arm.joint_types}
         table = Layout(path, arm.n_joints, **options).read()
-        found = {"angles": in_rad(table), "points": table.points}
+        measured = {"angles": in_rad(table), "points": table.points}
     labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
-    return {"columns": labels | found, "rows": table.rows, "notes": table.notes}
+    return {"columns": labels | measured, "rows": table.rows, "notes": table.notes}
 
 
 def _heading(text):
@@ -246,8 +246,8 @@ def _heading(text):
 
 def _unit(heading):
     """The unit in square brackets of a heading, or ""."""
-    found = re.search(r"\[[^\]/]*\]", heading)
-    return split_unit(f"x {found[0]}")[1] if found else ""
+    brackets = re.search(r"\[[^\]/]*\]", heading)
+    return split_unit(f"x {brackets[0]}")[1] if brackets else ""
 
 
 def _number(path, row, heading, factor):

@@ -63,12 +63,11 @@ def find_header(source, n_numbers):
     repeated = [i for i in heads if Counter(texts[i]).most_common(1)[0][1] >= n_numbers]
     n_above = max([n_above, *(i + 1 for i in repeated)])
     data = [
-        (number, cells)
-        for (number, cells, _, is_comment), kind in zip(rows, kinds, strict=True)
-        if sum(kind) >= n_numbers or not (is_comment or sum(cell != "" for cell in cells) == 1)
+        rows[i][:2]
+        for i, kind in enumerate(kinds[n_above:], n_above)
+        if sum(kind) >= n_numbers or not (rows[i][3] or sum(cell != "" for cell in rows[i][1]) == 1)
     ]
     row = rows[n_above - 1][0] if n_above else 0
-    data = [one for one in data if one[0] > row]
     names = _names_of_columns(above, len(usual), n_numbers)
     if not names:
         names = _fields_of_joint_states(data[0][1], source, n_numbers)
@@ -187,11 +186,11 @@ class Columns:
         """Column of this name, its unit left out or not; or of this number, from 1."""
         wanted = str(wanted).strip()
         for given in (self.header, self.names):
-            found = [i for i, name in enumerate(given) if name.lower() == wanted.lower()]
-            if len(found) == 1:
-                return found[0]
-            if found:
-                many = f"{len(found)} columns {wanted!r}"
+            same = [i for i, name in enumerate(given) if name.lower() == wanted.lower()]
+            if len(same) == 1:
+                return same[0]
+            if same:
+                many = f"{len(same)} columns {wanted!r}"
                 raise TableError(f"{self.path} has {many}; {option} needs one.")
         if wanted.isdigit() and 1 <= int(wanted) <= len(self.header):
             return int(wanted) - 1
@@ -208,7 +207,7 @@ class Columns:
         Comments are left out; so are rows at the end without a number in any of these columns, and
         rows of means and other statistics of the columns, which a note then names.
         """
-        held, found, before, statistics = [], False, [], []
+        held, begun, before, statistics = [], False, [], []
         # Statistics are named in the first column, or in one that has other cells than numbers.
         first = enumerate(zip_longest(*(cells for _, cells in self.first), fillvalue=""))
         texts_at = [i for i, of in first if not i or None in map(self.source.number, of)]
@@ -231,8 +230,8 @@ class Columns:
             held.append((number, cells))
             if has_number:
                 yield from map(self._check_width, held)
-                held, found = [], True
-        if not found:
+                held, begun = [], True
+        if not begun:
             yield from map(self._check_width, held)
         elif held:
             number, cells = held[0]
@@ -252,8 +251,8 @@ class Columns:
     def fields(self, field):
         """Columns of a field of messages by their numbers: position0, position[1], positions[2]."""
         pattern = re.compile(rf"(?:.*\W)?(?:joint_)?{field}s?[\[_.]?(\d+)\]?")
-        found = [pattern.fullmatch(name) for name in self.names]
-        return {int(match[1]): i for i, match in enumerate(found) if match}
+        matches = [pattern.fullmatch(name) for name in self.names]
+        return {int(match[1]): i for i, match in enumerate(matches) if match}
 
     def are_joint_states(self, columns):
         """Whether columns are positions of sensor_msgs/JointState, which are in rad and m."""
@@ -323,25 +322,25 @@ class Columns:
         """Column of the label of the position; `taken` are columns of other things."""
         if wanted is not None:
             return self.column(wanted, "--position")
-        found = [i for i in self.label_columns if i not in taken] or self._columns_of_text(taken)
-        if len(found) == 1:
-            self.notes.append(f"Labels of the positions: {self.header[found[0]]}.")
-            return found[0]
-        if not found and not needed:
+        labels = [i for i in self.label_columns if i not in taken] or self._columns_of_text(taken)
+        if len(labels) == 1:
+            self.notes.append(f"Labels of the positions: {self.header[labels[0]]}.")
+            return labels[0]
+        if not labels and not needed:
             return None
         raise self.unclear("which column holds the label of the position", "--position NAME")
 
     def _columns_of_text(self, taken):
         """Columns that may hold labels: if there are any, those with one in every row."""
-        found, varies = {}, {}
+        is_whole, varies = {}, {}
         for i, name in enumerate(self.names):
             # A label that is missing here and there is a fault, which is reported on reading.
             given = [cell for cell in self.cells(i) if cell != ""]
             is_other = i in taken or OF_TIMES.fullmatch(name) or _NO_LABEL.search(name)
             is_time = any(_TIME.search(str(cell)) for cell in given)
             if given and not (is_other or is_time or self.source.count(given)):
-                found[i] = len(given) == len(self.cells(i))
+                is_whole[i] = len(given) == len(self.cells(i))
                 varies[i] = len(set(given)) > 1
         if any(varies.values()):  # what is the same in all rows tells no positions apart
-            found = {i: whole for i, whole in found.items() if varies[i]}
-        return [i for i, whole in found.items() if whole] or list(found)
+            is_whole = {i: whole for i, whole in is_whole.items() if varies[i]}
+        return [i for i, whole in is_whole.items() if whole] or list(is_whole)

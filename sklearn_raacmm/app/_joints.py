@@ -43,30 +43,30 @@ def find_joints(table, wanted, joint_names, taken=(), slides=()):
     The columns `taken` hold other things. Joints of the numbers `slides`, from 0, slide.
     """
     if wanted is None:
-        found = _joints(table, table.n_joints, joint_names, taken, slides)
+        columns = _joints(table, table.n_joints, joint_names, taken, slides)
     elif len(wanted) == table.n_joints:
-        found = [table.column(name, "--angles") for name in wanted]
+        columns = [table.column(name, "--angles") for name in wanted]
     else:
         raise TableError(
             f"--angles names {len(wanted)} columns, the arm has {table.n_joints} joints."
         )
     names = [name.lower() for name in table.header]
-    for i in found:
-        if found.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
+    for i in columns:
+        if columns.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
             raise TableError(
                 f"{table.path}: the column {table.header[i]!r} is named twice, and no two joints "
                 f"have the same: say with --angles, by numbers, which to take of {table}."
             )
-    return found
+    return columns
 
 
 def _joints(table, n, joint_names, taken, slides):
     """Columns of n joints that nobody has named."""
-    found = _by_names_of_joints(table, n, joint_names) or _by_names_in_cells(table, n, joint_names)
-    if found:
-        shown = ", ".join(table.header[i] for i in found)
+    joints = _by_names_of_joints(table, n, joint_names) or _by_names_in_cells(table, n, joint_names)
+    if joints:
+        shown = ", ".join(table.header[i] for i in joints)
         table.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
-        return found
+        return joints
     beside, ways = _axes_beside(table, joint_names, taken, slides)
     if ways:
         rest, order = np.setdiff1d(np.arange(n), beside), np.zeros(n, dtype=int)
@@ -146,48 +146,48 @@ def columns_of_numbers(table, taken=()):
 def _pose_columns(table):
     """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""
     place = {name: i for i, name in enumerate(table.names)}
-    found = []
+    columns = []
     for name in table.names:
         for k in (k for k, letter in enumerate(name) if letter == "x"):
             x, y, z, w = (name[:k] + letter + name[k + 1 :] for letter in "xyzw")
             if y in place and z in place:
-                found += [place[one] for one in (x, y, z, w) if one in place]
-    for group in _ORIENTATIONS if found else ():
+                columns += [place[one] for one in (x, y, z, w) if one in place]
+    for group in _ORIENTATIONS if columns else ():
         last = {re.split(r"[\W_]+", name)[-1]: i for name, i in place.items()}
         if last.keys() >= set(group):
-            found += [last[one] for one in group]
-    return sorted(set(found))
+            columns += [last[one] for one in group]
+    return sorted(set(columns))
 
 
 def external_axes(table, used):
     """Columns by name of external axes that move and are not used; a note tells of each."""
-    found: dict[str, int] = {}
+    column_of: dict[str, int] = {}
     for i in (i for i, name in enumerate(table.names) if i not in used):
         if not _EXTERNAL.fullmatch(table.names[i]):
             continue
         values = table.source.numbers(table.cells(i))
         if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):
-            found[table.header[i]] = i
+            column_of[table.header[i]] = i
             table.notes.append(
                 f"Column {table.header[i]} varies by {np.ptp(values):.4g}: an external axis "
                 "moves the base, and the model of the arm has none. Measure with this axis at "
                 "rest, or take its movement out of the points."
             )
-    return found
+    return column_of
 
 
 def _by_names_of_joints(table, n, joint_names):
     """One column for each joint of the arm whose name holds that of the joint."""
-    found = []
+    columns = []
     for joint in joint_names or ():
         word = re.escape(joint.lower().removesuffix("_joint"))
         pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
-        columns = [i for i, name in enumerate(table.names) if pattern.search(name)]
-        columns = _measured_angles(table, columns)
-        if len(columns) != 1:
+        fitting = [i for i, name in enumerate(table.names) if pattern.search(name)]
+        fitting = _measured_angles(table, fitting)
+        if len(fitting) != 1:
             return None
-        found += columns
-    return found if len(set(found)) == n else None
+        columns += fitting
+    return columns if len(set(columns)) == n else None
 
 
 def _by_names_in_cells(table, n, joint_names):
@@ -221,9 +221,9 @@ def _series(table, n):
         if match:
             series.setdefault((match[1], match[3]), {})[int(match[2])] = i
     fitting = [
-        [found[k] for k in sorted(found)]
-        for found in series.values()
-        if sorted(found) in (list(range(1, n + 1)), list(range(n)))
+        [numbered[k] for k in sorted(numbered)]
+        for numbered in series.values()
+        if sorted(numbered) in (list(range(1, n + 1)), list(range(n)))
     ]
     first = _measured_angles(table, [columns[0] for columns in fitting])
     return [columns for columns in fitting if columns[0] in first]

@@ -203,8 +203,14 @@ class Layout(Columns):
                 said = f"Labels of the positions: {name}, without the last number."
             self.notes[:] = [said if note == labelled else note for note in self.notes]
             table = replace(table, positions=places)
-        if self.labelled and table.positions is not None:
-            _refuse_lonely_labels(self.path, table)
+        counts = Counter(() if table.positions is None else table.positions.tolist())
+        for label in sorted(one for one in counts if self.labelled and counts[one] == 1):
+            near = get_close_matches(label, [one for one in counts if counts[one] > 1], 1)
+            hint = f" Was {near[0]!r} meant?" if near else ""
+            row = f"row {table.rows[table.positions == label][0]}"
+            raise TableError(
+                f"{self.path}: {row}: the position {label!r} is in this row only.{hint}"
+            )
         return _with_points(self, table, self.points_file) if self.points_file else table
 
     def blocks(self, n_rows):
@@ -279,15 +285,6 @@ def _places_in(labels):
     return None
 
 
-def _refuse_lonely_labels(path, table):
-    counts = Counter(table.positions.tolist())
-    for label in sorted(label for label, count in counts.items() if count == 1):
-        near = get_close_matches(label, [one for one, count in counts.items() if count > 1], 1)
-        hint = f" Was {near[0]!r} meant?" if near else ""
-        row = table.rows[table.positions == label][0]
-        raise TableError(f"{path}: row {row}: the position {label!r} is in this row only.{hint}")
-
-
 # -- points of a tracker --------------------------------------------------------------------------
 
 
@@ -317,18 +314,18 @@ def read_points(path, wanted=None):
     ]
     if axes and not wanted:
         return *_points_by_coordinate(columns, axes[0]), columns.notes[1:]
-    found = _columns_of_points(columns, wanted)
-    rows = list(columns.rows(found))
+    xyz = _columns_of_points(columns, wanted)
+    rows = list(columns.rows(xyz))
     notes = []
-    if empty := [cells for _, cells in rows if all(cells[i] == "" for i in found)]:
+    if empty := [cells for _, cells in rows if all(cells[i] == "" for i in xyz)]:
         notes.append(f"Points of {path} without coordinates, left out: {len(empty)}.")
         rows = [row for row in rows if row[1] not in empty]
-    points = columns.points(rows, found)
+    points = columns.points(rows, xyz)
     # The names stand before the points, or in a column that is called so, and tell them apart.
     called = [columns.names.index(name) for name in _NAMES if name in columns.names]
     names = None
-    for i in [found[0] - 1, *columns.label_columns, *called]:
-        if i >= 0 and i not in found:
+    for i in [xyz[0] - 1, *columns.label_columns, *called]:
+        if i >= 0 and i not in xyz:
             own = [text_of_label(cells[i]) for _, cells in rows]
             names = own if names is None or len(set(names)) < len(set(own)) == len(own) else names
     return names, points, notes + columns.notes[1:]
@@ -353,23 +350,23 @@ def _columns_of_points(columns, wanted):
     at = {name: columns.names.index(name) for name in columns.names}
     by_name = [[at[name] for name in words if name in at] for words in _COORDINATES]
     if all(by_name):
-        return [found[0] for found in by_name]
+        return [axes[0] for axes in by_name]
     likewise = [
         [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
     ]
     triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
-    measured = [found for found in triples if MEASURED.search(columns.names[found[0]])]
+    measured = [axes for axes in triples if MEASURED.search(columns.names[axes[0]])]
     triples = measured if len(triples) > 1 and measured else triples
     if len(triples) == 1:
         return triples[0]
     # Names, then x, y, z, then what else is known of a point.
     _, cells = columns.first[0]
-    found = [i for i, cell in enumerate(cells) if columns.source.number(cell) is not None]
-    found = [i for i in found if i not in columns.label_columns and columns.names[i] not in _NAMES]
-    found = found[len(found) == 4 and found[0] == 0 :][:3]
-    if len(found) != 3 or len(triples) > 1:
+    axes = [i for i, cell in enumerate(cells) if columns.source.number(cell) is not None]
+    axes = [i for i in axes if i not in columns.label_columns and columns.names[i] not in _NAMES]
+    axes = axes[len(axes) == 4 and axes[0] == 0 :][:3]
+    if len(axes) != 3 or len(triples) > 1:
         raise columns.unclear("which columns are x, y and z", f"--points {columns.path.name}:X,Y,Z")
-    return found
+    return axes
 
 
 def split_points(source):

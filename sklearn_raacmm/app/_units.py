@@ -73,12 +73,12 @@ def unit_of_cells(cells):
 
 def stated_units(lines):
     """Units that lines of text state for a whole table."""
-    found: set[str] = set()
+    units: set[str] = set()
     for pair in (pair for line in lines for pair in _STATED.findall(line)):
         first, second = (_UNIT_OF_WORD.get(word.lower(), word.lower()) for word in pair)
         if first in UNITS:  # else it is a sentence: "in Berlin in May"
-            found |= {first, second}
-    return found
+            units |= {first, second}
+    return units
 
 
 def _stated(table, units):
