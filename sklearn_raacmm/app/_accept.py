@@ -180,7 +180,14 @@ def _read_run(path, arm):
             entries[known[name]] = text
         elif name:
             raise TableError(f"{path}: the table sheet has the entry {name!r}, which is unknown.")
-    artefacts = [_artefact(path, row) for row in tables["artefacts"]]
+    artefacts = []
+    for row in tables["artefacts"]:
+        given: dict[str, Any] = {
+            key: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
+            for key, heading, factor in _ARTEFACT
+        }
+        # What is not stated keeps its default.
+        artefacts.append(Artefact(**{k: value for k, value in given.items() if value is not None}))
     run = AcceptanceRun(**table["columns"], artefacts=artefacts, tip_mm=tip)
     limits = dict(filter(None, (_limit(path, row) for row in tables["limits"])))
     return run, table["rows"], entries, limits, digest_of(file.read_bytes())
@@ -258,15 +265,6 @@ def _number(path, row, heading, factor):
     except TableError as error:
         first = next(iter(row.values()))
         raise TableError(f"{path}: {first}, column {heading!r}: {error}") from None
-
-
-def _artefact(path, row):
-    """The artefact of a row; what is not stated keeps its default."""
-    given: dict[str, Any] = {
-        name: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
-        for name, heading, factor in _ARTEFACT
-    }
-    return Artefact(**{name: value for name, value in given.items() if value is not None})
 
 
 def _limit(path, row):

@@ -22,14 +22,12 @@ from sklearn_raacmm.app._files import (
     read_causes,
     read_labels,
 )
-from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
 from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.utils import check_places, numbered_rows
 
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
-# Rows corrected at a time: some ten MB, whatever the size of the file.
-_BLOCK_ROWS = 8192
 # Standard deviations of coordinates in the base frame, of the deviation within a position, and of a
 # distance of 1 m from here.
 _NEW_COLUMNS = (
@@ -78,7 +76,7 @@ def write_corrected(layout, correction, options, file, std="all"):
     plain = list if options.formulas else source.plain
     writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
     columns = find_cause_columns(options)
-    for block, cells in layout.blocks(_BLOCK_ROWS):
+    for block, cells in layout.blocks(BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
         X = correction.inputs(in_rad(block), read_causes(block, columns))
         new = np.empty((len(X), width))

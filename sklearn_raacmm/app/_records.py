@@ -86,7 +86,8 @@ HEAD_CHARACTERS = 1 << 20
 _LOOKED_AT = 300
 _BRACKETS = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 _SPLIT = re.compile(r"\s*[,;]\s*|\s+")
-_IS_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_IS_NUMBER = re.compile(NUMBER)
 _PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s*[=:]\s*{_VALUE}(?![\w.])")
 _SPACED_PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s+{_VALUE}(?![\w.])")
 # A list in a cell of a table, in quotation marks where its numbers are parted by commas.

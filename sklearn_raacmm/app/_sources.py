@@ -64,7 +64,8 @@ _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 # A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
 # of which 20 columns reach in the last row of a spreadsheet.
 _MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
-_BLOCK_ROWS = 8192
+# Rows or lines of a table that are in memory at a time: some MB.
+BLOCK_ROWS = 8192
 # Columns for each row of a table that has a line for each joint, at least.
 _WIDER = 3
 SHEETS = (".xlsx", ".xlsm")
@@ -451,7 +452,7 @@ def _rows_of_arrays(names, columns):
     """
     if names:
         yield 0, names
-    for start in range(0, len(columns[0]), _BLOCK_ROWS):
-        some = (column[start : start + _BLOCK_ROWS].tolist() for column in columns)
+    for start in range(0, len(columns[0]), BLOCK_ROWS):
+        some = (column[start : start + BLOCK_ROWS].tolist() for column in columns)
         for number, cells in enumerate(zip(*some, strict=True), start + 1):
             yield number, [clean(cell) for cell in cells]

@@ -18,16 +18,15 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._joints import MEASURED, columns_of_numbers, external_axes, find_joints
-from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.app._records import NUMBER
+from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
 from sklearn_raacmm.app._units import find_unit, mm_of_slide
 from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.utils import Floats
 
 # Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
-# puts into quotation marks; so many lines are looked at together.
-_PLAIN_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_PLAIN_CELL = rf"(?:{_PLAIN_NUMBER}|[^\W_](?:[\w .:/+-]*[\w.:/+-])?)?"
-_LINES_AT_A_TIME = 8192
+# puts into quotation marks.
+_PLAIN_CELL = rf"(?:{NUMBER}|[^\W_](?:[\w .:/+-]*[\w.:/+-])?)?"
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,12 +238,12 @@ class Layout(Columns):
         if is_other or self.sections or self.width != len(self.header):
             return None
         of_angles = [i in self.angle_columns for i in range(self.width)]
-        cells = [_PLAIN_NUMBER if own else _PLAIN_CELL for own in of_angles]
+        cells = [NUMBER if own else _PLAIN_CELL for own in of_angles]
         separator = re.escape(str(source.separator))
         line = re.compile(rf"{separator.join(cells)}(?:\r?\n|\Z)")
         with open(source.path, encoding=source.encoding, newline="") as file:
             next(islice(file, self.header_row, self.header_row), None)
-            while text := "".join(islice(file, _LINES_AT_A_TIME)):
+            while text := "".join(islice(file, BLOCK_ROWS)):
                 if line.sub("", text):
                     return None
         return self._lines()
