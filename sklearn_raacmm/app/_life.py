@@ -15,9 +15,9 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from sklearn_raacmm.app._correct import corrected_file
 from sklearn_raacmm.app._files import (
     WRITTEN,
-    corrected_file,
     correction_files,
     find_rows,
     find_unnamed_probe,
