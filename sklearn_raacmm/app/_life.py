@@ -130,7 +130,7 @@ def move(options):
     facts = _print_moves(saved, new)
     _print_lack(saved, new)
     _print_doubts(new, random_poses(new.arm, 200))
-    print("A vector from a drawing is good to some tenths: register the probe before you measure.")
+    print("The vector of a drawing is off by tenths of a millimetre: register the probe first.")
     facts = step_of("move", None, facts)
     _save(new, options, facts)
     return OK, facts

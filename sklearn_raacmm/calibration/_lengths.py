@@ -40,7 +40,7 @@ def wrong_lengths(fit, bare, labels):
     best = [_BEST_MM + _BEST_SHARE * entry[2] for entry in lengths]
     if wrong := [entry for entry, sd in zip(lengths, best, strict=True) if entry[3] < sd]:
         said = ", ".join(f"{_ends(one, labels)} to {one[3]:g} mm" for one in wrong)
-        text = f"A length is stated better than any is known, and outweighs all others: {said}."
+        text = f"A length is stated better than any bar is known, and outweighs all: {said}."
         yield Finding("sd-of-lengths", text, "Look at its standard deviation in the certificate.")
     scales = [one.scale @ one.x[: len(one.scale)] for one in (fit, bare)]
     change = scales[0] / scales[1] - 1 if scales[1] > 0 else 0.0
