@@ -333,10 +333,7 @@ class Columns:
             self.notes.append(text)
 
     def _has_number(self, cells, columns):
-        for i in columns:
-            if i < len(cells) and self.source.number(cells[i]) is not None:
-                return True
-        return False
+        return any(i < len(cells) and self.source.number(cells[i]) is not None for i in columns)
 
     def _check_width(self, row):
         number, cells = row
