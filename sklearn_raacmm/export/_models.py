@@ -297,8 +297,7 @@ def linear_model(chain, linear, fading):
     vector = axis_numbers(table, arm.n_joints)
     order = np.lexsort([vector, np.bincount(vector)[vector]])
     vectors = _vectors(chain)
-    sizes = p.take(_sizes(chain, linear, table, vectors), order)
-    vector = vector[order]
+    vector, sizes = vector[order], _sizes(chain, linear, table[order], vectors)
     matrix = np.zeros((2 * n_axes, m))
     matrix[vector, np.arange(m)] = linear.coef[order]
     y = p("dots", vectors, p.affine(sizes, matrix))
@@ -366,14 +365,15 @@ def _of_joints(chain, vectors, joints, about, series, means):
     at = about[:, None] + axes * np.arange(3)
     turns = p.take(vectors, at.ravel())
     squares = p.affine(p("mul", turns, turns), np.kron(np.eye(n), np.ones((1, 3))))
-    orders = np.arange(1, q // 2 + 1)
+    orders, joints = np.arange(1, q // 2 + 1), np.repeat(joints, q // 2)
     waves = p(
         "waves",
         chain.phases(),
-        joint=np.repeat(joints, q),
-        order=np.tile(np.concatenate([orders, -orders]), n),
+        joint=np.tile(joints, 2),  # all cosines, then all sines
+        order=np.concatenate([np.tile(orders, n), np.tile(-orders, n)]),
     )
-    return p("dots", squares, p.affine(waves, block_diag(*series), means))
+    matrix = np.hstack([block_diag(*half) for half in np.split(series, 2, axis=1)])
+    return p("dots", squares, p.affine(waves, matrix, means))
 
 
 def _vectors(chain):
