@@ -64,10 +64,19 @@ def wrong_lengths(fit, bare, labels):
         )
         yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
         return
-    errors, wrong, sds = fit.length_errors(), [], [entry[3] for entry in lengths]
-    for k in np.flatnonzero(are_wrong(errors, fit.sd_of_errors())):
-        given, said = lengths[k][2], f"{_ends(lengths[k], labels)} is"
-        wrong.append(f"{said} {given + errors[k]:.6g} mm, given as {given:g} +- {sds[k]:g} mm")
+    yield from disagreeing(lengths, fit.length_errors(), fit.sd_of_errors(), labels)
+
+
+def disagreeing(lengths: Any, errors: Any, sds: Any, labels: Any) -> Any:
+    """The finding that known lengths disagree with the rest, by their errors, mm, and these sds.
+
+    `labels` name the numbers of the ends of the `lengths`.
+    """
+    wrong = [
+        f"{_ends(lengths[k], labels)} is {lengths[k][2] + errors[k]:.6g} mm, given as "
+        f"{lengths[k][2]:g} +- {lengths[k][3]:g} mm"
+        for k in np.flatnonzero(are_wrong(errors, sds))
+    ]
     if wrong:
         text = (
             f"{len(wrong)} of {len(lengths)} known lengths disagree with the rest of the data: "

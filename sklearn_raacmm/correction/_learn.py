@@ -237,8 +237,7 @@ def learn_correction(
         if codes and "mirror-image" not in listed("accept", accept):
             with numbered_rows(row_numbers(data.rows)):
                 ask_for_the_hand(given_arm, arm, *data.as_given(raw[0]), angle_unit)
-        data = data.seen_by(calibration)
-        outliers = data.outliers(calibration)
+        data, outliers = data.seen_by(calibration).beside_a_model(calibration)
         folds = folds_of(data, outliers, cv)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
         fitted, noise = data.fit(model, calibration, rows)

@@ -14,7 +14,7 @@ from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import FIELDS, Arm, phases, points_of
-from sklearn_raacmm.calibration import are_wrong, calibrate, places_of
+from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import (
@@ -45,6 +45,8 @@ _SHARED = 0.5
 _MOST_EXPLAINED = 0.2
 # Angles in rad within which all rows are one pose; `find_poses` has the same.
 _STILL = 1e-3
+# Orders of the model that tells outliers and wrong lengths: those of smooth functions of angles.
+_LOW_ORDERS = 48
 
 
 class Data:
@@ -112,10 +114,7 @@ class Data:
         seen = copy(self)
         one_place = [f.positions for f in calibration.findings if f.code == "one-place"]
         seen.joined = [*one_place, *self.joined]
-        if self.lengths and self.points is None:
-            wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
-            seen.measured = self.measured.without_lengths(wrong)
-            seen.lengths = [one for one, out in zip(self.lengths, wrong, strict=False) if not out]
+        seen._leave_out_wrong(calibration)
         if self.kinds:
             every = np.arange(len(self.angles))
             points = self.shown(calibration, every)
@@ -277,16 +276,36 @@ class Data:
             return None
         return np.array([calibration.arms[tool].probe for tool in self.tools[rows]])
 
-    def outliers(self, calibration):
-        """Rows far from where the calibrated arm has them, which its error model cannot explain."""
-        far = np.flatnonzero(calibration.sample_weight[self.rows] == 0)
-        if not len(far):
-            return far
+    def beside_a_model(self, calibration):
+        """The same without lengths that disagree beside what a model explains, and outliers.
+
+        These are rows far from where the calibrated arm has them, which the model, of low orders
+        and without the lengths, cannot explain.
+        """
+        far, seen = np.flatnonzero(calibration.sample_weight[self.rows] == 0), copy(self)
+        several = self.points is None and len(self.lengths) > 1 and not self.causes
+        if not (len(far) or several):
+            return seen, far
         rows, lonely = self.without_lonely()
         with ignored_findings():  # what there is to report is reported of the rows that are learnt
             y = self.residuals(calibration, rows)
-            model = self._fitted(None, calibration, rows, y, [], judged=False)
-        return np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
+            low = ArmResidualRegressor(orders=_LOW_ORDERS)
+            model = self._fitted(low, calibration, rows, y, [], judged=False)
+            if several:
+                again = calibrate(calibration.arm, self.measured, correction=model)
+                seen._leave_out_wrong(again)
+        if several:
+            given = self.measured.lengths, again.length_errors_mm, again.length_sd_mm
+            for finding in disagreeing(*given, self.measured.labels):
+                finding.report()
+        return seen, np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
+
+    def _leave_out_wrong(self, calibration):
+        """Leave out the known lengths that disagree with the rest of a calibration."""
+        if self.lengths and self.points is None:
+            wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
+            self.measured = self.measured.without_lengths(wrong)
+            self.lengths = [one for one, out in zip(self.lengths, wrong, strict=False) if not out]
 
     def fit(self, model, calibration, rows):
         """Fit a copy of the model for this calibration on these rows: model, noise in mm."""
@@ -309,7 +328,7 @@ class Data:
         fitted = self._model_for(model, calibration.arm)
         last, prefix = last_step_of(fitted)
         if isinstance(last, ArmResidualRegressor) and (self.vertical is not None or not judged):
-            last._vertical, last._judged = self.vertical, judged
+            last._vertical, last._judged = self.vertical if judged else (), judged
         given = {"groups": self.positions[rows], "lengths": lengths}
         if self.kinds:
             known = self.at_centres(lengths)

@@ -75,10 +75,8 @@ HIGHEST_OF_FEW, _SAME_TOOTH, _SCATTERED = 72, 1e-3, 0.5
 # Waves of what slides are looked for down to this length, mm: screws and racks have longer pitches.
 _LEAST_PITCH_MM = 4.0
 
-# Rounds of robust weights at one choice, and choices with what they have become. A weight that
-# changes by less than this has settled; with so little change of all, in the mean, a choice is the
-# same.
-_ROUNDS, _CHOICES, _SETTLED_WEIGHT, _SETTLED_CHOICE = 4, 2, 0.05, 0.01
+# Rounds of robust weights at one choice. A weight that changes by less than this has settled.
+_ROUNDS, _SETTLED_WEIGHT = 4, 0.05
 # Steps of the variances where they are nearly right: others follow, with the robust weights.
 _REFIT_STEPS = 5
 # Where more than this share of the poses has new weights, all are summed up anew: of positions with
@@ -352,10 +350,9 @@ def fit_linear_model(rows, columns, with_field) -> Any:
 
 
 def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
-    """Choose structures twice, the second time with the noise that the first choice has shown.
+    """Choose structures, and once more, from there on, with the noise that the choice has shown.
 
-    What the noise has become after that is followed by coefficients and variances alone. Returns
-    the state, the factors of the weights, and the rows, whitened.
+    Returns the state, the factors of the weights, and the rows, whitened.
     """
     factor = np.ones(len(rows.weights))
     if rows.codes is not None:  # one slip of metres would shift all others of its position
@@ -363,30 +360,21 @@ def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
     levers = columns.levers(rows.X)
     if rows.noise is None:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
-    state: Any = None
-    sums: Any = None
-    with_field = structures.share is not None
-    for choice in range(_CHOICES):
-        start = factor
-        sums = rows.weighted(factor).sums(columns) if sums is None else sums
+    sums = rows.weighted(factor).sums(columns)
+    state = search(Problem(sums, structures))
+    state, new = _settled(rows, columns, structures, state, factor, sums)
+    if structures.share is not None:
+        sums, factor = _reweighted(rows, columns, sums, factor, new), new
+        found = _beside_field(rows, columns, structures, sums, state, factor)
+        if found is not None and found.with_field:
+            state, new = _settled(rows, columns, structures, found, factor, sums)
+    noise = _noise_of(rows.weighted(new), columns, state)
+    if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
+        rows = rows._replace(noise=noise, root=noise.roots(levers, rows.shown))
+        sums = rows.weighted(new).sums(columns)
         state = search(Problem(sums, structures), state)
-        state, new = _settled(rows, columns, structures, state, factor, sums)
-        if with_field and not state.with_field:
-            sums, factor = _reweighted(rows, columns, sums, factor, new), new
-            found = _beside_field(rows, columns, structures, sums, state, factor)
-            with_field = found is not None  # else it is not asked for again
-            if found is not None and found.with_field:
-                state, new = _settled(rows, columns, structures, found, factor, sums)
-        noise = _noise_of(rows.weighted(new), columns, state)
-        if np.abs(noise.shares - rows.noise.shares).sum() > _SETTLED_NOISE:
-            rows, sums = rows._replace(noise=noise, root=noise.roots(levers, rows.shown)), None
-        elif choice + 1 == _CHOICES or np.abs(new - start).mean() < _SETTLED_CHOICE:
-            return state, new, rows
-        else:
-            sums = _reweighted(rows, columns, sums, factor, new)
-        factor = new
-    state, factor = _settled(rows, columns, structures, state, factor)
-    return state, factor, rows
+        state, new = _settled(rows, columns, structures, state, new, sums)
+    return state, new, rows
 
 
 def _noise_of(rows, columns, state):
@@ -434,25 +422,14 @@ def of_pairs(columns, structures, lines, pairs):
     return few, structures, np.flatnonzero(np.isin(pairs, lines))
 
 
-def _settled(rows, columns, structures, state, factor, sums=None):
+def _settled(rows, columns, structures, state, factor, sums):
     """A choice with robust weights that have settled: state and factors of the weights.
 
-    `sums` are those of all that is offered, with these factors. None: the choice was made with
-    other noise, and follows that of the rows first.
+    `sums` are those of all that is offered, with these factors.
     """
-    pairs = state.pairs
+    chosen, pairs = state.lines, state.pairs
     few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
-    expected = _expected(rows, few)
-
-    def followed(some):
-        found = refit(some, structures, state, lines, _REFIT_STEPS)
-        return found._replace(lines=state.lines, pairs=pairs)
-
-    if sums is None:
-        some = rows.weighted(factor).sums(few)
-        state = followed(some)
-    else:
-        some = sums_of_pairs(sums, pairs)
+    expected, some = _expected(rows, few), sums_of_pairs(sums, pairs)
     for _ in range(_ROUNDS):
         left = rows.whitening(factor).centred(rows.y - expected(state))
         left = left if rows.root is None else np.einsum("nij,nj->ni", rows.root, left)
@@ -462,7 +439,8 @@ def _settled(rows, columns, structures, state, factor, sums=None):
         if np.all(factor == old):
             break
         some = _reweighted(rows, few, some, old, factor)
-        state = followed(some)
+        state = refit(some, structures, state, lines, _REFIT_STEPS)
+        state = state._replace(lines=chosen, pairs=pairs)
     return state, factor
 
 

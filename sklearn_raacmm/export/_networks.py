@@ -3,9 +3,11 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
-from sklearn_raacmm.network import by_feature
+from sklearn_raacmm.network import by_feature, radial
 
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
@@ -13,6 +15,46 @@ MOST_CENTERS = 2000
 # was good to 1e-6 of a standard deviation, at 1e-11 to nothing: tests/export/test_c_network.py
 # tries both sides.
 _CLEAR = 1e-6
+
+
+# Operations of the functions that a kernel may consist of.
+_FUNCTIONS = {
+    "add": "add", "subtract": "sub", "multiply": "mul", "divide": "div", "maximum": "max",
+    "minimum": "min", "less": "less", "sqrt": "sqrt", "exp": "exp", "sin": "sin", "cos": "cos",
+}  # fmt: skip
+
+
+class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
+    """Stands for an array while a kernel's functions of it are written as operations."""
+
+    def __init__(self, p, value):
+        self.p, self.value = p, value
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
+        name, p = ufunc.__name__, self.p
+        values = [v.value if isinstance(v, _Traced) else v for v in inputs]
+        if name == "negative":
+            found = p("mul", *values, -1.0)
+        elif name == "square":
+            found = p("mul", *values, *values)
+        elif name == "greater_equal":
+            found = p("sub", 1.0, p("less", *values))
+        elif name in _FUNCTIONS:
+            found = p(_FUNCTIONS[name], *values)
+        else:
+            raise self._unknown(name)
+        return _Traced(p, found)
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function is np.clip:
+            return np.minimum(np.maximum(*args[:2]), args[2])
+        raise self._unknown(function.__name__)
+
+    def _unknown(self, name):
+        known = ", ".join([*_FUNCTIONS, "negative", "square", "greater_equal", "clip"])
+        return ValueError(
+            f"A kernel uses numpy.{name}, which cannot be written as C or ONNX; {known} can."
+        )
 
 
 def network(p, step, x, std):
@@ -35,10 +77,11 @@ def _one_network(p, net, x, std):
         # Centred as predict does it: the rounding is the same.
         centers = net.seen(net.centers)
         shift = centers.mean(axis=0)
-        phi = p(
-            "radial", _seen(p, net, x), kernel=net.kernel, shift=shift,
-            centers=(centers - shift) / net.length_scale, inverse_width=1 / net.length_scale,
+        squares = p(
+            "distances", _seen(p, net, x), shift=shift, inverse_width=1 / net.length_scale,
+            centers=(centers - shift) / net.length_scale,
         )  # fmt: skip
+        phi = radial(net.kernel, _Traced(p, squares)).value
         if np.any(linear):
             y = p("add", y, p.affine(phi, net.coef.T))
         else:

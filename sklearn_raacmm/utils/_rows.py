@@ -32,6 +32,8 @@ _MISSING = ("nan", "None", "NaT", "<NA>")
 # they count as zero: 0 where all rows of a single-point test are here, 0.4 where 60 % of them are,
 # 1 for independent residuals against a reference, more where neighbours err alike.
 CENTRED = 0.5
+# Numbers of a matrix of sums that are multiplied sooner than a sparse matrix is made.
+_SMALL = 2**14
 # Share of a sum that is rounding.
 _ROUNDING = 1e-9
 # Divides sums of no weight: the mean of a group without weight is then 0, not NaN.
@@ -153,11 +155,15 @@ def group_sums(
 
 def summing(
     codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
-) -> csc_array:
-    """Sparse matrix (n_groups, n) whose product with rows is their sums: see `group_sums`."""
+) -> Any:
+    """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
     n = len(codes)
     n_groups = int(codes.max()) + 1 if n_groups is None else n_groups
     weights = np.ones(n) if weights is None else weights
+    if n_groups * n <= _SMALL:
+        matrix = np.zeros((n_groups, n))
+        matrix[codes, np.arange(n)] = weights
+        return matrix
     return csc_array((weights, codes, np.arange(n + 1)), shape=(n_groups, n))
 
 
