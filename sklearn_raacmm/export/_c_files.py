@@ -203,7 +203,8 @@ def comment(lines):
 class Tables:
     """Literals of one precision, and tables of constants and helping functions, each there once.
 
-    Literals are the shortest decimals that read back as the same number.
+    Literals are the shortest decimals that read back as the same number. Tables of float32 are of
+    single precision in any case.
     """
 
     def __init__(self, dtype):
@@ -235,8 +236,9 @@ class Tables:
 
     def literal(self, value):
         """One number."""
+        single = self.dtype is np.float32 or getattr(value, "dtype", None) == np.float32
         with np.errstate(over="ignore"):
-            number = self.dtype(value)
+            number = np.float32(value) if single else np.float64(value)
         if not np.isfinite(number):
             raise ValueError(
                 f"The model holds {float(value):g}, which is not a finite {self.real}: it cannot "
@@ -245,14 +247,15 @@ class Tables:
         text = np.format_float_scientific(number, trim="-", exp_digits=1)
         if 1e-4 <= abs(number) < 1e9 or number == 0:
             text = np.format_float_positional(number, trim="0")
-        return text + self.suffix
+        return text + "f" * single
 
     def table(self, name, array, note=""):
         """A static constant array of one or two dimensions, of numbers or of whole numbers."""
         array = np.asarray(array)
         kind, literal, size = "int", str, 4
         if array.dtype.kind == "f":
-            kind, literal, size = self.real, self.literal, self.dtype(0).nbytes
+            kind = "float" if array.dtype == np.float32 else self.real
+            literal, size = self.literal, 4 if kind == "float" else 8
         else:
             array = array.astype(int)
             if np.all(np.abs(array) < 2**15):

@@ -32,8 +32,9 @@ from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, 
 
 # In place of a length that is nothing.
 _TINY = 1e-30
-# The largest number of 16 bits.
-_INT16 = 2**15 - 1
+# The largest number of 16 bits, and by which share of themselves they may move deviations, at every
+# so manieth pose.
+_INT16, _OFF, _SEEN = 2**15 - 1, 1e-3, 10
 
 
 # -- the whole chain ------------------------------------------------------------------------------
@@ -303,24 +304,30 @@ def linear_model(chain, linear, fading):
     y = p("dots", vectors, p.affine(sizes, matrix))
     small = chain.fade != "exact"
 
-    def variances(root, **given):
+    def variances(root, seen=None, **given):
         used = np.flatnonzero(np.any(root, axis=1))
         if not len(used):
             return p.constant(np.zeros(3))
         root, of_rows = root[used], p.take(sizes, used)
-        if small:  # 16 bits a number, in a unit of each row: they move a UR10's deviations by 3e-4
-            unit = np.abs(root).max(axis=1) / _INT16
-            root, of_rows = np.rint(root / unit[:, None]).astype(np.int16), p("mul", of_rows, unit)
+        if seen is not None and (found := _in_16_bits(root, seen[:, order[used]])):
+            root, of_rows = found[0], p("mul", of_rows, found[1])
+        elif small:  # seven digits do where no correction depends on more
+            root = root.astype(np.float32)
         return p("variances", vectors, of_rows, vector=vector[used], root=root, **given)
 
     def triangle(half):
         # Any root gives the same variances; a triangle has half the entries.
         return np.asarray(np.linalg.qr(half[order].T, mode="r")).T
 
-    v = variances(triangle(linear.gauge_free_half)) if chain.std else None
-    if not (fading.factor > 0 and chain.fade):
+    fades = fading.factor > 0 and chain.fade
+    poses = _poses(chain, linear) if small and fades else None
+    v = None
+    if chain.std:
+        seen = None if poses is None else linear.columns(poses[::_SEEN]).reshape(-1, m)
+        v = variances(triangle(linear.gauge_free_half), seen)
+    if not fades:
         return y, v, None
-    found = _small_doubt(chain, linear, fading) if small else None
+    found = None if poses is None else small_doubt(linear, fading, poses)
     if found is not None:
         root, less, constant, waves = found
         doubt = p.sum(variances(root[order], less=less))
@@ -333,7 +340,20 @@ def linear_model(chain, linear, fading):
     return y, v, doubt
 
 
-def _small_doubt(chain, linear, fading):
+def _in_16_bits(root, columns):
+    """Whole numbers for a root and the unit of each row, or None where deviations feel it.
+
+    They do where columns that are known together only, such as lengths and zeros of joints, nearly
+    cancel; not among waves, of which large models have most.
+    """
+    unit = np.abs(root).max(axis=1) / _INT16
+    whole = np.rint(root / unit[:, None])
+    exact, near = (np.linalg.norm(columns @ r, axis=1) for r in (root, whole * unit[:, None]))
+    return (whole.astype(np.int16), unit) if np.all(abs(near - exact) <= _OFF * exact) else None
+
+
+def _poses(chain, linear):
+    """Poses from far to near in rad, with the extra columns; then those that are given."""
     factors = np.ones(chain.p.size(chain.x))
     unit = np.pi / 180 if chain.unit == "deg" else 1.0
     factors[: chain.arm.n_joints] = scale_of(chain.arm.joint_types, unit)
@@ -342,7 +362,7 @@ def _small_doubt(chain, linear, fading):
     )
     if chain.poses is not None:
         poses = np.concatenate([poses, chain.poses])
-    return small_doubt(linear, fading, poses * factors)
+    return poses * factors
 
 
 def compare_shares(model, exact, program):
