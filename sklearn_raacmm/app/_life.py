@@ -15,9 +15,9 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from sklearn_raacmm.app._correct import corrected_file
 from sklearn_raacmm.app._files import (
     WRITTEN,
-    corrected_file,
     correction_files,
     find_rows,
     find_unnamed_probe,
@@ -185,9 +185,9 @@ def check(options):
         kept = np.delete(np.arange(len(today.angles)), list(slipped))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
-        found = _check_spread(saved, today, rate, advice)
-        facts, holds = facts | found, holds and found["after_mm"] < found["before_mm"]
-        holds = holds and found["after_mm"] <= found["expected_below_mm"]
+        scatter = _check_spread(saved, today, rate, advice)
+        facts, holds = facts | scatter, holds and scatter["after_mm"] < scatter["before_mm"]
+        holds = holds and scatter["after_mm"] <= scatter["expected_below_mm"]
     else:
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         said = advice and f"It does not hold. {advice}"
@@ -211,29 +211,29 @@ def check(options):
 def _check_model(saved, today, measured, rate, options):
     """Facts of what the model sees, rows that slipped, and what to do about a change; else ""."""
     accept, new_base = options.accept or (), options.new_base
-    found = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
-    changed = bool(found.matters and not found.holds)
+    result = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
+    changed = bool(result.matters and not result.holds)
     if options.points and (saved.base is None or options.new_base):
         print("The base was found from these same poses: what it takes up shows no change.")
-    if not found.holds:
+    if not result.holds:
         little = "" if changed else " That is too little to act on."
         print(
-            f"Suspect: {found.suspect}, {found.size_mm:.3f} mm at the probe (p = "
-            f"{found.p_value:.2g}), where {found.usual_mm:.3f} mm is usual.{little}"
+            f"Suspect: {result.suspect}, {result.size_mm:.3f} mm at the probe (p = "
+            f"{result.p_value:.2g}), where {result.usual_mm:.3f} mm is usual.{little}"
         )
     _print_doubts(saved, today.angles, today.positions)
-    for row in found.slipped:
+    for row in result.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")
     if options.record:
         try:
-            found.append_to(options.record)
+            result.append_to(options.record)
             print(f"Appended to {options.record}")
         except OSError as error:
             print_notes([f"This check is not in {options.record}: {error}"])
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
-    facts = {name: getattr(found, name) for name in names}
-    return facts, found.slipped, found.advice if changed else ""
+    facts = {name: getattr(result, name) for name in names}
+    return facts, result.slipped, result.advice if changed else ""
 
 
 def _check_spread(saved, today, rate, advice):

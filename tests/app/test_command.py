@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
-from sklearn_raacmm.app import _arms, _commands, _files, _life, main
+from sklearn_raacmm.app import _arms, _commands, _correct, _files, _life, main
 from sklearn_raacmm.app._files import parse_length, read_places
 from sklearn_raacmm.app._sources import TableError
 from sklearn_raacmm.datasets import make_features, make_single_point
@@ -199,7 +199,7 @@ def test_the_verdict_is_true(learned, machine, tmp_path):
 def test_correct_streams_and_repeats_itself(learned, monkeypatch, tmp_path, capsys):
     """Blocks of any size give the same file, and one block is in memory at a time."""
     folder, *_ = learned
-    monkeypatch.setattr(_files, "_BLOCK_ROWS", 7)
+    monkeypatch.setattr(_correct, "BLOCK_ROWS", 7)
     words = f"correct {folder.parent}/log.csv --model {folder} --out {tmp_path}/many.csv"
     assert main(words.split()) == 0
     assert (tmp_path / "many.csv").read_bytes() == (folder / "corrected.csv").read_bytes()
