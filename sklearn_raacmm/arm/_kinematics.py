@@ -150,7 +150,7 @@ def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     cos, sin, *links = _rows_of_table(arm, angles)
     if len(angles) == 1:  # by numbers, as in `carried`: a third of the time, and equal bits
         table = cos[:, 0].tolist(), sin[:, 0].tolist(), *links
-        of_axes = [[*_frames(arm, table, *axis, 0.0)] for axis in np.eye(3).tolist()]
+        of_axes = [[*_frames(arm, table, x, y, z, 0.0)] for x, y, z in np.eye(3).tolist()]
         return np.array(of_axes).transpose(1, 2, 0)[..., None]
     out = np.zeros((len(cos) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
