@@ -36,6 +36,7 @@ from sklearn_raacmm.utils import (
     encode_groups,
     ignored_findings,
     listed,
+    one_warning,
 )
 
 # A base of which more is open is none that a correction could be used with, mm.
@@ -149,6 +150,7 @@ class Correction:
         fields = [("row", "i8"), ("position", labels.dtype), ("distance", "f8")]
         return np.array(rows, dtype=fields)
 
+    @one_warning
     def correct(
         self,
         angles: ArrayLike,
