@@ -30,7 +30,7 @@ from sklearn_raacmm.acceptance import (
     evaluate_acceptance,
     predict_acceptance,
 )
-from sklearn_raacmm.app._columns import MM_PER_UNIT, Columns, split_unit
+from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import (
     correction_files,
     in_rad,
@@ -50,6 +50,7 @@ from sklearn_raacmm.app._sources import (
     read_sheets,
 )
 from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import check_places, digest_of, numbered_rows, write_whole
 
@@ -90,10 +91,10 @@ def accept(options):
     check_places(filter(None, [out, options.dcc]), filter(None, read))
     left_arm = saved.arm if saved else arm
     run, rows, entries, limits, digest = _read_run(path, left_arm)
-    found = arm if saved else None
+    found_arm = arm if saved else None
     with numbered_rows(rows):
         result = evaluate_acceptance(
-            run, left_arm, saved, found=found, limits=limits, rule=options.rule
+            run, left_arm, saved, found=found_arm, limits=limits, rule=options.rule
         )
     expected, words = {}, WORDS[options.language]
     software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}
@@ -179,7 +180,14 @@ def _read_run(path, arm):
             entries[known[name]] = text
         elif name:
             raise TableError(f"{path}: the table sheet has the entry {name!r}, which is unknown.")
-    artefacts = [_artefact(path, row) for row in tables["artefacts"]]
+    artefacts = []
+    for row in tables["artefacts"]:
+        given: dict[str, Any] = {
+            key: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
+            for key, heading, factor in _ARTEFACT
+        }
+        # What is not stated keeps its default.
+        artefacts.append(Artefact(**{k: value for k, value in given.items() if value is not None}))
     run = AcceptanceRun(**table["columns"], artefacts=artefacts, tip_mm=tip)
     limits = dict(filter(None, (_limit(path, row) for row in tables["limits"])))
     return run, table["rows"], entries, limits, digest_of(file.read_bytes())
@@ -227,15 +235,15 @@ def _read_readings(path, arm, sheet, rows):
     options = {"labelled": False, "others": given, "sheet": sheet, "points": points}
     if has_points and not has_angles:  # the reader of angles reads any three columns of numbers
         table = Layout(path, 3, angles=points, angle_unit="deg", **options).read()
-        found = {"points": table.points}
+        measured = {"points": table.points}
     else:
         if arm is None:
             raise TableError(f"{path} holds joint angles: name --model or --arm, whose they are.")
         options |= {"joint_names": arm.names, "joint_types": arm.joint_types}
         table = Layout(path, arm.n_joints, **options).read()
-        found = {"angles": in_rad(table), "points": table.points}
+        measured = {"angles": in_rad(table), "points": table.points}
     labels = {name: [text_of_label(cell) for cell in table.others[name].tolist()] for name in given}
-    return {"columns": labels | found, "rows": table.rows, "notes": table.notes}
+    return {"columns": labels | measured, "rows": table.rows, "notes": table.notes}
 
 
 def _heading(text):
@@ -245,8 +253,8 @@ def _heading(text):
 
 def _unit(heading):
     """The unit in square brackets of a heading, or ""."""
-    found = re.search(r"\[[^\]/]*\]", heading)
-    return split_unit(f"x {found[0]}")[1] if found else ""
+    brackets = re.search(r"\[[^\]/]*\]", heading)
+    return split_unit(f"x {brackets[0]}")[1] if brackets else ""
 
 
 def _number(path, row, heading, factor):
@@ -257,15 +265,6 @@ def _number(path, row, heading, factor):
     except TableError as error:
         first = next(iter(row.values()))
         raise TableError(f"{path}: {first}, column {heading!r}: {error}") from None
-
-
-def _artefact(path, row):
-    """The artefact of a row; what is not stated keeps its default."""
-    given: dict[str, Any] = {
-        name: _number(path, row, heading, factor) if factor else row.get(_heading(heading), "")
-        for name, heading, factor in _ARTEFACT
-    }
-    return Artefact(**{name: value for name, value in given.items() if value is not None})
 
 
 def _limit(path, row):

@@ -161,17 +161,17 @@ def _arm_of_layout(options):
     print_notes(table.notes)
     unit, lengths = table.angle_unit, known_lengths(options)
     given = options.layout, table.angles, table.positions, lengths
-    found = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
-    height = found.forward(table.angles, angle_unit=unit)[:, 2]
+    arm = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
+    height = arm.forward(table.angles, angle_unit=unit)[:, 2]
     high, low = table.rows[[np.argmax(height), np.argmin(height)]]
     print(
         "No data show what two questions decide. Turn joint 1 counter-clockwise, seen from above: "
         f"does its angle grow? Was the probe higher in row {high} than in row {low}? One yes and "
         "one no: it is the mirror image, take the other one of --mirrored and without it. If the "
-        f"angle falls, add --up 0,0,-1. Its shoulder is taken to be {found.d[0]:.0f} mm high: mend "
+        f"angle falls, add --up 0,0,-1. Its shoulder is taken to be {arm.d[0]:.0f} mm high: mend "
         "d1 in the file if that is wrong by a decimetre."
     )
-    return found.replace(name=Path(options.table).stem)
+    return arm.replace(name=Path(options.table).stem)
 
 
 def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
@@ -182,28 +182,28 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
     rad and lengths below ten show that they are in rad and in metres, and a note says so.
     """
     table = Columns(path, 3)
-    found, guessed = {}, {}
+    where, guessed = {}, {}
     names = [name.rpartition(".")[2].removeprefix("dh_") for name in table.names]
     for field, words in _COLUMNS.items():
         if words := [word for word in words if word in names]:
-            found[field] = names.index(words[0])
+            where[field] = names.index(words[0])
         elif field in ("a", "alpha", "d"):
             raise TableError(f"{path} has no column {field!r}; it has {table}.")
-    rows = list(table.rows([found["a"]]))
-    sizes = {field: np.abs(table.numbers(rows, [found[field]])) for field in ("a", "alpha", "d")}
+    rows = list(table.rows([where["a"]]))
+    sizes = {field: np.abs(table.numbers(rows, [where[field]])) for field in ("a", "alpha", "d")}
     if np.any(np.abs(sizes["alpha"] - np.pi / 2) < _QUARTER) and sizes["alpha"].max() < 2 * np.pi:
         guessed |= dict.fromkeys(_ANGLES, "rad")
     # Of axes that are nearly parallel d may be a hundred metres; a says how large the arm is.
     if 0 < (sizes["a"].max() or sizes["d"].max()) < _MOST_METRES:
         guessed |= dict.fromkeys(("a", "d"), "m")
-    guessed = {f: unit for f, unit in guessed.items() if f in found and not table.units[found[f]]}
+    guessed = {f: unit for f, unit in guessed.items() if f in where and not table.units[where[f]]}
     if guessed:
-        shown = ", ".join(f"{table.header[found[f]]} in {unit}" for f, unit in guessed.items())
+        shown = ", ".join(f"{table.header[where[f]]} in {unit}" for f, unit in guessed.items())
         print_notes([f"Taken by their size, for the header names no unit: {shown}."])
     if convention == "standard":
         print_notes(["Taken as the standard convention; --modified takes the other one."])
     values = {}
-    for field, column in found.items():
+    for field, column in where.items():
         if field in ("names", "joint_types"):
             values[field] = table.labels(rows, column).tolist()
         else:

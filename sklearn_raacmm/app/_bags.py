@@ -51,8 +51,8 @@ def read_bag(path, n_joints, topics=()):
     if not names:
         raise ValueError(f"no messages {_JOINTS} of {n_joints} joints were found.")
     names = names.most_common(1)[0][0]  # other drivers may send their own
-    found = [(stamp, one.position) for stamp, one in joints if tuple(one.name) == names]
-    times, angles = (np.array(values, dtype=float) for values in zip(*found, strict=True))
+    states = [(stamp, one.position) for stamp, one in joints if tuple(one.name) == names]
+    times, angles = (np.array(values, dtype=float) for values in zip(*states, strict=True))
     fields = [f"{field}{i}" for field in ("name", "position") for i in range(len(names))]
     if not points:
         rows = [[t, *names, *row] for t, row in zip(times.tolist(), angles.tolist(), strict=True)]
@@ -79,12 +79,12 @@ def _messages(log, kinds, topics, what):
         known = {topic: one for topic, one in known.items() if topic in topics} or known
     if len(known) > 1:
         raise ValueError(f"--sheet has to say which topic holds {what}: {', '.join(known)}.")
-    found = []
+    messages = []
     for connection, received, data in log.messages(known.values()) if known else ():
         message = log.deserialize(data, connection.msgtype)
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        found.append((stamp or 1e-9 * received, message))
-    return sorted(found, key=itemgetter(0))
+        messages.append((stamp or 1e-9 * received, message))
+    return sorted(messages, key=itemgetter(0))
 
 
 def _point(pair):

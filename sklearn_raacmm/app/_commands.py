@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.app._correct import corrected_file
 from sklearn_raacmm.app._files import (
     WRITTEN,
-    corrected_file,
     correction_files,
     find_cause_columns,
     find_rows,
@@ -149,6 +149,7 @@ def learn(options):
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
+    step |= {"probe_mm": result.arm.probe.tolist()}
     taught = replace(result, facts=result.facts | {"training": card["training"]})
     # The verdict first: it is the answer, and what follows says why.
     print_verdict(result.verdict, result.helps)
@@ -179,6 +180,10 @@ def export(options):
     """Write a saved correction as C, with a program that tests it, or as ONNX."""
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
+    if not (options.name.isidentifier() and options.name.isascii()):
+        raise TableError(
+            f"--name is the name of functions in C: letters, digits and '_', not {options.name!r}."
+        )
     folder = Path(options.c or ".")
     source = folder / f"{options.name}.c"
     sources = [source, source.with_suffix(".h")] if options.c else []
@@ -219,28 +224,28 @@ def plan(options):
     bar = options.bar
     if bar is None:  # the longest usual one that fits
         bar = max((mm for mm in _BARS_MM if mm <= _BAR_OF_REACH * arm.reach_mm), default=0)
-    found = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean, bar_mm=bar or None)
+    sheet = plan_poses(arm, options.cones, options.poses, lean_deg=options.lean, bar_mm=bar or None)
     out.mkdir(parents=True, exist_ok=True)
-    seats = dict(zip(found.bar, ("bar left", "bar right"), strict=False))
+    seats = dict(zip(sheet.bar, ("bar left", "bar right"), strict=False))
     cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
     units = ["mm" if kind == "P" else "deg" for kind in arm.joint_types]
     names = [f"q{i} [{unit}]" for i, unit in enumerate(units, start=1)]
-    degrees = in_unit(found.angles, arm.joint_types, "deg").tolist()
-    poses = [(cones[i - 1], row) for i, row in zip(found.groups, degrees, strict=True)]
+    degrees = in_unit(sheet.angles, arm.joint_types, "deg").tolist()
+    poses = [(cones[i - 1], row) for i, row in zip(sheet.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
     lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]
-    figure = draw_svg("plan", draw_volume, arm, found.angles, found.positions)
-    shown = {"cones": list(zip(cones, found.positions, strict=True)), "names": names}
-    page = render("_plan.html", arm=arm, bar=bar, figure=figure, plan=found, poses=poses, **shown)
+    figure = draw_svg("plan", draw_volume, arm, sheet.angles, sheet.positions)
+    shown = {"cones": list(zip(cones, sheet.positions, strict=True)), "names": names}
+    page = render("_plan.html", arm=arm, bar=bar, figure=figure, plan=sheet, poses=poses, **shown)
     write_whole({out / "plan.csv": "\n".join(lines) + "\n", out / "plan.html": page})
     size = f"{options.cones} cones, {options.poses} poses in each"
-    print(f"{size}: about {found.minutes:.0f} minutes.")
+    print(f"{size}: about {sheet.minutes:.0f} minutes.")
     print("What matters is that the cones are spread over the places where you will measure.")
     if bar:
         print(f"Two of the cones are the seats of a bar of {bar:g} mm, which sets the scale.")
     print(f"Written to {out}: plan.html, plan.csv")
-    facts = {"minutes": found.minutes, "positions_mm": found.positions.tolist()}
-    return OK, facts | {"bar": [cones[i - 1] for i in found.bar], "bar_mm": bar}
+    facts = {"minutes": sheet.minutes, "positions_mm": sheet.positions.tolist()}
+    return OK, facts | {"bar": [cones[i - 1] for i in sheet.bar], "bar_mm": bar}
 
 
 def demo(options):

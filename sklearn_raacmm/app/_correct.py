@@ -1,27 +1,43 @@
-"""The word ``correct``: a module of its own, so that it imports nothing that it does not need."""
+"""The word ``correct``, and corrected tables: nothing is imported here that this does not need."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from contextlib import nullcontext
+import csv
+import io
+import os
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+
+import numpy as np
 
 from sklearn_raacmm.app._files import (
     correction_files,
     find_cause_columns,
     find_rows,
     find_unnamed_probe,
+    in_rad,
     load_correction,
-    open_beside,
     print_notes,
-    write_corrected,
+    read_causes,
+    read_labels,
 )
-from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.utils import check_places
+from sklearn_raacmm.utils import check_places, numbered_rows
 
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
+# Standard deviations of coordinates in the base frame, of the deviation within a position, and of a
+# distance of 1 m from here.
+_NEW_COLUMNS = (
+    *(f"{axis} [mm]" for axis in "xyz"),
+    *(f"sd {axis} [mm]" for axis in "xyz"),
+    *(f"sd {axis} within position [mm]" for axis in "xyz"),
+    "sd of 1 m [mm]",
+)
+# How many of them there are by `--std`.
+_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 
 
 def correct(options):
@@ -47,3 +63,72 @@ def correct(options):
     check_angles(largest, saved.arm.joint_types, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return 0, {"rows": n_rows}
+
+
+def write_corrected(layout, correction, options, file, std="all"):
+    """Copy a table with the corrected points beside its columns, block by block.
+
+    Each row is corrected by its probe; `std` says which standard deviations are written. Returns
+    the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
+    """
+    source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
+    writer = csv.writer(file, delimiter=source.separator or " ")
+    plain = list if options.formulas else source.plain
+    writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
+    columns = find_cause_columns(options)
+    for block, cells in layout.blocks(BLOCK_ROWS):
+        largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
+        X = correction.inputs(in_rad(block), read_causes(block, columns))
+        new = np.empty((len(X), width))
+        tools = read_labels(block, options, "tool")
+        for tool in [None] if tools is None else np.unique(tools):
+            rows = slice(None) if tool is None else tools == tool
+            with numbered_rows(block.rows[rows]):
+                one = correction if tool is None else correction.with_tool(tool)
+                if std == "no":  # without standard deviations it takes less time
+                    points = one.arm.forward(X[rows, : one.arm.n_joints])
+                    new[rows] = points - one.model.predict(X[rows])
+                else:
+                    new[rows] = one.columns(X[rows])[:, :width]
+        if isinstance(cells[0], str):
+            _write_lines(file, source.separator, cells, new)
+        else:
+            for row, values in zip(cells, new.tolist(), strict=True):
+                writer.writerow([*plain(row), *map(source.text, values)])
+        n_rows += len(cells)
+    return n_rows, largest
+
+
+def _write_lines(file, separator, lines, new):
+    """Write lines of a table of numbers, with new numbers behind each: as a writer of cells does.
+
+    `Layout.plain_lines` has made sure that no cell needs quotation marks.
+    """
+    line = separator.join(["%s", *["%.6f"] * new.shape[1]]) + "\r\n"
+    file.writelines(
+        [line % (row, *values) for row, values in zip(lines, new.tolist(), strict=True)]
+    )
+
+
+def corrected_file(layout, correction, options):
+    """Content of the corrected table, by the name of its file."""
+    file = io.StringIO(newline="")
+    write_corrected(layout, correction, options, file)
+    return {"corrected.csv": file.getvalue().encode(layout.source.encoding)}
+
+
+@contextmanager
+def open_beside(path, encoding):
+    """A text stream whose file gets its name when it is complete; without it, it is kept."""
+    beside = Path(f"{path}.{os.getpid():x}.tmp")
+    try:
+        with open(beside, "w", encoding=encoding, newline="") as file:
+            yield file
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+    try:
+        beside.replace(path)
+    except OSError as error:
+        text = f"{path} cannot be replaced ({error}); its content is in {beside}."
+        raise OSError(text) from None

@@ -3,38 +3,21 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-import csv
-import io
-import os
 import warnings
-from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.app._columns import MM_PER_UNIT, split_unit
 from sklearn_raacmm.app._sources import TableError, find_source, parse_number
 from sklearn_raacmm.app._tables import Layout, split_points, text_of_label
+from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.arm import Arm, scale_of
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import within_turn
-from sklearn_raacmm.utils import numbered_rows
 
-# Rows corrected at a time: some ten MB, whatever the size of the file.
-_BLOCK_ROWS = 8192
-# Standard deviations of coordinates in the base frame, of the deviation within a position, and of a
-# distance of 1 m from here.
-_NEW_COLUMNS = (
-    *(f"{axis} [mm]" for axis in "xyz"),
-    *(f"sd {axis} [mm]" for axis in "xyz"),
-    *(f"sd {axis} within position [mm]" for axis in "xyz"),
-    "sd of 1 m [mm]",
-)
-# How many of them there are by `--std`.
-_N_COLUMNS = {"no": 3, "point": 6, "all": len(_NEW_COLUMNS)}
 # What `learn` and the later words write into a folder.
 WRITTEN = (
     "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
@@ -78,75 +61,6 @@ def load_correction(folder) -> Any:
 def correction_files(folder):
     """Files that loading a correction reads: no output may be one of them."""
     return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
-
-
-def write_corrected(layout, correction, options, file, std="all"):
-    """Copy a table with the corrected points beside its columns, block by block.
-
-    Each row is corrected by its probe; `std` says which standard deviations are written. Returns
-    the number of rows, and the largest angle of each joint (1, n_joints) in their unit.
-    """
-    source, n_rows, largest, width = layout.source, 0, 0.0, _N_COLUMNS[std]
-    writer = csv.writer(file, delimiter=source.separator or " ")
-    plain = list if options.formulas else source.plain
-    writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
-    columns = find_cause_columns(options)
-    for block, cells in layout.blocks(_BLOCK_ROWS):
-        largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
-        X = correction.inputs(in_rad(block), read_causes(block, columns))
-        new = np.empty((len(X), width))
-        tools = read_labels(block, options, "tool")
-        for tool in [None] if tools is None else np.unique(tools):
-            rows = slice(None) if tool is None else tools == tool
-            with numbered_rows(block.rows[rows]):
-                one = correction if tool is None else correction.with_tool(tool)
-                if std == "no":  # without standard deviations it takes less time
-                    points = one.arm.forward(X[rows, : one.arm.n_joints])
-                    new[rows] = points - one.model.predict(X[rows])
-                else:
-                    new[rows] = one.columns(X[rows])[:, :width]
-        if isinstance(cells[0], str):
-            _write_lines(file, source.separator, cells, new)
-        else:
-            for row, values in zip(cells, new.tolist(), strict=True):
-                writer.writerow([*plain(row), *map(source.text, values)])
-        n_rows += len(cells)
-    return n_rows, largest
-
-
-def _write_lines(file, separator, lines, new):
-    """Write lines of a table of numbers, with new numbers behind each: as a writer of cells does.
-
-    `Layout.plain_lines` has made sure that no cell needs quotation marks.
-    """
-    line = separator.join(["%s", *["%.6f"] * new.shape[1]]) + "\r\n"
-    file.writelines(
-        [line % (row, *values) for row, values in zip(lines, new.tolist(), strict=True)]
-    )
-
-
-def corrected_file(layout, correction, options):
-    """Content of the corrected table, by the name of its file."""
-    file = io.StringIO(newline="")
-    write_corrected(layout, correction, options, file)
-    return {"corrected.csv": file.getvalue().encode(layout.source.encoding)}
-
-
-@contextmanager
-def open_beside(path, encoding):
-    """A text stream whose file gets its name when it is complete; without it, it is kept."""
-    beside = Path(f"{path}.{os.getpid():x}.tmp")
-    try:
-        with open(beside, "w", encoding=encoding, newline="") as file:
-            yield file
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    try:
-        beside.replace(path)
-    except OSError as error:
-        text = f"{path} cannot be replaced ({error}); its content is in {beside}."
-        raise OSError(text) from None
 
 
 def in_rad(table):
@@ -269,15 +183,15 @@ def parse_length(text):
 
 def known_features(options, table):
     """What was touched: as the options name it, and of other positions as their rows do."""
-    found = [parse_feature(text) for text in options.feature or ()]
+    features = [parse_feature(text) for text in options.feature or ()]
     kinds = read_labels(table, options, "kind")
     if kinds is None:
-        return found
+        return features
     if table.positions is None:
         raise TableError("--kind is of positions: name their column with --position.")
-    named = {label for label, *_ in found}
+    named = {label for label, *_ in features}
     pairs = set(zip(table.positions.tolist(), map(str.lower, kinds.tolist()), strict=True))
-    return found + sorted(pair for pair in pairs if pair[0] not in named)
+    return features + sorted(pair for pair in pairs if pair[0] not in named)
 
 
 def parse_feature(text):

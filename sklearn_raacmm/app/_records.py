@@ -86,7 +86,8 @@ HEAD_CHARACTERS = 1 << 20
 _LOOKED_AT = 300
 _BRACKETS = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 _SPLIT = re.compile(r"\s*[,;]\s*|\s+")
-_IS_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_IS_NUMBER = re.compile(NUMBER)
 _PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s*[=:]\s*{_VALUE}(?![\w.])")
 _SPACED_PAIR = re.compile(rf"\b([A-Za-z_][\w.]{{0,40}})\s+{_VALUE}(?![\w.])")
 # A list in a cell of a table, in quotation marks where its numbers are parted by commas.
@@ -109,8 +110,8 @@ def find_records(text, read, n_numbers):
     poses of the tool where joints are needed, a ValueError says so.
     """
     for find in (_json, _program, _xml, _yaml, _cells, _lists, _pairs):
-        if found := find(text, read, n_numbers):
-            return found
+        if records := find(text, read, n_numbers):
+            return records
     return None
 
 
@@ -155,7 +156,7 @@ def _lists(head, read, n_numbers):
     if wanted < 2 or 3 * wanted < len(some):
         return None
     text, line, done = read(), 1, 0
-    found: list[Any] = []
+    lines: list[Any] = []
     for begin, lists in _lists_in(text):
         sizes = [len(numbers) for _, numbers in lists]
         if not _of_joints(sizes, n_numbers):
@@ -164,28 +165,28 @@ def _lists(head, read, n_numbers):
         if n_numbers > 3 and _POSE_IN_BRACKETS.search(text[begin : lists[-1][0].end()]):
             raise ValueError(f"row {line} holds a pose of the tool; joint angles are needed.")
         if len(sizes) > 2 and {*sizes} == {n_numbers}:  # rows in one line
-            found += [(k, "", [""], [one]) for k, (_, one) in enumerate(lists, line)]
+            lines += [(k, "", [""], [one]) for k, (_, one) in enumerate(lists, line)]
             continue
         ends = [begin, *(match.end() for match, _ in lists)]
         before = [text[end : match.start()] for end, (match, _) in zip(ends, lists, strict=False)]
         words = [(re.findall(r"[^\W\d]\w*", one) or [""])[-1] for one in before]
         quoted = re.search("""["']([^"']+)["']""", before[0])
         name = quoted[1] if quoted else before[0].strip(" \t=:,;([{")
-        found.append((line, name, words, [numbers for _, numbers in lists]))
-    sizes = [len(one) for one in found[0][3]]
-    for line, _, _, lists in found:
+        lines.append((line, name, words, [numbers for _, numbers in lists]))
+    sizes = [len(one) for one in lines[0][3]]
+    for line, _, _, lists in lines:
         if (own := [len(one) for one in lists]) != sizes:
             raise ValueError(f"row {line} has lists of {own} numbers, others of {sizes}.")
     own = _of_joints(sizes, n_numbers)[0]
-    further = zip(*(one[3][own][n_numbers:] for one in found), strict=True)
+    further = zip(*(one[3][own][n_numbers:] for one in lines), strict=True)
     if any(len({*numbers}) > 1 for numbers in further):  # they are no axes that stand still
         return None
-    words = [one[2] for one in found]
+    words = [one[2] for one in lines]
     words = [one[0] if len({*one}) == 1 else "" for one in zip(*words, strict=True)]
     header = ["name", *_names_of_lists(sizes, words, n_numbers)]
-    names = {name for _, name, *_ in found}
+    names = {name for _, name, *_ in lines}
     begin = int(len(names) == 1 or "" in names)  # names that tell nothing apart are left out
-    rows = [(n, [name, *(x for one in lists for x in one)][begin:]) for n, name, _, lists in found]
+    rows = [(n, [name, *(x for one in lists for x in one)][begin:]) for n, name, _, lists in lines]
     return "Lists in brackets", header[begin:], rows
 
 
@@ -277,8 +278,8 @@ def _json(head, read, n_numbers):
     ):  # fmt: skip
         for parts in ([text], *[lines] * by_line):
             with suppress(ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
-                found = list(map(parse, parts))
-                return _of_records(what, found[0] if len(found) == 1 else found, n_numbers)
+                parsed = list(map(parse, parts))
+                return _of_records(what, parsed[0] if len(parsed) == 1 else parsed, n_numbers)
     return None
 
 
@@ -292,11 +293,11 @@ def _xml(head, read, n_numbers):
         return None
     if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
         return "HTML", None, list(enumerate(rows, 1))
-    found: dict[str, list[Any]] = {}
+    by_tag: dict[str, list[Any]] = {}
     for one in root.iter():
         simple = {part.tag: part.attrib or (part.text or "").strip() for part in one}
-        found.setdefault(one.tag, []).append(one.attrib | simple)
-    records = (_of_records("XML", each, n_numbers) for each in found.values())
+        by_tag.setdefault(one.tag, []).append(one.attrib | simple)
+    records = (_of_records("XML", each, n_numbers) for each in by_tag.values())
     return max(
         filter(None, records), key=lambda one: (len(one[2]), len(one[1] or ())), default=None
     )
@@ -322,8 +323,8 @@ def _yaml(head, read, n_numbers):
     text = read()
     with suppress(yaml.YAMLError, RecursionError, TypeError):
         if not _ALIAS.search(text):  # aliases could expand without end
-            found = [_cleaned(one) for one in yaml.load_all(text, Loader) if one]
-            return _of_records("YAML", found[0] if len(found) == 1 else found, n_numbers)
+            parsed = [_cleaned(one) for one in yaml.load_all(text, Loader) if one]
+            return _of_records("YAML", parsed[0] if len(parsed) == 1 else parsed, n_numbers)
     return None
 
 
@@ -342,10 +343,7 @@ def _of_records(what, value, n_numbers):
     records = _records(value, n_numbers)
     flat = [_flattened(one) for one in records or ()]
     names = list(dict.fromkeys(name for one in flat for name in one))
-    rows = []
-    for number, one in enumerate(flat, 1):
-        cells = [one.get(name, "") for name in names]
-        rows.append((number, cells))
+    rows = [(i, [one.get(name, "") for name in names]) for i, one in enumerate(flat, 1)]
     counts = [sum(bool(_IS_NUMBER.fullmatch(str(cell))) for cell in cells) for _, cells in rows]
     if max(counts, default=0) < n_numbers:
         return None
@@ -381,15 +379,15 @@ def _records(value, n_numbers):
     if dicts and len(parts) > 2 and len({tuple(one) for one in parts}) == 1:
         return [{"name": key, **one} for key, one in value.items()]
     inner = [_records(one, n_numbers) for one in parts if isinstance(one, list | dict)]
-    found = max(filter(None, inner), key=len, default=None)
+    inside = max(filter(None, inner), key=len, default=None)
     # Names of the joints, or of the columns, may stand once for all records.
     names = {key: one for key, one in value.items() if isinstance(one, list)}
-    if found and isinstance(found[0], list):
-        fitting = [one for one in names.values() if len(one) == len(found[0])]
+    if inside and isinstance(inside[0], list):
+        fitting = [one for one in names.values() if len(one) == len(inside[0])]
         of_columns = next((one for one in fitting if {*map(type, one)} == {str}), None)
-        return [dict(zip(of_columns, one, strict=True)) for one in found] if of_columns else found
+        return [dict(zip(of_columns, one, strict=True)) for one in inside] if of_columns else inside
     names = {key: one for key, one in names.items() if str(key).endswith(("name", "names"))}
-    return [names | one for one in found] if found else found
+    return [names | one for one in inside] if inside else inside
 
 
 def _shape(value):

@@ -100,9 +100,9 @@ def write_report(
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
     harmonics: list[Any] = []
     if getattr(learnt.model, "helps_", False):  # it is no other kind of model, and it helps
-        found, n_joints = learnt.model.harmonics_, learnt.arm.n_joints
-        sds = HarmonicDisplay(harmonics=found, n_joints=n_joints).amplitude_sd
-        harmonics = list(zip(found, sds, strict=True))[:_MOST_HARMONICS]
+        waves, n_joints = learnt.model.harmonics_, learnt.arm.n_joints
+        sds = HarmonicDisplay(harmonics=waves, n_joints=n_joints).amplitude_sd
+        harmonics = list(zip(waves, sds, strict=True))[:_MOST_HARMONICS]
     squares = np.mean(learnt.columns(learnt.inputs(learnt.angles)) ** 2, axis=0)
     text = render(
         "_report.html",
@@ -231,14 +231,14 @@ def draw_positions(figure, scores):
 
 def _intervals(scores, left):
     """What another choice of poses at each position would change (95 %), mm; NaN of one pose."""
-    found = np.full((len(scores.rows_by_position), 2), np.nan)
-    for own, rows in zip(found, scores.rows_by_position, strict=True):
+    intervals = np.full((len(scores.rows_by_position), 2), np.nan)
+    for own, rows in zip(intervals, scores.rows_by_position, strict=True):
         if scores.measure.startswith("2S"):
             own[:] = repeatability_interval(left[rows])
         elif len(rows) > 1:
             far = np.linalg.norm(left[rows], axis=1)
             own[:] = stats.t.interval(0.95, len(far) - 1, far.mean(), stats.sem(far))
-    return found
+    return intervals
 
 
 def draw_volume(figure, arm, angles, places=()):

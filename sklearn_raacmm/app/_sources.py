@@ -10,7 +10,7 @@ import codecs
 import contextlib
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -64,7 +64,8 @@ _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
 # A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
 # of which 20 columns reach in the last row of a spreadsheet.
 _MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
-_BLOCK_ROWS = 8192
+# Rows or lines of a table that are in memory at a time: some MB.
+BLOCK_ROWS = 8192
 # Columns for each row of a table that has a line for each joint, at least.
 _WIDER = 3
 SHEETS = (".xlsx", ".xlsm")
@@ -96,7 +97,8 @@ def parse_number(text):
 class Dialect:
     """How a file is written; `separator` and `decimal` of what is no text are those to write with.
 
-    `table` has the rows, (row number, cells), of what is no text, and `what` names its kind.
+    `table` has the rows, (row number, cells), of what is no text, or makes them when it is called;
+    `what` names its kind.
     """
 
     path: Path
@@ -104,12 +106,12 @@ class Dialect:
     separator: str | None = ","
     decimal: str = "."
     what: str = ""
-    table: Iterable[Any] | None = None
+    table: Iterable[Any] | Callable[[], Iterable[Any]] | None = None
 
     def rows(self):
         """Yield (row number, cells) of each row that is not empty; lines of text count from 1."""
         if self.table is not None:
-            yield from self.table
+            yield from self.table() if callable(self.table) else self.table
             return
         with open(self.path, encoding=self.encoding, newline="") as file:
             for number, cells in self.split(file):
@@ -187,8 +189,8 @@ def unit_in(cell):
     """Unit that stands behind the number in a cell, or ""."""
     if not isinstance(cell, str):
         return ""
-    found = _WITH_UNIT.fullmatch(cell)
-    return found[5].lower() if found else "deg" * bool(_SEXAGESIMAL.fullmatch(cell))
+    match = _WITH_UNIT.fullmatch(cell)
+    return match[5].lower() if match else "deg" * bool(_SEXAGESIMAL.fullmatch(cell))
 
 
 def clean(cell):
@@ -238,17 +240,17 @@ def find_source(path, n_numbers, sheet=None):
         if is_bag:
             from sklearn_raacmm.app._bags import read_bag
 
-            found = read_bag(path, n_numbers, (sheet or "").split(","))
+            read = read_bag(path, n_numbers, (sheet or "").split(","))
         else:
             encoding = find_encoding(path)
             with open(path, encoding=encoding, newline="") as file:
                 head = file.read(HEAD_CHARACTERS)
-            found = find_records(head, partial(path.read_text, encoding), n_numbers)
+            read = find_records(head, partial(path.read_text, encoding), n_numbers)
     except ValueError as error:
         raise TableError(f"{path}: {error}") from None
-    if found is None:
+    if read is None:
         return find_dialect(path, n_numbers)
-    what, names, rows = found
+    what, names, rows = read
     return Dialect(path, what=what, table=[(0, names), *rows] if names else rows)
 
 
@@ -332,14 +334,14 @@ def _other_script(path):
         head = file.read(_CHUNK)
     if head.isascii():
         return []
-    found = []
+    shares = []
     for encoding, signs in _SCRIPTS:
         text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
         others = [sign for sign in text if not sign.isascii()]
         known = sum(sign in signs for sign in others)
         if known and "\ufffd" not in text:
-            found.append((known / len(others), encoding))
-    return [max(found)[1]] if found else []
+            shares.append((known / len(others), encoding))
+    return [max(shares)[1]] if shares else []
 
 
 def _find_sheet(path, n_numbers, wanted):
@@ -369,28 +371,24 @@ def read_sheets(path):
 
     if not path.is_file():
         raise TableError(f"There is no file {path}.")
-    found, n_cells = {}, 0
-
-    def of(sheet):
-        nonlocal n_cells
-        for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
-            n_cells += len(row)
-            check_size(len(row), n_cells)
-            cells = [clean(cell) for cell in row]
-            if any(cell != "" for cell in cells):
-                yield number, cells
-
+    sheets, n_cells = {}, 0
     try:
         with open(path, "rb") as file:
             check_unpacked("the file", file)
             book = openpyxl.load_workbook(file, read_only=True, data_only=True)
             for sheet in book.worksheets:  # of charts there are none
                 sheet.reset_dimensions()  # some programs state fewer rows than they write
-                found[sheet.title] = list(of(sheet))
+                rows = sheets[sheet.title] = []
+                for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+                    n_cells += len(row)
+                    check_size(len(row), n_cells)
+                    cells = [clean(cell) for cell in row]
+                    if any(cell != "" for cell in cells):
+                        rows.append((number, cells))
     except Exception as error:  # a zip file of anything, damaged XML, or no zip file
         why = str(error).rstrip(".")
         raise TableError(f"{path} is not a spreadsheet that can be read: {why}.") from None
-    return found
+    return sheets
 
 
 # -- arrays of NumPy and MATLAB -------------------------------------------------------------------
@@ -426,7 +424,8 @@ def _arrays(path, n_numbers):
     if len(columns) < n_numbers:
         raise TableError(f"{path}: no rows of {n_numbers} numbers were found in its arrays.")
     names = list(columns) if any(name.strip("0123456789") for name in columns) else []
-    return Dialect(path, what="Arrays", table=_ArrayRows(names, list(columns.values())))
+    rows = partial(_rows_of_arrays, names, list(columns.values()))
+    return Dialect(path, what="Arrays", table=rows)
 
 
 def _fields_of(content):
@@ -446,17 +445,14 @@ def _fields_of(content):
             yield name, values.T if turned else values
 
 
-@dataclass(frozen=True)
-class _ArrayRows:
-    """Rows of arrays (n,), as (row number, cells): a block at a time is made of objects."""
+def _rows_of_arrays(names, columns):
+    """Yield (row number, cells) of arrays (n,): a block at a time is made of objects.
 
-    names: list[str]  # row 0, if there are any
-    columns: list[np.ndarray]
-
-    def __iter__(self):
-        if self.names:
-            yield 0, self.names
-        for start in range(0, len(self.columns[0]), _BLOCK_ROWS):
-            some = (column[start : start + _BLOCK_ROWS].tolist() for column in self.columns)
-            for number, cells in enumerate(zip(*some, strict=True), start + 1):
-                yield number, [clean(cell) for cell in cells]
+    The names, if there are any, are row 0.
+    """
+    if names:
+        yield 0, names
+    for start in range(0, len(columns[0]), BLOCK_ROWS):
+        some = (column[start : start + BLOCK_ROWS].tolist() for column in columns)
+        for number, cells in enumerate(zip(*some, strict=True), start + 1):
+            yield number, [clean(cell) for cell in cells]

@@ -16,16 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.app._columns import MEASURED, Columns
-from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._joints import MEASURED, columns_of_numbers, external_axes, find_joints
+from sklearn_raacmm.app._records import NUMBER
+from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
+from sklearn_raacmm.app._units import find_unit, mm_of_slide
 from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.utils import Floats
 
 # Cells that a table may hold to be read by columns: numbers, and words that no writer of cells
-# puts into quotation marks; so many lines are looked at together.
-_PLAIN_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_PLAIN_CELL = rf"(?:{_PLAIN_NUMBER}|[^\W_](?:[\w .:/+-]*[\w.:/+-])?)?"
-_LINES_AT_A_TIME = 8192
+# puts into quotation marks.
+_PLAIN_CELL = rf"(?:{NUMBER}|[^\W_](?:[\w .:/+-]*[\w.:/+-])?)?"
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,28 +160,29 @@ class Layout(Columns):
         if position is not None:
             taken.add(self.column(position, "--position"))
         self.types, slides = joint_types, slides_of(joint_types)
-        self.angle_columns = self.find_angles(angles, joint_names, taken, slides)
+        self.angle_columns = find_joints(self, angles, joint_names, taken, slides)
         self.labelled, self.position_column, self.needed = labelled and points is None, None, needed
         # A tracker's points need no labels: those that are there are taken.
         if labelled and (not points or position is not None or self.label_columns):
             taken = {*self.angle_columns, *self.point_columns}
             self.position_column = self.find_position(position, taken, needed)
-        self.turns = np.ones(1)
+        self.angle_unit, self.factor, self.turns = angle_unit or "rad", 1.0, np.ones(1)
+        turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
         if counts_per_turn is not None:
-            self.turns, angle_unit = np.asarray(counts_per_turn, dtype=float), "deg"
-            self.factor = 360.0
+            self.turns = np.asarray(counts_per_turn, dtype=float)
+            self.angle_unit, self.factor = "deg", 360.0
+        elif turning and not angle_unit:
+            self.angle_unit, self.factor = find_unit(self, turning)
         if not (self.turns.shape in ((), (1,), (n_joints,)) and np.all(self.turns > 0)):
             each = f"one for each of {n_joints} joints"
             raise TableError(f"--counts-per-turn needs a positive number, or {each}.")
-        turning = [c for i, c in enumerate(self.angle_columns) if i not in slides]
-        self.angle_unit = angle_unit or (self.find_unit(turning) if turning else "rad")
         if slides:
             unit = np.broadcast_to(self.factor / self.turns, n_joints).copy()
-            unit[slides] = [self.mm_per_unit(self.angle_columns[i]) for i in slides]
+            unit[slides] = [mm_of_slide(self, self.angle_columns[i]) for i in slides]
             self.factor, self.turns = unit, np.ones(1)
         used = {*self.angle_columns, *self.point_columns, *self.others.values()}
         used.add(self.position_column)
-        self.notes += self.external_axes(used)
+        self.external = external_axes(self, used)
         if unused := [name for i, name in enumerate(self.header) if i not in used]:
             self.notes.append(named_first("Columns not used", unused))
 
@@ -200,8 +202,14 @@ class Layout(Columns):
                 said = f"Labels of the positions: {name}, without the last number."
             self.notes[:] = [said if note == labelled else note for note in self.notes]
             table = replace(table, positions=places)
-        if self.labelled and table.positions is not None:
-            _refuse_lonely_labels(self.path, table)
+        counts = Counter(() if table.positions is None else table.positions.tolist())
+        for label in sorted(one for one in counts if self.labelled and counts[one] == 1):
+            near = get_close_matches(label, [one for one in counts if counts[one] > 1], 1)
+            hint = f" Was {near[0]!r} meant?" if near else ""
+            row = f"row {table.rows[table.positions == label][0]}"
+            raise TableError(
+                f"{self.path}: {row}: the position {label!r} is in this row only.{hint}"
+            )
         return _with_points(self, table, self.points_file) if self.points_file else table
 
     def blocks(self, n_rows):
@@ -230,12 +238,12 @@ class Layout(Columns):
         if is_other or self.sections or self.width != len(self.header):
             return None
         of_angles = [i in self.angle_columns for i in range(self.width)]
-        cells = [_PLAIN_NUMBER if own else _PLAIN_CELL for own in of_angles]
+        cells = [NUMBER if own else _PLAIN_CELL for own in of_angles]
         separator = re.escape(str(source.separator))
         line = re.compile(rf"{separator.join(cells)}(?:\r?\n|\Z)")
         with open(source.path, encoding=source.encoding, newline="") as file:
             next(islice(file, self.header_row, self.header_row), None)
-            while text := "".join(islice(file, _LINES_AT_A_TIME)):
+            while text := "".join(islice(file, BLOCK_ROWS)):
                 if line.sub("", text):
                     return None
         return self._lines()
@@ -276,15 +284,6 @@ def _places_in(labels):
     return None
 
 
-def _refuse_lonely_labels(path, table):
-    counts = Counter(table.positions.tolist())
-    for label in sorted(label for label, count in counts.items() if count == 1):
-        near = get_close_matches(label, [one for one, count in counts.items() if count > 1], 1)
-        hint = f" Was {near[0]!r} meant?" if near else ""
-        row = table.rows[table.positions == label][0]
-        raise TableError(f"{path}: row {row}: the position {label!r} is in this row only.{hint}")
-
-
 # -- points of a tracker --------------------------------------------------------------------------
 
 
@@ -314,18 +313,18 @@ def read_points(path, wanted=None):
     ]
     if axes and not wanted:
         return *_points_by_coordinate(columns, axes[0]), columns.notes[1:]
-    found = _columns_of_points(columns, wanted)
-    rows = list(columns.rows(found))
+    xyz = _columns_of_points(columns, wanted)
+    rows = list(columns.rows(xyz))
     notes = []
-    if empty := [cells for _, cells in rows if all(cells[i] == "" for i in found)]:
+    if empty := [cells for _, cells in rows if all(cells[i] == "" for i in xyz)]:
         notes.append(f"Points of {path} without coordinates, left out: {len(empty)}.")
         rows = [row for row in rows if row[1] not in empty]
-    points = columns.points(rows, found)
+    points = columns.points(rows, xyz)
     # The names stand before the points, or in a column that is called so, and tell them apart.
     called = [columns.names.index(name) for name in _NAMES if name in columns.names]
     names = None
-    for i in [found[0] - 1, *columns.label_columns, *called]:
-        if i >= 0 and i not in found:
+    for i in [xyz[0] - 1, *columns.label_columns, *called]:
+        if i >= 0 and i not in xyz:
             own = [text_of_label(cells[i]) for _, cells in rows]
             names = own if names is None or len(set(names)) < len(set(own)) == len(own) else names
     return names, points, notes + columns.notes[1:]
@@ -333,7 +332,7 @@ def read_points(path, wanted=None):
 
 def _points_by_coordinate(columns, axis):
     """Names and points of a table that has a row for each coordinate, as reports have them."""
-    numbers = columns.columns_of_numbers()
+    numbers = columns_of_numbers(columns)
     value = ([i for i in numbers if MEASURED.search(columns.names[i])] or numbers)[0]
     rows = list(columns.rows([value]))
     names = [text_of_label(cells[axis - 1]) for _, cells in rows]
@@ -350,26 +349,23 @@ def _columns_of_points(columns, wanted):
     at = {name: columns.names.index(name) for name in columns.names}
     by_name = [[at[name] for name in words if name in at] for words in _COORDINATES]
     if all(by_name):
-        return [found[0] for found in by_name]
+        return [axes[0] for axes in by_name]
     likewise = [
         [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
     ]
     triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
-    measured = [found for found in triples if MEASURED.search(columns.names[found[0]])]
+    measured = [axes for axes in triples if MEASURED.search(columns.names[axes[0]])]
     triples = measured if len(triples) > 1 and measured else triples
     if len(triples) == 1:
         return triples[0]
     # Names, then x, y, z, then what else is known of a point.
     _, cells = columns.first[0]
-    found = [i for i, cell in enumerate(cells) if columns.source.number(cell) is not None]
-    found = [i for i in found if i not in columns.label_columns and columns.names[i] not in _NAMES]
-    found = found[len(found) == 4 and found[0] == 0 :][:3]
-    if len(found) != 3 or len(triples) > 1:
-        raise TableError(
-            f"{columns.path}: which columns are x, y and z? Say it with --points "
-            f"{columns.path.name}:X,Y,Z; it has {columns}."
-        )
-    return found
+    axes = [i for i, cell in enumerate(cells) if columns.source.number(cell) is not None]
+    axes = [i for i in axes if i not in columns.label_columns and columns.names[i] not in _NAMES]
+    axes = axes[len(axes) == 4 and axes[0] == 0 :][:3]
+    if len(axes) != 3 or len(triples) > 1:
+        raise columns.unclear("which columns are x, y and z", f"--points {columns.path.name}:X,Y,Z")
+    return axes
 
 
 def split_points(source):

@@ -114,9 +114,7 @@ class _Seen:
             change = self._saved.model.predict(self._saved.inputs(self._angles))
         elif self.n_rows >= self._next_rows:
             self._next_rows = _GROWTH * self.n_rows
-            with suppress(
-                ValueError
-            ):  # of rows that no calibration explains the arm stays as it was
+            with suppress(ValueError):  # what no calibration explains leaves the arm as it was
                 self.arm = calibrate(self._nominal, self._angles, self._codes).arm
         self._judge(self.arm.forward(self._angles) - change, labels, table.rows)
         bins = np.floor(np.rad2deg(phases(self.arm, self._angles)) / _BIN_DEG).astype(int)
@@ -194,6 +192,6 @@ class _Seen:
 
     def _check(self, angles, codes, n_cones):
         """What a check says."""
-        found = self._saved.check(angles, codes)
-        said = "it holds." if found.holds else f"suspect: {found.suspect}. {found.advice}"
+        result = self._saved.check(angles, codes)
+        said = "it holds." if result.holds else f"suspect: {result.suspect}. {result.advice}"
         return True, f"Checked with {len(angles)} poses in {n_cones} cones: {said}"

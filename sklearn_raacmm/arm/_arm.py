@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
-from sklearn_raacmm.arm._checks import check_angles, check_fields, floats, in_unit, slides_of
+from sklearn_raacmm.arm._checks import check_angles, check_fields, floats, in_unit, scale_of
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import (
     by_given_angles,
@@ -232,11 +232,8 @@ class Arm:
     @cached_property
     def reach_mm(self) -> float:
         """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        d = self.d
-        if slides := slides_of(self.joint_types):
-            d = d.copy()
-            at_ends = self.d + self.joint_signs * spans_of(self)
-            d[slides] = np.abs(at_ends).max(axis=0)[slides]
+        at_ends = np.abs(self.d + self.joint_signs * spans_of(self)).max(axis=0)
+        d = np.where(scale_of(self.joint_types, 0.0) > 0, at_ends, self.d)
         return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
 
     def replace(self, **changes: Any) -> "Arm":
@@ -685,11 +682,9 @@ class Arm:
             vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
         """
         n, angles = self.n_joints, check_angles(angles, self.joint_types, angle_unit)
-        jacobian = parameter_jacobian(self, angles)[1]
-        by_own = jacobian[:, :, 3 * n : 4 * n]
-        if slides := slides_of(self.joint_types):
-            by_own[:, :, slides] = jacobian[:, :, 2 * n : 3 * n][:, :, slides]
-        return by_given_angles(self, by_own)
+        # By theta, and of a joint that slides by d.
+        own = np.arange(n) + n * np.where(scale_of(self.joint_types, 0.0) > 0, 2, 3)
+        return by_given_angles(self, parameter_jacobian(self, angles)[1].take(own, axis=2))
 
     def angles_for(
         self,

@@ -5,7 +5,7 @@
 
 from typing import Any
 
-_UR_NAMES = (
+UR_NAMES = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
     "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
@@ -19,7 +19,7 @@ def _ur(d1, a2, a3, d4, d5, d6):
         "d": [d1, 0.0, 0.0, d4, d5, d6],
         "pose_joints": (4, 3),
         "pose_frames": (1, 3),
-        "names": _UR_NAMES,
+        "names": UR_NAMES,
     }
 
 
@@ -68,7 +68,7 @@ BUILT_IN: dict = {
         **{f: [v, *_UR10[f]] for f, v in (("a", 0.0), ("alpha", -90.0), ("d", 0.0))},
         "pose_joints": (5, 4),
         "pose_frames": (2, 4),
-        "names": ("rail", *_UR_NAMES),
+        "names": ("rail", *UR_NAMES),
         "joint_types": "PRRRRRR",
         "limits": [(0.0, 4000.0)] + 6 * [(None, None)],
         "up": (0.0, 1.0, 0.0),

@@ -15,6 +15,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sklearn_raacmm.arm._built_in import UR_NAMES
 from sklearn_raacmm.arm._checks import MAX_LENGTH_MM
 from sklearn_raacmm.utils import warn_user
 
@@ -41,14 +42,8 @@ _ROUNDING = 1e-12
 _OPPOSITE = -0.9
 # Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
 # ur_description: origins of joints about z, in m and rad.
-_UR_JOINTS = {
-    "shoulder": "shoulder_pan_joint",
-    "upper_arm": "shoulder_lift_joint",
-    "forearm": "elbow_joint",
-    "wrist_1": "wrist_1_joint",
-    "wrist_2": "wrist_2_joint",
-    "wrist_3": "wrist_3_joint",
-}
+_UR_PARTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+_UR_JOINTS = dict(zip(_UR_PARTS, UR_NAMES, strict=True))
 _UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 # The link and the fixed joint by which a file of our own says how the arm stands: points are in the
 # frame of the link behind them, as those of the arm that was written.

@@ -135,11 +135,11 @@ def check_direction(name, value):
 
 def check_names(names, n):
     """Names of the joints: none, or a different one for each."""
-    found = tuple(names) if isinstance(names, list | tuple) else ("",)
-    whole = all(name and is_name(name) for name in found)
-    if not whole or len(found) not in (0, n) or len(set(found)) < len(found):
+    given = tuple(names) if isinstance(names, list | tuple) else ("",)
+    whole = all(name and is_name(name) for name in given)
+    if not whole or len(given) not in (0, n) or len(set(given)) < len(given):
         raise ValueError(f"names must be {n} different names of joints, got {names!r:.60}.")
-    return found
+    return given
 
 
 def is_name(value):

@@ -12,29 +12,13 @@ import numpy as np
 
 _FORMAT = "sklearn_raacmm.Arm"
 _FORMAT_VERSION = 1
+_UNITS = {"a": "_mm", "alpha": "_rad", "d": "_mm", "theta_offset": "_rad", "probe": "_mm"}
+_NEEDED = ("name", "convention", *_UNITS, "joint_signs", "pose_joints", "pose_frames")
 # Field of the class -> key of the JSON file; the units are part of the file's keys.
-_JSON_KEYS = {
-    "name": "name",
-    "convention": "convention",
-    "a": "a_mm",
-    "alpha": "alpha_rad",
-    "d": "d_mm",
-    "theta_offset": "theta_offset_rad",
-    "probe": "probe_mm",
-    "joint_signs": "joint_signs",
-    "pose_joints": "pose_joints",
-    "pose_frames": "pose_frames",
-}
-# These may be missing, by their keys.
-_OPTIONAL = {
-    "joint_names": "names",
-    "limits_rad": "limits",
-    "limits_rad_mm": "limits",  # where joints slide
-    "up": "up",
-    "couplings": "couplings",
-    "joint_types": "joint_types",
-    "up_frame": "up_frame",
-}
+_JSON_KEYS = {field: field + _UNITS.get(field, "") for field in _NEEDED}
+# These may be missing, by their keys; limits are in rad and mm where joints slide.
+_OPTIONAL = {field: field for field in ("up", "couplings", "joint_types", "up_frame")}
+_OPTIONAL |= {"joint_names": "names", "limits_rad": "limits", "limits_rad_mm": "limits"}
 
 
 def read_fields(source: Any) -> tuple[dict[str, Any], str]:

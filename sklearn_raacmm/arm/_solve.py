@@ -58,11 +58,11 @@ def angles_for(
         own, rows = np.broadcast_to(own, shape)[open_], open_
         wanted = None if orientations is None else orientations[open_]
         of_rows = correction and (lambda q, k, rows=rows: correction(q, rows[k]))
-        found, left = solve(arm, points[open_], own, wanted, of_rows)
+        reached, left = solve(arm, points[open_], own, wanted, of_rows)
         nearer = left[:, 0] < off[open_, 0]
         off[open_[nearer]] = left[nearer]
-        angles[open_] = found
-        open_ = open_[np.isnan(found[:, 0])]
+        angles[open_] = reached
+        open_ = open_[np.isnan(reached[:, 0])]
         if not len(open_):
             break
     if len(open_):
@@ -122,19 +122,19 @@ def limits_of(arm: Any) -> Any:
 
 def _check_orientations(orientations, n):
     """Rotations (n, 3, 3) as float64."""
-    found = floats("orientations", orientations, finite=True)
-    if found.shape != (n, 3, 3):
+    turns = floats("orientations", orientations, finite=True)
+    if turns.shape != (n, 3, 3):
         raise ValueError(
             "orientations must be a rotation matrix for each point, "
-            f"({n}, 3, 3), got {found.shape}."
+            f"({n}, 3, 3), got {turns.shape}."
         )
-    wrong = np.flatnonzero(~are_rotations(found))
+    wrong = np.flatnonzero(~are_rotations(turns))
     if len(wrong):
         raise ValueError(
             f"{len(wrong)} of {n} orientations are no rotations; the first is that of row "
-            f"{wrong[0]}: {found[wrong[0]].round(6).tolist()}."
+            f"{wrong[0]}: {turns[wrong[0]].round(6).tolist()}."
         )
-    return found
+    return turns
 
 
 def _gaps(arm, aim, turned, angles):

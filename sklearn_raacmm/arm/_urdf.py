@@ -143,9 +143,9 @@ def seen_from(arm: Any, positioner: Any, base: Any) -> Any:
         "up_frame": m,
     }
     fields["limits"][:m] = fields["limits"][:m][::-1]
-    found = type(arm)(**fields)
-    upright = _axis_frames(found)[m - 1, :3, :3].T @ placed[:3, :3].T @ base[:3, :3] @ arm.up
-    return found.replace(up=np.where(np.abs(upright) > _PARALLEL, upright, 0.0))
+    chain = type(arm)(**fields)
+    upright = _axis_frames(chain)[m - 1, :3, :3].T @ placed[:3, :3].T @ base[:3, :3] @ arm.up
+    return chain.replace(up=np.where(np.abs(upright) > _PARALLEL, upright, 0.0))
 
 
 def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:

@@ -217,9 +217,9 @@ def cached_file(name, folder, address, download_if_missing, *, n_retries=3, dela
     if not download_if_missing:
         if not path.is_file():
             raise OSError(f"{path} is not there, and download_if_missing=False.")
-        if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != sha256:
+        if (checksum := hashlib.sha256(path.read_bytes()).hexdigest()) != sha256:
             raise OSError(
-                f"{path} has the SHA-256 checksum {found}, but {sha256} is expected: it was cut "
+                f"{path} has the SHA-256 checksum {checksum}, but {sha256} is expected: it was cut "
                 "short or changed, and download_if_missing=False."
             )
         return path

@@ -302,17 +302,17 @@ class SimulatedArm:
         point = _points("point", point, (3,))
         check_scalar(n_poses, "n_poses", Integral, min_val=0)
         arm = self.nominal_arm
-        found = np.empty((0, 6))
+        poses = np.empty((0, 6))
         for _ in range(10):
             candidates = self._candidates(point, 4 * n_poses + 40, rng)
             reached = _reach(arm.forward, arm, candidates, point)
-            found = np.vstack([found, reached[self._is_handy(reached, point)]])
+            poses = np.vstack([poses, reached[self._is_handy(reached, point)]])
             # More than asked for, so that even steps from left to right can be chosen.
-            if len(found) >= 1.5 * n_poses:
-                found = found[np.argsort(found[:, 2], kind="stable")]
-                return found[np.linspace(0, len(found) - 1, n_poses).astype(int)]
+            if len(poses) >= 1.5 * n_poses:
+                poses = poses[np.argsort(poses[:, 2], kind="stable")]
+                return poses[np.linspace(0, len(poses) - 1, n_poses).astype(int)]
         raise ValueError(
-            f"Only {len(found)} poses reach the point {point.round(1)} mm, {n_poses} are needed: "
+            f"Only {len(poses)} poses reach the point {point.round(1)} mm, {n_poses} are needed: "
             f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
         )
 

@@ -11,20 +11,18 @@ from functools import partial
 
 import numpy as np
 
-from sklearn_raacmm.network import KERNELS, NEAR
 from sklearn_raacmm.utils import LARGEST
 
-# Beyond this exp(-x) is 0, and 0 times what overflows would be NaN: the smallest normal number is
-# exp(-708.4) in double precision.
-_MOST = {"double": 708.0, "float": 87.0}
+# Squared distance that is as good as any larger one, and whose square does not overflow.
+_FARTHEST = 1e18
 # Numbers that are computed together: a multiple of those in a processor's vector. Where compilers
 # know that there are so many, they need no remainder: 15 -> 10 us for the variance of 177 columns.
 _VECTOR = 8
 # Of each number of a row by itself; {f} is the suffix of the precision.
 _ELEMENTWISE = {
     "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})",
-    "max": "larger({}, {})", "less": "less({}, {})",
-    "sqrt": "sqrt{f}({})", "sin": "sin{f}({})",
+    "max": "larger({}, {})", "min": "smaller({}, {})", "less": "less({}, {})",
+    "sqrt": "sqrt{f}({})", "exp": "exp{f}({})", "sin": "sin{f}({})",
     "cos": "cos{f}({})", "elevation": "atan2{f}({}, {})",
 }  # fmt: skip
 # Operations that take each number of a value once, so that it need not be an array; of the last two
@@ -83,7 +81,7 @@ class _Writer:
     def _expression(self, op, i):
         """An elementwise operation on the numbers i of its values."""
         name, operands = op.name, [self.at(source, i) for source in op.inputs]
-        if name in ("max", "less"):
+        if name in ("max", "min", "less"):
             self.tables.help(name)
         return _ELEMENTWISE[name].format(*operands, f=self.f)
 
@@ -248,25 +246,18 @@ class _Writer:
             products=products_text, at=self.tables("wave_at", out),
         )  # fmt: skip
 
-    def _radial(self, number, op):
-        centers, kernel = op.given["centers"].T, op.given["kernel"]
+    def _distances(self, number, op):
+        centers = op.given["centers"].T
         d, k = centers.shape
-        v, x = f"v{number}", self.array(op.inputs[0])
         shift = self.tables("center_shift", op.given["shift"], "middle of the centres")
         note = "1 / length scale; 0 for a feature that did not vary"
         width = self.tables("inverse_width", op.given["inverse_width"], note)
         note = "one column a centre, less their middle, in units of the length scales"
         center = self.tables("center", centers, note)
-        times, smooth, square = KERNELS[kernel]
-        kind = ("smooth" if smooth else "rough") if times else "gaussian"
-        numbers = {"most": _MOST[self.real], "root": np.sqrt(times), "near": NEAR}
-        numbers = {name: self.tables.literal(value) for name, value in numbers.items()}
-        more = f" + {self.tables.literal(square / times)} * r * r" if square else ""
-        body = self.tables.c(kind, v=v, polynomial=f"1 + r{more}", **numbers)
         self.declare(number, fill=" = {0}")
         self.fill(
-            "radial", v=v, x=x, d=d, k=k, shift=shift, width=width, center=center, kernel=kernel,
-            body=body,
+            "distances", v=f"v{number}", x=self.array(op.inputs[0]), d=d, k=k, shift=shift,
+            width=width, center=center, most=self.tables.literal(_FARTHEST),
         )  # fmt: skip
 
     def _variances(self, number, op):

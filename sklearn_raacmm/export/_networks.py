@@ -3,9 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from typing import Any
+
 import numpy as np
 
-from sklearn_raacmm.network import by_feature
+from sklearn_raacmm.export._program import OPERATIONS
+from sklearn_raacmm.network import by_feature, radial
 
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
 MOST_CENTERS = 2000
@@ -13,6 +16,42 @@ MOST_CENTERS = 2000
 # was good to 1e-6 of a standard deviation, at 1e-11 to nothing: tests/export/test_c_network.py
 # tries both sides.
 _CLEAR = 1e-6
+
+
+# Operations by the functions of NumPy that a kernel may consist of.
+_FUNCTIONS: dict[Any, str] = {np.less: "less"}
+_FUNCTIONS |= {f: name for name, f in OPERATIONS.items() if isinstance(f, np.ufunc)}
+del _FUNCTIONS[np.arctan2]  # which holds in the right half plane only
+
+
+class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
+    """Stands for an array while a kernel's functions of it are written as operations."""
+
+    def __init__(self, p, value):
+        self.p, self.value = p, value
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
+        p, values = self.p, [v.value if isinstance(v, _Traced) else v for v in inputs]
+        if ufunc is np.greater_equal:
+            return _Traced(p, p("sub", 1.0, p("less", *values)))
+        if ufunc in (np.negative, np.square):
+            ufunc, values = np.multiply, [*values, -1.0 if ufunc is np.negative else values[0]]
+        if ufunc not in _FUNCTIONS:
+            raise _unknown(ufunc)
+        return _Traced(p, p(_FUNCTIONS[ufunc], *values))
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function is not np.clip:
+            raise _unknown(function)
+        return np.minimum(np.maximum(*args[:2]), args[2])
+
+
+def _unknown(function):
+    known = ", ".join(f.__name__ for f in (*_FUNCTIONS, np.negative, np.square, np.clip))
+    return ValueError(
+        f"A kernel uses numpy.{function.__name__}, which cannot be written as C or ONNX; {known} "
+        "can."
+    )
 
 
 def network(p, step, x, std):
@@ -35,10 +74,11 @@ def _one_network(p, net, x, std):
         # Centred as predict does it: the rounding is the same.
         centers = net.seen(net.centers)
         shift = centers.mean(axis=0)
-        phi = p(
-            "radial", _seen(p, net, x), kernel=net.kernel, shift=shift,
-            centers=(centers - shift) / net.length_scale, inverse_width=1 / net.length_scale,
+        squares = p(
+            "distances", _seen(p, net, x), shift=shift, inverse_width=1 / net.length_scale,
+            centers=(centers - shift) / net.length_scale,
         )  # fmt: skip
+        phi = radial(net.kernel, _Traced(p, squares)).value
         if np.any(linear):
             y = p("add", y, p.affine(phi, net.coef.T))
         else:

@@ -17,7 +17,7 @@ from sklearn_raacmm.export._program import OPERATIONS
 _OPSET = 17
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "maximum": "Max",
-    "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
+    "minimum": "Min", "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
     "negative": "Neg", "less": "Less", "less_equal": "LessOrEqual",
     "greater_equal": "GreaterOrEqual", "bitwise_and": "And",
 }  # fmt: skip

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.network import KERNELS, NEAR
 from sklearn_raacmm.utils import LARGEST
 
 
@@ -219,22 +218,15 @@ def _waves(angles, joint, order):
     return both[:, place.ravel() + len(of) * (order < 0)]
 
 
-def _radial(x, kernel, centers, shift, inverse_width):
-    """Radial functions of the distances from centres, in units of widths.
+def _distances(x, centers, shift, inverse_width):
+    """Squared distances from centres, in units of widths.
 
     The rows of `centers` are scaled already; x is not: shift and inverse widths do that.
     """
     z = (x - shift) * inverse_width
     # |z|^2 + |c|^2 - 2 z.c, as predict has it.
     s = z @ (-2.0 * centers.T) + np.square(centers).sum(axis=1)
-    s = np.maximum(s + (z * z).sum(axis=1, keepdims=True), 0.0)
-    times, smooth, square = KERNELS[kernel]
-    if not times:
-        return np.exp(-0.5 * s)
-    if not smooth:
-        return np.exp(-np.sqrt(times * np.where(s >= NEAR, s, 0.0)))
-    r = np.sqrt(times * s)
-    return (1.0 + r + square * s if square else 1.0 + r) * np.exp(-r)
+    return s + (z * z).sum(axis=1, keepdims=True)
 
 
 def _variances(vectors, sizes, vector, root, less=0):
@@ -257,8 +249,10 @@ OPERATIONS = {
     "mul": np.multiply,
     "div": np.divide,
     "max": np.maximum,
+    "min": np.minimum,
     "less": lambda a, b: np.where(a < b, 1.0, 0.0),
     "sqrt": np.sqrt,
+    "exp": np.exp,
     "sin": np.sin,
     "cos": np.cos,
     # Of a point in the right half plane: its height, then its distance from the axis.
@@ -271,6 +265,6 @@ OPERATIONS = {
     "within": _within,
     "frames": _frames,
     "waves": _waves,
-    "radial": _radial,
+    "distances": _distances,
     "variances": _variances,
 }

@@ -79,7 +79,9 @@ def described(step):
     """What a step is, in a few words for people."""
     name = type(step).__name__
     if isinstance(step, RBFNetRegressor):
-        texts = [f"{part.kernel}, {len(part.centers)} centres" for part in step.networks_]
+        kernels = [getattr(part.kernel, "__name__", part.kernel) for part in step.networks_]
+        sizes = [len(part.centers) for part in step.networks_]
+        texts = [f"{kernel}, {n} centres" for kernel, n in zip(kernels, sizes, strict=True)]
         if len(texts) > 1:
             named = (", ".join(map(str, part.outputs)) for part in step.networks_)
             texts = [f"outputs {of}: {text}" for of, text in zip(named, texts, strict=True)]

@@ -5,6 +5,11 @@ static inline $real larger($real a, $real b)
 {
     return a < b ? b : a; /* NaN if a is */
 }
+//// min
+static inline $real smaller($real a, $real b)
+{
+    return b < a ? b : a; /* NaN if a is */
+}
 //// less
 static inline $real less($real a, $real b)
 {
@@ -95,24 +100,15 @@ $products
         c[0] = a[0] * b[0] - a[1] * b[1];
         c[1] = a[0] * b[1] + a[1] * b[0];
     }
-//// radial
+//// distances
 for (int i = 0; i < $d; ++i) {
     const $real z = ($x[i] - $shift[i]) * $width[i];
     for (int c = 0; c < $k; ++c)
         $v[c] += (z - $center[i][c]) * (z - $center[i][c]);
 }
-/* $kernel, of the squared distance in units of the length scales */
-for (int c = 0; c < $k; ++c) {
-$body
-}
-//// gaussian
-    $v[c] = exp$f(-0.5$f * $v[c]);
-//// smooth
-    const $real d = $root * sqrt$f($v[c]), r = d > $most ? $most : d;
-    $v[c] = ($polynomial) * exp$f(-r);
-//// rough
-    const $real r = $v[c] > $near ? sqrt$f($v[c]) : 0;
-    $v[c] = exp$f(-(r > $most ? $most : r));
+/* squared, in units of the length scales */
+for (int c = 0; c < $k; ++c)
+    $v[c] = $v[c] > $most ? $most : $v[c];
 //// variances
 {
     $kind dot[3][$r] = {{0}};

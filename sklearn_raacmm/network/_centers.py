@@ -26,14 +26,16 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky
 from sklearn_raacmm.network._linear import penalise
+from sklearn_raacmm.network._ranks import to_ranks
 from sklearn_raacmm.utils import warn_user
 
 # Share of the error that noise causes anyway which leaving out candidates may add, about.
 TOLERANCE = 0.02
 # Share of the variance of the noise that more centres than `MODERATE` have to be worth.
 MODERATE, WORTH = 300, 0.02
-# Centres tried where their number is not given.
-MAX_CENTERS = 2000
+# Centres tried where their number is not given; and where all rows may become centres, which they
+# do where half of them, or this number, would not be enough.
+MAX_CENTERS, MOST_TRIED = 2000, 500
 # Rank at which the candidates' factor is cut, 240 MB for 10 000 rows, or per centre that may be
 # tried. Mean part of the prior variance outside of it that is passed over in silence.
 MAX_RANK, RANK_PER_CENTER, UNSEEN = 3000, 1.5, 0.01
@@ -60,7 +62,7 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, sca
     """Indices of centres among `rows`, in order of how much they explain, and why it ended.
 
     Outputs count in their own units, or, if `scaled`, in units of their spread. Where all rows may
-    become centres (`or_all`) None is returned if a moderate number is too small.
+    become centres (`or_all`) None is returned if half of them are not enough.
     """
     asked = int(n_centers) if isinstance(n_centers, Integral) else 0
     if asked > len(rows):
@@ -68,8 +70,8 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, sca
             f"n_centers={asked}, but there are only {len(rows)} distinct candidate rows: all of "
             "them are taken."
         )
-    most, of = asked or (MODERATE if or_all else max_centers or MAX_CENTERS), problem.varying
-    most = min(most, len(rows))
+    tried = min(max(MODERATE, len(rows) // 2), MOST_TRIED) if or_all else max_centers or MAX_CENTERS
+    most, of = min(asked or tried, len(rows)), problem.varying
     if not len(of):
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:most], "n_centers") if asked else (rows[:0], "criterion")
@@ -165,14 +167,14 @@ def features_at(problem, Z, structure, root=None, known=None):
     The functions are centred at Z (m, d), in units of the widths, and multiplied by the inverse of
     a lower triangular root (m, m). Where all rows are candidates the columns are `known`.
     """
-    shift = structure.seen(problem.rows.X).mean(axis=0)
+    shift = to_ranks(structure.ranks, problem.rows.X).mean(axis=0)
 
     def columns(block):
         if known is not None and block.part is not None:
             rows = known[block.part]
             plain = block.codes is None and np.all(block.root == 1)
             return rows if plain else problem.weigh(rows.copy(order="K"), block)
-        X = (structure.seen(block.X) - shift) / structure.length_scale
+        X = (to_ranks(structure.ranks, block.X) - shift) / structure.length_scale
         K = kernel_matrix(Z, X, structure.kernel).T
         if root is not None and len(K):
             K = blas.dtrsm(1.0, root, K, side=1, lower=1, trans_a=1, overwrite_b=1)

@@ -3,7 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -12,74 +13,92 @@ from scipy.linalg import blas, lapack
 _SOUND_PIVOT = 1e-6
 # Numbers of a factor for which memory is taken from the start, 256 MB. To grow costs time.
 _RESERVED = 2**25
-# Squared distance from which a gaussian is nothing.
-_FARTHEST = 1414.0
+# Squared distance from which a gaussian is nothing, and exp(-r): below 1e-307 an exponential takes
+# a hundred times as long.
+_FARTHEST, _FARTHEST_ROUGH = 1414.0, 5e5
 # Squared distance up to which rows are the same to a function that is not smooth there.
-NEAR = 1e-12
+_NEAR = 1e-12
 
 
-class Kernel(NamedTuple):
-    """A function of the scaled squared distance s, 1 at s = 0, from which all others follow.
-
-    With r the root of ``times s`` it is ``(1 + r + square s) exp(-r)``, or, where it is not
-    `smooth`, ``exp(-r)``; without `times` it is the gaussian, ``exp(-s / 2)``.
-    """
-
-    times: int = 0
-    smooth: bool = True
-    square: float = 0.0
+def gaussian(s: Any, slope: bool = False) -> Any:
+    """``exp(-s / 2)``."""
+    s = np.minimum(s, _FARTHEST, out=s)
+    s *= -0.5
+    K = np.exp(s, out=s)
+    return (K, -0.5 * K) if slope else K
 
 
-# From smooth to rough: `kernel="auto"` tries them in this order.
-KERNELS = {
-    "gaussian": Kernel(),
-    "matern52": Kernel(5, square=5 / 3),
-    "matern32": Kernel(3),
-    "matern12": Kernel(1, smooth=False),
-}
-
-
-def radial(kernel: str, s: np.ndarray, slope: bool = False) -> Any:
-    """Values at squared distances, which they may overwrite; with the derivative by these.
-
-    To fetch memory for a new matrix takes longer than to fill it: all is done in place, as far as
-    possible.
-    """
-    times, smooth, square = KERNELS[kernel]
-    if not times:
-        # Below 1e-307 an exponential takes a hundred times as long.
-        np.minimum(s, _FARTHEST, out=s)
-        s *= -0.5
-        K = np.exp(s, out=s)
-        return (K, -0.5 * K) if slope else K
-    if smooth:
-        np.maximum(s, 0.0, out=s)  # rounding may make that of near rows negative
-    else:
-        s *= s >= NEAR  # the distance of a row from itself is rounding, and its root would be seen
-    r = np.sqrt(s)
-    r *= np.sqrt(times)
-    decay = np.negative(r)
-    np.exp(decay, out=decay)
-    if not smooth:
-        if not slope:
-            return decay
-        # The slope has no limit at distance 0; where it is used, times a difference of rows, it
-        # has: of opposite directions opposite ones, of which 0 is the mean.
-        r[r == 0] = np.inf
-        return decay, np.divide(-0.5 * decay, r, out=r)
+def matern52(s: Any, slope: bool = False) -> Any:
+    """``(1 + r + r^2 / 3) exp(-r)``, with ``r^2 = 5 s``."""
+    s = np.clip(s, 0.0, _FARTHEST_ROUGH, out=s)  # rounding may make that of near rows negative
+    r, decay = _decay(s, 5)
     r += 1
-    if not square:
-        r *= decay
-        decay *= -times / 2
-        return (r, decay) if slope else r
-    s *= square
+    s *= 5 / 3
     s += r
     s *= decay
     if not slope:
         return s
     r *= decay
-    r *= -square / 2
+    r *= -5 / 6
     return s, r
+
+
+def matern32(s: Any, slope: bool = False) -> Any:
+    """``(1 + r) exp(-r)``, with ``r^2 = 3 s``."""
+    r, decay = _decay(np.clip(s, 0.0, _FARTHEST_ROUGH, out=s), 3)
+    r += 1
+    r *= decay
+    decay *= -3 / 2
+    return (r, decay) if slope else r
+
+
+def matern12(s: Any, slope: bool = False) -> Any:
+    """``exp(-r)``, with ``r^2 = s``."""
+    s *= s >= _NEAR  # the distance of a row from itself is rounding, and its root would be seen
+    r, decay = _decay(np.minimum(s, _FARTHEST_ROUGH, out=s), 1)
+    if not slope:
+        return decay
+    # The slope has no limit at distance 0; where it is used, times a difference of rows, it has: of
+    # opposite directions opposite ones, of which 0 is the mean.
+    r[r == 0] = np.inf
+    return decay, np.divide(-0.5 * decay, r, out=r)
+
+
+def _decay(s, times):
+    """The root r of a multiple of s, and exp(-r)."""
+    r = np.sqrt(s)
+    r *= np.sqrt(times)
+    decay = np.negative(r)
+    return r, np.exp(decay, out=decay)
+
+
+# Functions of the squared scaled distance s, 1 at s = 0, with their slopes by s where asked for:
+# all else follows from them, C and ONNX too. They may overwrite s: to fetch memory for a new matrix
+# takes longer than to fill it. From smooth to rough: `kernel="auto"` tries them in this order.
+KERNELS: dict[Any, Callable] = {
+    function.__name__: function for function in (gaussian, matern52, matern32, matern12)
+}
+
+
+def radial(kernel: Any, s: Any, slope: bool = False) -> Any:
+    """Values of a kernel of `KERNELS`, by its name, or of a function that a user gives.
+
+    That is called with an array of squared scaled distances, which it may overwrite, and returns an
+    array of the same shape, 1 where the distance is 0; if `slope` is true, also the derivative by
+    the squares. It has to be positive definite: `fit` tries 60 rows, and the slope. In a list of
+    kernels the smooth ones come first. Pickle, joblib and skops, which has to be told to trust it,
+    keep a function's module and name alone; a lambda cannot be saved. Arithmetic and NumPy's
+    maximum, minimum, clip, sqrt, exp, sin and cos can be written as C and ONNX.
+
+    >>> from sklearn_raacmm import RBFNetRegressor
+    >>> def quadratic(s, slope=False):  # the rational quadratic kernel
+    ...     K = 1 / (1 + 0.5 * s)
+    ...     return (K, -0.5 * K * K) if slope else K
+    >>> model = RBFNetRegressor(kernel=["gaussian", quadratic, "matern52"])
+    """
+    if kernel in KERNELS:
+        return KERNELS[kernel](s, slope)
+    return kernel(np.maximum(s, 0.0, out=s), slope)
 
 
 def squared_distances(A, B):
@@ -95,7 +114,7 @@ def squared_distances(A, B):
     return left @ right.T
 
 
-def kernel_matrix(A: np.ndarray, B: np.ndarray, kernel: str) -> np.ndarray:
+def kernel_matrix(A: np.ndarray, B: np.ndarray, kernel: Any) -> np.ndarray:
     """Kernel values (n, m) between scaled rows A (n, d) and B (m, d)."""
     return radial(kernel, squared_distances(A, B))
 

@@ -54,7 +54,7 @@ class Network:
     """
 
     outputs: np.ndarray  # (q,) which of the targets' columns
-    kernel: str
+    kernel: Any  # a name of `KERNELS`, or a function
     length_scale: np.ndarray  # (d,) in the units of X; infinite for a feature that is ignored
     centers: np.ndarray  # (k, d) in the units of X
     coef: np.ndarray  # (k, q) posterior mean of the weights
@@ -126,7 +126,7 @@ class Network:
 
     def seen(self, X: np.ndarray) -> np.ndarray:
         """Rows (n, d) as the radial functions see them, not yet in units of the widths."""
-        return X if self.ranks is None else to_ranks(self.ranks, X)
+        return to_ranks(self.ranks, X)
 
     def scaled(self, X: np.ndarray) -> np.ndarray:
         """The same about the middle of the centres, in units of the widths."""
@@ -283,7 +283,7 @@ def pack(networks):
     of all centres; a matrix (k, 2 d + 1) whose product with (x^2, x, 1) are a row's squared scaled
     distances; the run of each kernel; weights (q, k); polynomial (1 + d, q).
     """
-    networks = sorted(networks, key=lambda network: network.kernel)
+    networks = sorted(networks, key=lambda network: str(network.kernel))
     outputs = np.sort(np.concatenate([network.outputs for network in networks]))
     centers = np.concatenate([network.centers for network in networks])
     knots = next((network.ranks for network in networks if network.ranks is not None), None)
@@ -301,7 +301,7 @@ def pack(networks):
     by_row = np.hstack([inverse**2, -2 * Z * inverse, np.square(Z).sum(axis=1, keepdims=True)])
     coef = np.zeros((len(outputs), len(centers)))
     polynomial = np.empty((n_features, len(outputs)))
-    kernels: dict[str, slice] = {}
+    kernels: dict[Any, slice] = {}
     end = 0
     for network, size in zip(networks, sizes, strict=True):
         own, start, end = np.searchsorted(outputs, network.outputs), end, end + size

@@ -56,7 +56,9 @@ def _beyond(values, ranks):
 
 
 def to_ranks(knots, X):
-    """Ranks (n, d) of rows (n, d)."""
+    """Ranks (n, d) of rows (n, d), or without knots the rows as they are."""
+    if knots is None:
+        return X
     found = np.empty(X.shape)
     for i, (values, ranks, below, above) in enumerate(by_feature(knots)):
         x = X[:, i]

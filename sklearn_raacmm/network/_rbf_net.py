@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from numbers import Integral, Real
 from typing import Any, Literal, Self, overload
 
@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.network._fit import fit_outputs
+from sklearn_raacmm.network._fit import fit_outputs, reweigh
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_data
-from sklearn_raacmm.network._robust_loss import reweigh
 from sklearn_raacmm.utils import (
     Floats,
     Pair,
@@ -66,11 +65,12 @@ class RBFNetRegressor(VersionedRegressor):
         the variance that they may leave [1]_. "auto": about as good as the process; more than
         300 where these are worth 2 % of the noise.
 
-    kernel : str, default="auto"
+    kernel : str, callable or list of these, default="auto"
         Function of the scaled distance r: "gaussian", :math:`e^{-r^2/2}`; "matern52",
         :math:`(1 + \sqrt 5 r + 5r^2/3) e^{-\sqrt 5 r}`; "matern32",
         :math:`(1 + \sqrt 3 r) e^{-\sqrt 3 r}`; "matern12", :math:`e^{-r}`, of gradient 0 at its
-        centre. "auto": the most probable, with a given `length_scale` "gaussian".
+        centre. "auto": the most probable, with a given `length_scale` "gaussian"; likewise of a
+        list. Functions of your own: see ``sklearn_raacmm.network.radial``.
 
     length_scale : {"auto", "isotropic"} or float or array-like, default="auto"
         Width, in the units of X: a number, or one for each feature; infinity leaves a feature out.
@@ -114,8 +114,8 @@ class RBFNetRegressor(VersionedRegressor):
         Centres, in the order of selection, of one network after another.
 
     center_indices_ : ndarray of shape (n_centers,)
-        Rows of the centres in X. Of candidates that explain the same share, to 1e-9, the network
-        takes the first in the order of their features.
+        Rows of the centres in X. Of candidates that explain the same, to 1e-9, the first in the
+        order of their features is taken.
 
     coef_ : ndarray of shape (n_centers,) or (n_outputs, n_centers)
         Weights; 0 at the centres of other outputs.
@@ -127,16 +127,15 @@ class RBFNetRegressor(VersionedRegressor):
         Linear term.
 
     kernel_, inputs_, length_scale_, alpha_ : str, str, ndarray of shape (n_features,) and float
-        Kernel, inputs, widths and ridge of the network, as given or found by `fit`. With a network
-        for each output these are arrays with one entry or row for each output.
+        Kernel, inputs, widths and ridge, as given or found by `fit`; of several networks arrays
+        with an entry or row for each.
 
     noise_variance_, signal_variance_, group_std_ : float or ndarray of shape (n_outputs,)
         Variance of the noise of one observation, and variance of the function, in squared units of
         `y`; standard deviation of the groups' constants, in units of `y`.
 
     log_marginal_likelihood_value_ : float
-        Log marginal likelihood, in nats, of the rows on which `fit` compared kernels and widths,
-        summed over outputs.
+        Of the rows on which `fit` compared kernels and widths, in nats, over all outputs.
 
     error_reduction_ : ndarray of shape (n_centers,)
         Share of the variance by which a centre lowered the objective.
@@ -188,7 +187,7 @@ class RBFNetRegressor(VersionedRegressor):
             Interval(Real, 0, 1, closed="neither"),
             StrOptions({"auto"}),
         ],
-        "kernel": [StrOptions({"auto", *KERNELS})],
+        "kernel": [StrOptions({"auto", *KERNELS}), callable, list, tuple],
         "length_scale": [
             Interval(Real, 0, None, closed="neither"),
             StrOptions({"auto", "isotropic"}),
@@ -210,7 +209,7 @@ class RBFNetRegressor(VersionedRegressor):
         self,
         n_centers: int | float | str = "auto",
         *,
-        kernel: str = "auto",
+        kernel: str | Callable | Sequence[Any] = "auto",
         length_scale: ArrayLike | str = "auto",
         alpha: float | str = "auto",
         degree: int | str = "auto",
@@ -297,13 +296,14 @@ class RBFNetRegressor(VersionedRegressor):
         rng = check_random_state(self.random_state)
         rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
         q = rows.Y.shape[1]
-        width, alpha = check_parameters(self, rows.X, q)
+        kernels, width, alpha = check_parameters(self, rows.X, q)
         state, found = rng.get_state(), []
         for i, of in enumerate([np.arange(q)] if self.shared else np.arange(q)[:, None]):
             rng.set_state(state)  # each as if it were alone
             ridge = None if alpha is None else alpha[of]
             before = (networks[i], refit) if networks else ()
-            found.append(fit_outputs(self, rows, elsewhere, of, width, ridge, rng, *before))
+            given = kernels, width, ridge, rng
+            found.append(fit_outputs(self, rows, elsewhere, of, *given, *before))
         fits, values = zip(*found, strict=True)
         networks, centers, reductions, paths, reasons = zip(*fits, strict=True)
         if values[0] is not None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows, is_dask
+from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
     LARGEST,
@@ -73,7 +74,16 @@ def _refuse_tiny(name, array):
 
 
 def check_parameters(estimator, X, n_outputs):
-    """Widths (d,) and ridges (q,); None where they are to be found."""
+    """Kernels, widths (d,) and ridges (q,); of the last two None where they are to be found."""
+    kernels = tuple(KERNELS) if estimator.kernel == "auto" else estimator.kernel
+    kernels = tuple(kernels) if isinstance(kernels, list | tuple) else (kernels,)
+    unknown = [kernel for kernel in kernels if not (callable(kernel) or kernel in KERNELS)]
+    if unknown or not kernels:
+        raise ValueError(
+            f"kernel must be 'auto', functions, or of {', '.join(KERNELS)}; got {estimator.kernel}."
+        )
+    for kernel in filter(callable, kernels):
+        _check_kernel(kernel, X.shape[1])
     alpha = _of_each("alpha", estimator.alpha, n_outputs, "outputs")
     if alpha is not None and not np.all((alpha >= 0) & np.isfinite(alpha)):
         raise ValueError(f"alpha must be finite and not negative; got {estimator.alpha!r:.60}.")
@@ -87,7 +97,35 @@ def check_parameters(estimator, X, n_outputs):
             'n_centers="auto" needs alpha > 0, by which the noise is known: give their number, '
             f"or the share of variance they may leave; got a least alpha of {alpha.min():g}."
         )
-    return width, alpha
+    return kernels, width, alpha
+
+
+def _check_kernel(kernel, d):
+    """Refuse a user's function that is no kernel of d features, or whose slope is another's."""
+    name, step = getattr(kernel, "__name__", kernel), 1e-4
+    s = np.linspace(0.0, 30.0, 61)
+    K, slope = kernel(s.copy(), True)
+    if np.shape(K) != s.shape or np.shape(slope) != s.shape or not abs(K[0] - 1) < 1e-9:
+        raise ValueError(
+            f"kernel {name} must return an array of the shape of what it is given, 1 at distance "
+            f"0, and with slope=True two; for {s.shape} it returns {np.shape(K)}, from "
+            f"{np.ravel(K)[0]:g}, and {np.shape(slope)}."
+        )
+    numeric = (kernel(s[1:] + step) - kernel(s[1:] - step)) / (2 * step)
+    i = 1 + np.argmax(np.abs(numeric - slope[1:]))
+    if not abs(numeric[i - 1] - slope[i]) < 1e-4 * max(1.0, abs(slope[i])):
+        raise ValueError(
+            f"kernel {name} says that its slope at the squared distance {s[i]:g} is {slope[i]:g}, "
+            f"but by differences of its values it is {numeric[i - 1]:g}."
+        )
+    rows = np.random.RandomState(0).standard_normal((60, d))
+    for width in (0.3, 1.0, 3.0):
+        least = np.linalg.eigvalsh(kernel_matrix(rows / width, rows / width, kernel))[0]
+        if least < -1e-8:
+            raise ValueError(
+                f"kernel {name} is not positive definite for {d} features: its matrix of 60 rows "
+                f"has the eigenvalue {least:.3g}."
+            )
 
 
 def _of_each(name, value, n, what):

@@ -28,6 +28,7 @@ from sklearn_raacmm.network._linear import (
     triangular_factor,
     without_constants,
 )
+from sklearn_raacmm.network._ranks import to_ranks
 from sklearn_raacmm.utils import chunks, numbered_by_rows
 
 # Numbers in a block of rows: 4 MB stay in a core's cache while they are worked on. A block that is
@@ -180,7 +181,7 @@ class Problem(NamedTuple):
 
     def scaled(self, structure: Any) -> np.ndarray:
         """Rows as radial functions see them, about their middle in units of the widths."""
-        X = structure.seen(self.rows.X)
+        X = to_ranks(structure.ranks, self.rows.X)
         return (X - X.mean(axis=0)) / structure.length_scale
 
     def weigh(self, columns: np.ndarray, block: Block) -> np.ndarray:

@@ -68,9 +68,6 @@ TRUSTED = 10
 # Nats by which a linear model has to be better than what else was found, for being one candidate
 # more: on smooth functions of 8 to 12 rows 1 lost 7 % of the error, 2 lost 1 %.
 LINEAR_MARGIN = 2.0
-# Groups at the least of which the share that is used is found: of three the rest is hardly the
-# same function.
-LEAST_GROUPS = 4
 # Variances of groups' constants over that of the noise that are tried beside a linear part.
 RATIOS = np.append(0.0, 4.0 ** np.arange(-6, 5))
 # Range of a feature, in spreads, from which squared distances are off by 2e-3.
@@ -82,7 +79,7 @@ TENTHS, OUTLYING = (0.1, 0.9), 3.0
 class Structure(NamedTuple):
     """What the likelihood chose."""
 
-    kernel: str
+    kernel: Any  # a name of `KERNELS`, or a function
     length_scale: np.ndarray  # (d,)
     alpha: np.ndarray  # (q,)
     ratio: float = 0.0  # variance of groups' constants over that of an observation's noise
@@ -92,10 +89,6 @@ class Structure(NamedTuple):
     n_found: float = 0.0  # parameters of each output that were found
     ranks: np.ndarray | None = None  # if these are the inputs, as `mid_ranks` makes them
     used: Any = None  # where groups have been left out: what `used_share` returns
-
-    def seen(self, X):
-        """Rows (n, d) as the radial functions see them, not yet in units of the widths."""
-        return X if self.ranks is None else to_ranks(self.ranks, X)
 
 
 @stage("widths of the network")
@@ -184,30 +177,29 @@ def search(
         n_observations=many.n_total,
         n_found=n_found / q,
         ranks=view.ranks,
-        used=_used(many, covariance(many, end.kernel, log_width), np.exp(log_alpha), ratio),
+        used=used_share(many, covariance(many, end.kernel, log_width), np.exp(log_alpha), ratio),
     )
 
 
 class _View(NamedTuple):
-    """Rows as radial functions see them: all, and those of the two stages."""
+    """Rows of the two stages as radial functions see them."""
 
     ranks: np.ndarray | None  # None for features as they are
     spread: np.ndarray  # (d,) unit of the widths
     used: np.ndarray  # (d,) mask of the features that vary
-    data: Rows
     few: Rows
     many: Rows
 
 
 def _view(data, ranks, drawn, length_scale):
-    X = data.X if ranks is None else to_ranks(ranks, data.X)
+    X = to_ranks(ranks, data.X)
     spread = robust_spread(X, data.weights)
     used = np.ones(len(spread), dtype=bool)
     if length_scale is None:
         _refuse_far(X, spread)
         used = spread > 0
     data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-    return _View(ranks, np.where(used, spread, 1.0), used, data, *map(data.some, drawn))
+    return _View(ranks, np.where(used, spread, 1.0), used, *map(data.some, drawn))
 
 
 def _may_win(task, end, view, other):
@@ -374,13 +366,6 @@ def _simpler(task, end, data, silent, may_be_linear):
     )
 
 
-def _used(data, K, alphas, ratio):
-    """What `used_share` returns, if there are groups enough."""
-    if data.codes is None or data.codes[-1] + 1 < LEAST_GROUPS:
-        return None
-    return used_share(data, K, alphas, ratio)
-
-
 def _linear(data, value, density, margin):
     """Ratio, evidence and share of a linear model that is better by a margin; or None."""
     columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
@@ -405,7 +390,7 @@ def _linear(data, value, density, margin):
         together += min(1.0, data.n_total / (TRUSTED * data.X.shape[1])) * (density - own_density)
     if min(lead, together) <= margin:
         return None
-    return ratio, evidence, _used(data, K, alphas, ratio)
+    return ratio, evidence, used_share(data, K, alphas, ratio)
 
 
 def robust_spread(X, weights):

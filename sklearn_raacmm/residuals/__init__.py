@@ -20,8 +20,7 @@ from sklearn_raacmm.residuals._pose_features import (
     elbow_angle,
     shoulder_wrist_distance,
 )
-from sklearn_raacmm.residuals._steps import last_step_of
-from sklearn_raacmm.residuals._target import CylindricalResidualTarget
+from sklearn_raacmm.residuals._target import CylindricalResidualTarget, last_step_of
 
 __all__ = [
     "NORM_TOLERANCE",

@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
-from sklearn_raacmm.app import _arms, _commands, _files, _life, main
+from sklearn_raacmm.app import _arms, _commands, _correct, _files, _life, main
 from sklearn_raacmm.app._files import parse_length, read_places
 from sklearn_raacmm.app._sources import TableError
 from sklearn_raacmm.datasets import make_features, make_single_point
@@ -199,7 +199,7 @@ def test_the_verdict_is_true(learned, machine, tmp_path):
 def test_correct_streams_and_repeats_itself(learned, monkeypatch, tmp_path, capsys):
     """Blocks of any size give the same file, and one block is in memory at a time."""
     folder, *_ = learned
-    monkeypatch.setattr(_files, "_BLOCK_ROWS", 7)
+    monkeypatch.setattr(_correct, "BLOCK_ROWS", 7)
     words = f"correct {folder.parent}/log.csv --model {folder} --out {tmp_path}/many.csv"
     assert main(words.split()) == 0
     assert (tmp_path / "many.csv").read_bytes() == (folder / "corrected.csv").read_bytes()
@@ -229,6 +229,8 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, tmp_path, cap
     records = pd.read_csv(tmp_path / "checks.csv")
     assert records["suspect"].tolist() == ["nothing", *["harmonics of joint 4"] * 2]
     assert records["mean_mm"][1] > records["mean_high_mm"][1]
+    assert records["holds"].tolist() == [True, False, False]
+    assert records["said"].str.startswith("It ").all()
 
 
 def test_checks_raise_a_false_alarm_once_in_a_hundred():

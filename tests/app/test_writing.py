@@ -14,7 +14,7 @@ import pytest
 
 from sklearn_raacmm import Arm, Correction
 from sklearn_raacmm.app import main
-from sklearn_raacmm.app._files import open_beside
+from sklearn_raacmm.app._correct import open_beside
 from sklearn_raacmm.correction._files import read_folder, write_folder
 from sklearn_raacmm.utils import check_places
 

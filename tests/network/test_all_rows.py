@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp, mpf
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _fit
+from sklearn_raacmm.network import _centers, _fit
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._rows import merge, prepare
 from sklearn_raacmm.network._search import Structure
@@ -161,3 +161,20 @@ def test_a_kept_model_is_small_and_the_same():
     assert len(pickle.dumps(model)) == size
     assert size < 8 * len(X) ** 2 / 2
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(model)).predict(T, True), expected)
+
+
+def test_a_few_more_than_a_moderate_number_of_centres_do_not_lead_to_all_rows(monkeypatch):
+    for module in (_centers, _fit):
+        monkeypatch.setattr(module, "MODERATE", 30)
+    monkeypatch.setattr(_centers, "MOST_TRIED", 50)
+    numbers = []
+    for alpha in np.geomspace(0.02, 2, 13):
+        given = {"length_scale": [0.5, 0.6, 0.7], "alpha": alpha}
+        model = RBFNetRegressor(**given).fit(X, Y)
+        numbers.append(len(model.centers_))
+        process = RBFNetRegressor(len(X), **given).fit(X, Y)
+        left = model.predict(X) - process.predict(X)
+        assert np.mean(np.square(left)) < 0.02 * process.noise_variance_
+    assert max(numbers) == len(X)
+    assert any(30 < n < 50 for n in numbers)
+    assert not any(50 < n < len(X) for n in numbers)

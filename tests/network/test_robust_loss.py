@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import median_abs_deviation
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network._robust_loss import NORMAL_SQUARE
+from sklearn_raacmm.network._fit import NORMAL_SQUARE
 from sklearn_raacmm.utils import TUKEY_CUT, collected_findings
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm import RBFNetRegressor
-from sklearn_raacmm.network import _search
+from sklearn_raacmm.network import _likelihood
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import used_share
 from sklearn_raacmm.network._rows import merge
@@ -63,7 +63,7 @@ def test_what_all_groups_have_in_common_is_used(monkeypatch):
     X, y, groups = of_groups(0, common=1.0, own=0.0)
     model = RBFNetRegressor(random_state=0).fit(X, y, groups=groups)
     # Where groups are few, all of the function is used.
-    monkeypatch.setattr(_search, "LEAST_GROUPS", 9)
+    monkeypatch.setattr(_likelihood, "LEAST_GROUPS", 9)
     whole = RBFNetRegressor(random_state=0).fit(X, y, groups=groups)
     share = model.coef_ / whole.coef_
     assert_allclose(share, share[0], rtol=1e-9)

@@ -1,0 +1,239 @@
+"""Which columns of a table hold the joint angles: by names of loggers and robots, or by numbers."""
+
+# Authors: The sklearn_raacmm developers
+# SPDX-License-Identifier: BSD-3-Clause
+
+import re
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from sklearn_raacmm.app._columns import OF_TIMES
+from sklearn_raacmm.app._sources import TableError
+
+# Series of other quantities than angles, of commanded angles, of joints, and of measured ones. UR
+# writes target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and
+# effort.
+_OTHER_QUANTITY = re.compile(
+    r"velocity|speed|qdd?(?![a-z])|(?<![a-z])vel|accel|effort|torque|moment|current|strom|voltage|"
+    r"temperature|temp(?![a-z])|force|tau|(?<![a-z])d+q(?![a-z])|tcp|mode|error|drehmoment|geschwindigkeit|header|seq|secs|"
+    r"(?<!joint)(?<!joint_)poses?[\W_]*\d+\W*$|cartesian"
+)
+# Angles and the further numbers of a pose of the tool, beside x, y and z: robots of Kawasaki and
+# Staubli, Fanuc, KUKA, Universal Robots, Epson; quaternions; and Euler's angles by their names.
+_ORIENTATIONS = (
+    ("o", "a", "t"), ("w", "p", "r"), ("a", "b", "c"), ("u", "v", "w"), ("r", "p", "y"),
+    ("roll", "pitch", "yaw"), ("alpha", "beta", "gamma"), ("phi", "theta", "psi"),
+)  # fmt: skip
+# An external axis beside the robot's own: a track, a positioner.
+_EXTERNAL = re.compile(r"(e|ext|ej|eax_?|ext_?axis|external_?axis|track|rail|linear_?axis)_?\d?")
+# What may be the column of a joint that slides, where the arm has one.
+_WAY = re.compile(rf"{_EXTERNAL.pattern}|[xyzuvw]|column|lift|quill|slide|gantry_?[xyz\d]?|s\d")
+# Share by which it moves.
+_MOVES = 1e-6
+_NOT_COMMANDED = re.compile(r"^(?!.*(target|command|cmd|desired|setpoint|reference|goal|soll))")
+_OF_JOINTS = re.compile(r"(?<![a-z])(q|j|joint|axis|axe|achse|eje|theta|angle|enc|encoder)[\W_]*\d")
+MEASURED = re.compile(r"actual|meas|encoder|feedback|(?<![a-z])(ist|act)(?![a-z])")
+
+
+def find_joints(table, wanted, joint_names, taken=(), slides=()):
+    """Columns of the joint angles in the order of the arm, each another one; not those taken.
+
+    The columns `taken` hold other things. Joints of the numbers `slides`, from 0, slide.
+    """
+    if wanted is None:
+        columns = _joints(table, table.n_joints, joint_names, taken, slides)
+    elif len(wanted) == table.n_joints:
+        columns = [table.column(name, "--angles") for name in wanted]
+    else:
+        raise TableError(
+            f"--angles names {len(wanted)} columns, the arm has {table.n_joints} joints."
+        )
+    names = [name.lower() for name in table.header]
+    for i in columns:
+        if columns.count(i) > 1 or (wanted is None and names.count(names[i]) > 1):
+            raise TableError(
+                f"{table.path}: the column {table.header[i]!r} is named twice, and no two joints "
+                f"have the same: say with --angles, by numbers, which to take of {table}."
+            )
+    return columns
+
+
+def _joints(table, n, joint_names, taken, slides):
+    """Columns of n joints that nobody has named."""
+    joints = _by_names_of_joints(table, n, joint_names) or _by_names_in_cells(table, n, joint_names)
+    if joints:
+        shown = ", ".join(table.header[i] for i in joints)
+        table.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
+        return joints
+    beside, ways = _axes_beside(table, joint_names, taken, slides)
+    if ways:
+        rest, order = np.setdiff1d(np.arange(n), beside), np.zeros(n, dtype=int)
+        order[beside] = ways
+        if len(rest):
+            order[rest] = _joints(table, len(rest), (), {*taken, *ways}, ())
+        return order.tolist()
+    fitting, what = _series(table, n), ""
+    # Columns without names are numbered by us, and such numbers mean nothing.
+    unnamed = all(re.fullmatch(r"column \d+", table.header[i]) for i in range(table.width))
+    if not fitting or unnamed:
+        fitting, what = _only_numbers(table, n, taken), "the columns of numbers in their order, "
+    if len(fitting) == 1:
+        first, last = (table.header[fitting[0][i]] for i in (0, -1))
+        table.notes.append(f"Joint angles: {what}{first} to {last}.")
+        return fitting[0]
+    example = ",".join(f"q{i}" for i in range(1, n + 1))
+    raise table.unclear(
+        f"which {n} columns hold the joint angles",
+        f"--angles {example} (names or numbers of columns)",
+    )
+
+
+def _axes_beside(table, joint_names, taken, slides):
+    """Joints beside the robot's own, from 0, and their columns; these are [] without any.
+
+    They are axes that the arm calls as controllers do, such as E2 and E1 of a positioner, or slide.
+    """
+    names = [name.lower() for name in joint_names or ()]
+    beside = [i for i, name in enumerate(names) if _EXTERNAL.fullmatch(name)]
+    ways = [table.names.index(names[i]) for i in beside if names[i] in table.names]
+    what = "Axes beside the robot's own"
+    if not beside or len(ways) < len(beside):
+        beside, ways, what = slides, [], "Joints that slide"
+    for pattern in (_EXTERNAL, _WAY) if beside else ():  # x may be a point's, E1 is an axis
+        if len(ways) != len(beside):
+            named = enumerate(table.names)
+            ways = [i for i, name in named if pattern.fullmatch(name) and i not in taken]
+    if len(ways) != len(beside):
+        return beside, []
+    if ways:
+        table.notes.append(f"{what}: {', '.join(table.header[i] for i in ways)}.")
+    return beside, ways
+
+
+def _only_numbers(table, n, taken):
+    """A list of the columns of numbers that are no pose of the tool, if there are n of them."""
+    poses = _pose_columns(table)
+    joints = [i for i in columns_of_numbers(table, taken) if i not in poses]
+    if len(joints) == n + 1:  # and the first counts rows, or times
+        steps = np.diff(table.source.numbers(table.cells(joints[0])))
+        even = len(steps) > 1 and steps[0] > 0 and np.ptp(steps) <= 1e-6 * steps[0]
+        joints = joints[1:] if even else joints
+    if poses and len(joints) < n:
+        raise TableError(
+            f"{table.path}: the columns {', '.join(table.header[i] for i in poses)} are poses of "
+            "the tool. Joint angles are needed, as the encoders show them: export those, or name "
+            "their columns with --angles."
+        )
+    return [joints] * (len(joints) == n)
+
+
+def columns_of_numbers(table, taken=()):
+    """Columns that hold numbers only, and by their names neither times nor other quantities."""
+    rows = [cells for _, cells in table.first[:20]]
+    return [
+        i
+        for i, name in enumerate(table.names)
+        if i not in taken
+        and not OF_TIMES.fullmatch(name)
+        and not _OTHER_QUANTITY.search(name)
+        and not _EXTERNAL.fullmatch(name)
+        and all(table.has_number(cells, [i]) for cells in rows)
+    ]
+
+
+def _pose_columns(table):
+    """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""
+    place = {name: i for i, name in enumerate(table.names)}
+    columns = []
+    for name in table.names:
+        for k in (k for k, letter in enumerate(name) if letter == "x"):
+            x, y, z, w = (name[:k] + letter + name[k + 1 :] for letter in "xyzw")
+            if y in place and z in place:
+                columns += [place[one] for one in (x, y, z, w) if one in place]
+    for group in _ORIENTATIONS if columns else ():
+        last = {re.split(r"[\W_]+", name)[-1]: i for name, i in place.items()}
+        if last.keys() >= set(group):
+            columns += [last[one] for one in group]
+    return sorted(set(columns))
+
+
+def external_axes(table, used):
+    """Columns by name of external axes that move and are not used; a note tells of each."""
+    column_of: dict[str, int] = {}
+    for i in (i for i, name in enumerate(table.names) if i not in used):
+        if not _EXTERNAL.fullmatch(table.names[i]):
+            continue
+        values = table.source.numbers(table.cells(i))
+        if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):
+            column_of[table.header[i]] = i
+            table.notes.append(
+                f"Column {table.header[i]} varies by {np.ptp(values):.4g}: an external axis "
+                "moves the base, and the model of the arm has none. Measure with this axis at "
+                "rest, or take its movement out of the points."
+            )
+    return column_of
+
+
+def _by_names_of_joints(table, n, joint_names):
+    """One column for each joint of the arm whose name holds that of the joint."""
+    columns = []
+    for joint in joint_names or ():
+        word = re.escape(joint.lower().removesuffix("_joint"))
+        pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
+        fitting = [i for i, name in enumerate(table.names) if pattern.search(name)]
+        fitting = _measured_angles(table, fitting)
+        if len(fitting) != 1:
+            return None
+        columns += fitting
+    return columns if len(set(columns)) == n else None
+
+
+def _by_names_in_cells(table, n, joint_names):
+    """Positions of JointState messages, whose names stand in cells of each row."""
+    names, positions = table.fields("name"), table.fields("position")
+    names = {k: table.cells(i) for k, i in names.items() if k in positions}
+    numbers = table.source.count(chain(*names.values()))
+    if len(names) < n or numbers:
+        return None
+    if any(len(set(cells)) != 1 for cells in names.values()):
+        raise TableError(f"{table.path}: the names of the joints differ from row to row.")
+    in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
+    joint_names = [name.lower() for name in joint_names or ()]
+    if joint_names and in_file.keys() >= set(joint_names):
+        return [in_file[name] for name in joint_names]
+    numbered: Any = {name: re.search(r"\d+", name) for name in in_file}
+    if len(in_file) == n and all(numbered.values()):
+        return [in_file[name] for name in sorted(in_file, key=lambda n: int(numbered[n][0]))]
+    order = ", ".join(f"{table.header[i]} ({name})" for name, i in in_file.items())
+    raise TableError(
+        f"{table.path} names its joints, and the arm's joints have other names or none: say the "
+        f"order from the base on with --angles. The columns are {order}."
+    )
+
+
+def _series(table, n):
+    """Series of n columns numbered from 0 or 1, such as q1 to q6, that may be the angles."""
+    series: dict[Any, dict[int, int]] = {}
+    for i, name in enumerate(table.names):
+        match = re.fullmatch(r"(.*?)[\s_.\[-]*(\d+)(\D*)", name)
+        if match:
+            series.setdefault((match[1], match[3]), {})[int(match[2])] = i
+    fitting = [
+        [numbered[k] for k in sorted(numbered)]
+        for numbered in series.values()
+        if sorted(numbered) in (list(range(1, n + 1)), list(range(n)))
+    ]
+    first = _measured_angles(table, [columns[0] for columns in fitting])
+    return [columns for columns in fitting if columns[0] in first]
+
+
+def _measured_angles(table, columns):
+    """Those of these columns that are angles; of measured and commanded ones, the measured."""
+    columns = [i for i in columns if not _OTHER_QUANTITY.search(table.names[i])]
+    for pattern in (MEASURED, re.compile("position"), _NOT_COMMANDED, _OF_JOINTS):
+        wanted = [i for i in columns if pattern.search(table.names[i])]
+        if len(columns) > 1 and wanted:
+            columns = wanted
+    return columns
