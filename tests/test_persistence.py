@@ -119,9 +119,7 @@ def test_a_field_that_a_file_does_not_have_is_no_default(fitted):
 def test_a_folder_that_does_not_say_all_of_a_model_is_refused(skops):
     """Written before the ranges of the poses were kept: a guess at them would be silent."""
     folder = Path(__file__).parent / "correction" / "written_by_0.1.0.dev0"
-    with pytest.raises(
-        ValueError, match=r"was written by .* 0\.1\.0\.dev0, whose model"
-    ):
+    with pytest.raises(ValueError, match=r"was written by .* 0\.1\.0\.dev0, whose model"):
         Correction.load(folder)
 
 
