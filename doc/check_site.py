@@ -2,7 +2,8 @@
 
 Every local link has to lead to a file, and to an anchor of it where it names one. Nothing of the
 building machine or of a failed build may stand in the text: no path of the project's folder, no
-traceback, no number that was not filled in. Exit code 1 and one line for each finding otherwise.
+traceback, no number that was not filled in. The page of a script of the gallery
+has to have its pictures and words. Exit code 1 and one line for each finding otherwise.
 """
 
 import re
@@ -19,6 +20,20 @@ UNWANTED = {
     ),
     "a traceback": re.compile(r"Traceback \(most recent call last\):(?!\s+\.\.\.)"),
     "a number that was not filled in": re.compile(r"\{\{ ?\w+ ?\}\}"),
+}
+
+# How many pictures the page of a script has, and words that the script prints; the others have
+# tests of their own.
+GALLERY = {
+    "plot_after_the_lab": (2, "week 7, suspect: harmonics of joint 2"),
+    "plot_how_many_poses": (1, "poses"),
+    "plot_learn_correction": (1, "It repeats better at new positions"),
+    "plot_newrb": (1, "neurons, mean squared error"),
+    "plot_ols_path": (1, "auto: "),
+    "plot_paper_figures": (3, "gauges of 500 mm"),
+    "plot_periodicity": (1, "periodic"),
+    "plot_rbf_network": (1, "2-D"),
+    "plot_simulated_arm": (1, "noise floor"),
 }
 
 
@@ -82,6 +97,18 @@ def findings(folder):
             for what, pattern in UNWANTED.items():
                 if found := pattern.search(text):
                     yield f"{name}: {what}: {text[found.start() : found.start() + 60]!r}"
+        if path.stem in GALLERY:
+            yield from missing(name, page)
+
+
+def missing(name, page):
+    """One line for what the page of a script lacks."""
+    n_pictures, said = GALLERY[name.stem]
+    drawn = set(re.findall(rf"{name.stem}_\d+\.png", " ".join(page.links)))
+    if len(drawn) != n_pictures:
+        yield f"{name}: {len(drawn)} pictures, not {n_pictures}"
+    if said not in "".join(page.words):
+        yield f"{name}: {said!r} is not on the page"
 
 
 if __name__ == "__main__":

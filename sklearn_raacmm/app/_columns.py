@@ -177,10 +177,14 @@ class Columns:
         """Yield rows, each with the heading above it as a further cell if they have headings."""
         label = ""
         for number, cells in rows:
-            heading = _heading(self.source, cells, self.n_joints) if self.sections else None
-            label = label if heading is None else heading
-            if heading is None and cells != self.top:
-                yield number, [*cells, label] if self.sections else cells
+            if cells == self.top:
+                continue
+            if not self.sections:
+                yield number, cells
+            elif (heading := _heading(self.source, cells, self.n_joints)) is None:
+                yield number, [*cells, label]
+            else:
+                label = heading
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""

@@ -151,7 +151,10 @@ class Dialect:
             if not _NUMBER.fullmatch(cell):
                 return None
         other = "." if self.decimal == "," else ","
-        return None if other in cell else float(cell.translate(_FLOAT))
+        if other in cell:
+            return None
+        # As `_FLOAT` does, which takes four times as long.
+        return float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
 
     def count(self, cells):
         """How many cells hold numbers."""

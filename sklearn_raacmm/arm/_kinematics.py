@@ -147,53 +147,31 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
 
 def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
-    cos, sin, a, d, cos_alpha, sin_alpha = table = _rows_of_table(arm, angles)
-    if len(angles) == 1:
-        of_row = cos[:, 0].tolist(), sin[:, 0].tolist(), *table[2:]
-        return _frames_of_numbers(arm.convention, *of_row)
-    out = np.zeros((len(a) + 1, 4, 3, len(angles)))
+    cos, sin, *links = _rows_of_table(arm, angles)
+    if len(angles) == 1:  # by numbers, as in `carried`: a third of the time, and equal bits
+        table = cos[:, 0].tolist(), sin[:, 0].tolist(), *links
+        of_axes = [[*_frames(arm, table, x, y, z, 0.0)] for x, y, z in np.eye(3).tolist()]
+        return np.array(of_axes).transpose(1, 2, 0)[..., None]
+    out = np.zeros((len(cos) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
-    x, y, z, origin = out[0]
-    for i in range(len(a)):
-        c, s, ca, sa = cos[i], sin[i], cos_alpha[i], sin_alpha[i]
-        if arm.convention == "standard":
-            x, y = c * x + s * y, c * y - s * x
-            origin = origin + d[i] * z + a[i] * x
-            y, z = ca * y + sa * z, ca * z - sa * y
-        else:
-            y, z = ca * y + sa * z, ca * z - sa * y
-            origin = origin + a[i] * x + d[i] * z
-            x, y = c * x + s * y, c * y - s * x
-        frame = out[i + 1]
-        frame[0], frame[1], frame[2], frame[3] = x, y, z, origin
+    for frame, columns in zip(out, _frames(arm, (cos, sin, *links), *out[0]), strict=True):
+        frame[0], frame[1], frame[2], frame[3] = columns
     return out
 
 
-def _frames_of_numbers(convention, cos, sin, a, d, cos_alpha, sin_alpha):
-    """`frame_columns` of one row, by numbers as in `carried`: half the time, and equal bits."""
-
-    def turned(c, s, u, v):
-        return (
-            [c * p + s * q for p, q in zip(u, v, strict=True)],
-            [c * q - s * p for p, q in zip(u, v, strict=True)],
-        )
-
-    def moved(origin, way, u):
-        return [o + way * p for o, p in zip(origin, u, strict=True)]
-
-    x, y, z, origin = np.eye(4, 3).tolist()
-    frames = [[x, y, z, origin]]
-    for i in range(len(a)):
-        if convention == "standard":
-            x, y = turned(cos[i], sin[i], x, y)
-            origin = moved(moved(origin, d[i], z), a[i], x)
-            y, z = turned(cos_alpha[i], sin_alpha[i], y, z)
+def _frames(arm, table, x, y, z, origin):
+    """Yield x, y, z and origin of each frame: arrays, or numbers of one axis of the base."""
+    yield x, y, z, origin
+    for c, s, a, d, ca, sa in zip(*table, strict=True):
+        if arm.convention == "standard":
+            x, y = c * x + s * y, c * y - s * x
+            origin = origin + d * z + a * x
+            y, z = ca * y + sa * z, ca * z - sa * y
         else:
-            y, z = turned(cos_alpha[i], sin_alpha[i], y, z)
-            origin = moved(moved(origin, a[i], x), d[i], z)
-            x, y = turned(cos[i], sin[i], x, y)
-        frames.append([x, y, z, origin])
-    return np.array(frames)[..., None]
+            y, z = ca * y + sa * z, ca * z - sa * y
+            origin = origin + a * x + d * z
+            x, y = c * x + s * y, c * y - s * x
+        yield x, y, z, origin
 
 
 def frame_poses(arm: Any, angles: np.ndarray) -> np.ndarray:

@@ -81,8 +81,8 @@ def likeliest_change(
         logs = whole[:, None] + gains
         evidence = logsumexp(logs) - np.log(logs.size) - np.log(len(causes))
         if evidence > highest:
-            i, k = np.unravel_index(np.argmax(logs), logs.shape)
-            best, columns, highest = name, _NOISES[i] * _SIZES[k] * unit, evidence
+            size = np.outer(_NOISES, _SIZES).flat[np.argmax(logs)]
+            best, columns, highest = name, size * unit, evidence
     return best, columns, float(highest - nothing)
 
 

@@ -264,10 +264,11 @@ class _Writer:
         self.declare(number)
         root, less = op.given["root"], int(op.given.get("less", 0))
         n, packed, length = _packed(root)
-        more = root.shape[1] - less if less else n
+        more, whole = root.shape[1] - less if less else n, root.dtype == np.int16
+        kind = "float" if whole or root.dtype == np.float32 else self.real
         note = "of the coefficients' covariance, row by row"
         self.fill(
-            "variances", kind="float" if root.dtype == np.float32 else self.real, v=f"v{number}",
+            "variances", kind=kind, stored="short" if whole else kind, v=f"v{number}",
             m=len(root), r=n, more=more, axes=self.ops[op.inputs[0]].size // 3, length=length,
             less=self.tables.c("taken_off", more=more, r=n) if less else "",
             vectors=self.array(op.inputs[0]), sizes=self.array(op.inputs[1]),

@@ -32,6 +32,9 @@ from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, 
 
 # In place of a length that is nothing.
 _TINY = 1e-30
+# The largest number of 16 bits, and by which share of themselves they may move deviations, at every
+# so manieth pose.
+_INT16, _OFF, _SEEN = 2**15 - 1, 1e-3, 10
 
 
 # -- the whole chain ------------------------------------------------------------------------------
@@ -295,31 +298,36 @@ def linear_model(chain, linear, fading):
     vector = axis_numbers(table, arm.n_joints)
     order = np.lexsort([vector, np.bincount(vector)[vector]])
     vectors = _vectors(chain)
-    sizes = p.take(_sizes(chain, linear, table, vectors), order)
-    vector = vector[order]
+    vector, sizes = vector[order], _sizes(chain, linear, table[order], vectors)
     matrix = np.zeros((2 * n_axes, m))
     matrix[vector, np.arange(m)] = linear.coef[order]
     y = p("dots", vectors, p.affine(sizes, matrix))
     small = chain.fade != "exact"
 
-    def variances(root, **given):
-        # Seven digits do where no correction depends on more.
-        root = root.astype(np.float32) if small else root
+    def variances(root, seen=None, **given):
         used = np.flatnonzero(np.any(root, axis=1))
         if not len(used):
             return p.constant(np.zeros(3))
-        return p(
-            "variances", vectors, p.take(sizes, used), vector=vector[used], root=root[used], **given
-        )
+        root, of_rows = root[used], p.take(sizes, used)
+        if seen is not None and (found := _in_16_bits(root, seen[:, order[used]])):
+            root, of_rows = found[0], p("mul", of_rows, found[1])
+        elif small:  # seven digits do where no correction depends on more
+            root = root.astype(np.float32)
+        return p("variances", vectors, of_rows, vector=vector[used], root=root, **given)
 
     def triangle(half):
         # Any root gives the same variances; a triangle has half the entries.
         return np.asarray(np.linalg.qr(half[order].T, mode="r")).T
 
-    v = variances(triangle(linear.gauge_free_half)) if chain.std else None
-    if not (fading.factor > 0 and chain.fade):
+    fades = fading.factor > 0 and chain.fade
+    poses = _poses(chain, linear) if small and fades else None
+    v = None
+    if chain.std:
+        seen = None if poses is None else linear.columns(poses[::_SEEN]).reshape(-1, m)
+        v = variances(triangle(linear.gauge_free_half), seen)
+    if not fades:
         return y, v, None
-    found = _small_doubt(chain, linear, fading) if small else None
+    found = None if poses is None else small_doubt(linear, fading, poses)
     if found is not None:
         root, less, constant, waves = found
         doubt = p.sum(variances(root[order], less=less))
@@ -332,7 +340,20 @@ def linear_model(chain, linear, fading):
     return y, v, doubt
 
 
-def _small_doubt(chain, linear, fading):
+def _in_16_bits(root, columns):
+    """Whole numbers for a root and the unit of each row, or None where deviations feel it.
+
+    They do where columns that are known together only, such as lengths and zeros of joints, nearly
+    cancel; not among waves, of which large models have most.
+    """
+    unit = np.abs(root).max(axis=1) / _INT16
+    whole = np.rint(root / unit[:, None])
+    exact, near = (np.linalg.norm(columns @ r, axis=1) for r in (root, whole * unit[:, None]))
+    return (whole.astype(np.int16), unit) if np.all(abs(near - exact) <= _OFF * exact) else None
+
+
+def _poses(chain, linear):
+    """Poses from far to near in rad, with the extra columns; then those that are given."""
     factors = np.ones(chain.p.size(chain.x))
     unit = np.pi / 180 if chain.unit == "deg" else 1.0
     factors[: chain.arm.n_joints] = scale_of(chain.arm.joint_types, unit)
@@ -341,7 +362,7 @@ def _small_doubt(chain, linear, fading):
     )
     if chain.poses is not None:
         poses = np.concatenate([poses, chain.poses])
-    return small_doubt(linear, fading, poses * factors)
+    return poses * factors
 
 
 def compare_shares(model, exact, program):
@@ -364,14 +385,15 @@ def _of_joints(chain, vectors, joints, about, series, means):
     at = about[:, None] + axes * np.arange(3)
     turns = p.take(vectors, at.ravel())
     squares = p.affine(p("mul", turns, turns), np.kron(np.eye(n), np.ones((1, 3))))
-    orders = np.arange(1, q // 2 + 1)
+    orders, joints = np.arange(1, q // 2 + 1), np.repeat(joints, q // 2)
     waves = p(
         "waves",
         chain.phases(),
-        joint=np.repeat(joints, q),
-        order=np.tile(np.concatenate([orders, -orders]), n),
+        joint=np.tile(joints, 2),  # all cosines, then all sines
+        order=np.concatenate([np.tile(orders, n), np.tile(-orders, n)]),
     )
-    return p("dots", squares, p.affine(waves, block_diag(*series), means))
+    matrix = np.hstack([block_diag(*half) for half in np.split(series, 2, axis=1)])
+    return p("dots", squares, p.affine(waves, matrix, means))
 
 
 def _vectors(chain):

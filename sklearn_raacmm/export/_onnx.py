@@ -51,8 +51,9 @@ class _Graph:
         return f"{name}_{self.names[name]}"
 
     def constant(self, value, dtype: Any = np.float64):
-        if dtype is np.float64 and getattr(value, "dtype", None) == np.float32:
-            return self("Cast", self.constant(value, np.float32), to=self.onnx.TensorProto.DOUBLE)
+        kind = getattr(value, "dtype", None)
+        if dtype is np.float64 and kind in (np.float32, np.int16):  # the file keeps the smaller one
+            return self("Cast", self.constant(value, kind), to=self.onnx.TensorProto.DOUBLE)
         name = self._unique("raacmm_constant")
         array = np.array(value, dtype=dtype, order="C")
         self.tensors.append(self.onnx.numpy_helper.from_array(array, name))

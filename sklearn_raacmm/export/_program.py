@@ -15,6 +15,9 @@ import numpy as np
 
 from sklearn_raacmm.utils import LARGEST
 
+# Columns of one vector, from which on they are taken together.
+_MANY = 24
+
 
 class Op(NamedTuple):
     """One operation: its name in `OPERATIONS`, values that go in, its constants, its size."""
@@ -213,7 +216,9 @@ def _frames(theta, table, convention):
 def _waves(angles, joint, order):
     """Cosine of a multiple of an angle, sine where the order is negative, 1 where it is 0."""
     (of, multiple), place = np.unique([joint, np.abs(order)], axis=1, return_inverse=True)
-    phase = angles[:, of] * multiple.astype(float)
+    times = np.zeros((angles.shape[1], len(of)))
+    times[of, np.arange(len(of))] = multiple
+    phase = angles @ times  # ONNX Runtime takes columns one by one slower than it multiplies
     both = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
     return both[:, place.ravel() + len(of) * (order < 0)]
 
@@ -234,9 +239,23 @@ def _variances(vectors, sizes, vector, root, less=0):
 
     Column c is its size times one of the vectors. Those of x come first: (3, number of vectors).
     """
-    n = vectors.shape[1] // 3
-    columns = vectors[:, np.add.outer(n * np.arange(3), vector).ravel()].reshape(-1, 3, len(vector))
-    dots = (columns * sizes.reshape(-1, 1, len(vector))) @ root
+    n, parts = vectors.shape[1] // 3, []
+    # Many columns share the vector of a joint's waves: one product for them, not one for each of x,
+    # y and z.
+    many = np.bincount(vector)[vector] >= _MANY
+    for own in [~many, *(vector == one for one in np.unique(vector[many]))]:
+        columns = np.flatnonzero(own)
+        if not len(columns):
+            continue
+        size = sizes[:, columns]
+        if many[columns[0]]:
+            along = vectors[:, vector[columns[0]] + n * np.arange(3)].reshape(-1, 3, 1)
+            parts.append(along * (size @ root[own]).reshape(-1, 1, root.shape[1]))
+        else:
+            along = vectors[:, np.add.outer(n * np.arange(3), vector[own]).ravel()]
+            every = along.reshape(-1, 3, len(columns)) * size.reshape(-1, 1, len(columns))
+            parts.append(every @ root[own])
+    dots = sum(parts[1:], parts[0])
     signs = np.where(np.arange(root.shape[1]) < root.shape[1] - less, 1.0, -1.0)
     return (dots * dots * signs).sum(axis=2)
 

@@ -112,7 +112,7 @@ for (int c = 0; c < $k; ++c)
 //// variances
 {
     $kind dot[3][$r] = {{0}};
-    const $kind *row = $root;
+    const $stored *row = $root;
     for (int c = 0; c < $m;) {
         const int a = $vector[c];
         $kind shared[$r] = {0};

@@ -8,7 +8,7 @@ import pytest
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _small_doubt, export_c, fingerprint, load_c, to_onnx
-from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._models import _in_16_bits, build_program
 from sklearn_raacmm.export._program import run
 
 from ._chains import COMPILERS, angles_everywhere, needs_compiler, of_arm
@@ -71,13 +71,31 @@ def test_the_share_is_nearly_that_of_predict(models, monkeypatch, name, many):
     assert sum(size % 200 == 0 for size in sizes) == (many == 4)
 
 
+def test_16_bits_a_number_are_taken_where_deviations_do_not_feel_it(models):
+    """Not of this arm, whose lengths and zeros are known together only, and nearly cancel."""
+    model, X = models["typical"]
+    std = model.predict(X, return_std=True)[1]
+    program = build_program(model, std=True, fade="small")
+    root = max((op.given["root"] for op in program.ops if op.name == "variances"), key=np.size)
+    assert root.dtype == np.float32
+    np.testing.assert_allclose(run(program, X)["std"], std, rtol=3e-4)
+    columns = model.linear_model_.columns(X).reshape(3 * len(X), -1)
+    half = model.linear_model_.gauge_free_half
+    assert _in_16_bits(half, columns) is None
+    waves = slice(model.linear_model_.layout.n_waves)
+    whole, unit = _in_16_bits(half[waves], columns[:, waves])
+    exact = np.linalg.norm(columns[:, waves] @ half[waves], axis=1)
+    found = np.linalg.norm((columns[:, waves] * unit) @ whole, axis=1)
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
 @needs_compiler
 def test_every_file_gives_what_the_small_program_gives(models, tmp_path):
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
     model, X = models["degrees"]
     rows = poses(model, X)
     expected = run(build_program(model, fade="small"), rows)["y"]
-    # Tables of the doubt have seven digits.
+    # C multiplies tables of the doubt in single precision.
     atol = 1e-5 * np.abs(expected).max()
     found = load_c(model).predict(rows)
     np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
