@@ -99,8 +99,8 @@ def learn_correction(
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
         Known distances between two positions, mm, at 20 degrees C or with their temperature, as
-        in :func:`calibrate`. Positions joined by a known length are left out together, as long as
-        at least three blocks remain.
+        in :func:`calibrate`; those that disagree are named and not used. Positions joined by a
+        known length are left out together, while at least three blocks remain.
     angle_unit : {"rad", "deg"}, default="rad"
         Unit of `angles`.
     model : estimator, default=None

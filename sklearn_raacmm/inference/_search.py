@@ -62,13 +62,9 @@ def search(problem: Problem, state: State | None = None) -> State:
 def search_at(problem: Problem, state: State) -> State:
     """Lines worth their price at the variances of a state of more data, beside its field.
 
-    The choice begins at those lines of the state that are not needless here.
+    The choice begins at the lines of the state; those that are needless here leave at the end.
     """
-    best = _pruned(problem, problem.with_lines(state, state.lines))
-    lines = _extended(problem, best)
-    if len(lines) == len(best.lines):
-        return best
-    return _pruned(problem, problem.with_lines(best, lines))
+    return _pruned(problem, problem.with_lines(state, _extended(problem, state)))
 
 
 def beside_field(problem: Problem, state: State, of_field: Problem, alone: State) -> State | None:

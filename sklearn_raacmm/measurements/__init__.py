@@ -9,8 +9,10 @@ from sklearn_raacmm.measurements._dwells import STILL_MM, find_dwells, find_pose
 from sklearn_raacmm.measurements._explanations import (
     EQUAL,
     FAR,
+    LEAST_ROWS,
     PRICE,
     UNITS,
+    best_split,
     explanations,
     likeliest,
     medians_of,
@@ -20,6 +22,7 @@ from sklearn_raacmm.measurements._features import (
     KINDS,
     Form,
     check_features,
+    check_length,
     known_length,
     linearise,
     linearised,
@@ -27,7 +30,6 @@ from sklearn_raacmm.measurements._features import (
     touch_weights,
     with_forms,
 )
-from sklearn_raacmm.measurements._lengths import check_length
 from sklearn_raacmm.measurements._measurements import Measurements, given_causes
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
@@ -36,7 +38,6 @@ from sklearn_raacmm.measurements._order import (
     drift_of,
     order_explained_by,
 )
-from sklearn_raacmm.measurements._splits import LEAST_ROWS, best_split
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, slides_of
 from sklearn_raacmm.measurements._dwells import Dwells, find_poses, within_turn
-from sklearn_raacmm.measurements._features import KINDS, check_features, probe_offsets
-from sklearn_raacmm.measurements._lengths import check_length
+from sklearn_raacmm.measurements._features import KINDS, check_features, check_length, probe_offsets
 from sklearn_raacmm.utils import encode_groups, floats, listed
 
 

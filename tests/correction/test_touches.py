@@ -133,3 +133,20 @@ def test_what_features_cannot_have(test):
             test.nominal_arm, test.data[kept], test.groups[kept], **known, model=MODEL, cv=3
         )
     assert 4 not in found.scores.table["position"]
+
+
+@pytest.mark.filterwarnings("ignore:1 of 6 known lengths disagree")
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_size_is_judged_beside_what_a_model_explains(wrong):
+    """Of a typical arm the table alone leaves as much as the size of a ball is off by."""
+    machine = SimulatedArm("typical", random_state=101)
+    test = make_features(6, 0, 2, 25, machine=machine, random_state=101)
+    label, kind, size, sd = test.features[2]
+    features = [*test.features[:2], (label, kind, size + 0.1 * wrong, sd), *test.features[3:]]
+    given = {"features": features, "model": ArmResidualRegressor(orders=1), "cv": 2}
+    learned = learn_correction(test.nominal_arm, test.data, test.groups, **given)
+    named = [one.text for one in learned.scores.findings if one.code == "wrong-length"]
+    assert len(named) == wrong
+    if wrong:
+        assert named[0].startswith("1 of 6 known lengths disagree")
+        assert f"the size of {label} is 30.0" in named[0]
