@@ -7,7 +7,8 @@ mean deviation at the other poses of B, median of five draws. ``months``: a simu
 errors that no column describes; then every offset has moved by 10 arc seconds, its eccentricity by
 4, the arm is 3 K warmer, base and tool are new. ``probes``: learnt with a probe of 100 mm at 14
 cones, or with 100 and 250 mm at 7 each; longer ones are registered by 15 poses in two cones, and
-judged at 8 others. ``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses.
+judged at 8 others. ``registers``: few poses of the probe that was learnt with, and of others.
+``plan``: mean 2S at 8 other cones after a first test of 8 cones with 12 poses.
 ``transfer``: robots of one make share gears and compliances; models of four are the start for a new
 one. The misleading make has other gears, hardly any eccentricity, and compliances of the other
 sign. ``mounts``: 2S at positions left out of arms on walls and ceilings, where ``up`` is stated and
@@ -17,6 +18,7 @@ that a tracker sees in 20 poses; mean deviation at 300 others.
 """
 
 from copy import copy
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -41,6 +43,7 @@ from sklearn_raacmm import (
     ArmResidualRegressor,
     calibrate,
     check_correction,
+    learn_correction,
     plan_poses,
     position_residuals,
     update_correction,
@@ -61,6 +64,9 @@ KNOCKS = {
 }
 JITTER_ARCSEC = 60.0
 PROBES_MM = (100, 150, 250, 400)
+# Of registrations: how far the probe is from the one learnt with, and cones and poses in each.
+OTHER_PROBES_MM = (0.0, 0.02, 0.05, 0.1, 40.0)
+FEW_POSES = ((1, 3), (1, 5), (2, 5))
 
 
 def show(title, columns, rows):
@@ -231,6 +237,29 @@ def probes(options):
     table = np.mean([with_longer_probes(seed) for seed in range(options.seeds or 4)], axis=0)
     ways = ("uncorrected", "not moved", "moved", "learnt with two, moved", "new fit")
     show("probe, mm; 2S in um", ways, dict(zip(PROBES_MM, table, strict=True)))
+
+
+def registers(options):
+    """The probe found by few poses alone, and by a registration, which may keep the old one."""
+    found = {}
+    for seed in range(options.seeds or 6):
+        machine = SimulatedArm(MIXES[seed % len(MIXES)], random_state=seed)
+        learned = learn_correction(machine.nominal_arm, *cone_test(machine, seed, 12, 20), cv=3)
+        way = np.random.default_rng([60, seed]).normal(size=3)
+        for off, (n_cones, n_poses) in product(OTHER_PROBES_MM, FEW_POSES):
+            own, more = copy(machine), off * way / np.linalg.norm(way)
+            own.true_arm = machine.true_arm.replace(probe=machine.true_arm.probe + more)
+            new = cone_test(own, 100 + seed, n_cones, n_poses)
+            test = cone_test(own, 200 + seed, 8, 20)
+            known = {"free": ["probe"], "correction": learned.model}
+            alone = calibrate(learned.arm, *new, **known).arm
+            registered = learned.register(*new)
+            kept = np.array_equal(registered.arm.probe, learned.arm.probe)
+            left = [left_um(alone, learned.model.with_arm(alone), *test)]
+            left += [left_um(registered.arm, registered.model, *test), 100 * kept]
+            found.setdefault(f"{n_cones * n_poses} poses, off by {off:g} mm", []).append(left)
+    ways = ("by the poses alone", "registered", "old probe kept, %")
+    show("2S in um", ways, {name: np.mean(values, axis=0) for name, values in found.items()})
 
 
 def read(machine, plan, seed, angles=None):
@@ -552,9 +581,8 @@ def knocks(options):
 
 
 def main():
-    run_part(
-        __doc__, [series, months, probes, plan, transfer, mounts, knocks], seeds=None, panda=False
-    )
+    parts = series, months, probes, registers, plan, transfer, mounts, knocks
+    run_part(__doc__, parts, seeds=None, panda=False)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ with the choice of settings; bytes: pickled.
 import argparse
 import datetime
 import json
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -184,7 +185,11 @@ def parsed(argv):
     parser.add_argument("--models", nargs="*", help="models whose name holds one of these")
     parser.add_argument("--missing", action="store_true", help="only what the file does not have")
     parser.add_argument("--print", action="store_true", help="write nothing")
-    parser.add_argument("--data-home", help="folder of real data (default: scikit-learn's)")
+    parser.add_argument(
+        "--data-home",
+        default=os.environ.get("SKLEARN_RAACMM_DATA"),
+        help="folder of real data (default: that of SKLEARN_RAACMM_DATA, or scikit-learn's)",
+    )
     parser.add_argument(
         "--urdf",
         help="calibrated_urdf/panda_3/panda_calibrated.urdf of the data's authors, commit ce8a5c0",

@@ -13,7 +13,7 @@ from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 DOC = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOC))
 from _results import substitutions  # noqa: E402
-from _sphinx import with_sections, write_inventories  # noqa: E402
+from _sphinx import link_terms, terms_of, with_sections, write_inventories  # noqa: E402
 
 project = "sklearn_raacmm"
 author = "The sklearn_raacmm developers"
@@ -139,6 +139,15 @@ def of_a_list(app, what, name, obj, options, lines):
         lines[:] = ["Types that skops may build when it loads a model of this package."]
 
 
+def with_glossary(app, tree, docname):
+    """Link terms of the pages to the glossary, each where a page uses it first."""
+    if "/" in docname and not docname.startswith("user_guide/"):
+        return  # the reference and the gallery
+    terms = terms_of(tree if docname == "glossary" else app.env.get_doctree("glossary"))
+    if docname != "glossary":
+        link_terms(tree, terms, app.builder.get_relative_uri(docname, "glossary"))
+
+
 def of_their_own_pages(app, pagename, templatename, context, doctree):
     """Mend the links from sources: viewcode takes all names of a file for those of one module."""
     if pagename.startswith("_modules/"):
@@ -151,4 +160,5 @@ def setup(app):
     app.connect("autodoc-process-docstring", of_a_list)
     app.connect("missing-reference", of_the_package)
     app.connect("source-read", gallery_in_sections)
+    app.connect("doctree-resolved", with_glossary)
     app.connect("html-page-context", of_their_own_pages)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (SciPy's BLAS has to be there to be limited)
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 # Before pytest collects a module of the package for its examples: one that came first would be
@@ -163,3 +164,22 @@ def script(monkeypatch):
     for name in set(sys.modules) - before:
         if any((folder / f"{name}.py").exists() for folder in folders):
             del sys.modules[name]
+
+
+@pytest.fixture(scope="session")
+def matrices():
+    """Homogeneous matrices (4, 4), in mm: `pose` and, of an arm at angles (n, n_joints), `ends`."""
+
+    def pose(turn, shift):
+        """Pose of a rotation vector and a shift."""
+        found = np.eye(4)
+        found[:3, :3], found[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+        return found
+
+    def ends(arm, q):
+        """Poses (n, 4, 4) of the probe with the axes of the last frame."""
+        found = np.tile(np.eye(4), (len(q), 1, 1))
+        found[:, :3] = arm.frames(q)[:, -1]
+        return found @ pose([0, 0, 0], arm.probe)
+
+    return SimpleNamespace(pose=pose, ends=ends)

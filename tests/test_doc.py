@@ -140,6 +140,26 @@ def results(script):
     return script("_results")
 
 
+def test_terms_are_linked_where_a_page_uses_them_first(script):
+    nodes = pytest.importorskip("docutils.nodes")
+    sphinx = script("_sphinx")
+    definitions = [nodes.term(text=words) for words in ("eccentricity", "2S", "gauge, ball bar")]
+    terms = sphinx.terms_of(nodes.definition_list("", *definitions))
+    assert terms["ball bar"] == terms["gauge"] == definitions[2]["ids"][0] == "term-gauge"
+    page = nodes.section(
+        "",
+        nodes.title(text="A gauge"),
+        nodes.paragraph("", "", nodes.literal(text="2S"), nodes.Text(" of two Gauges; 2S, 12S")),
+        nodes.paragraph(text="a ball bar, eccentricity, 2S"),
+    )
+    text = page.astext()
+    sphinx.link_terms(page, terms, "glossary.html")
+    links = [(link.astext(), link["refuri"]) for link in page.findall(nodes.reference)]
+    assert links == [("Gauges", "glossary.html#term-gauge"), ("2S", "glossary.html#term-2s"),
+                     ("eccentricity", "glossary.html#term-eccentricity")]  # fmt: skip
+    assert page.astext() == text
+
+
 def test_numbers_of_the_readme_are_those_of_the_results(results):
     text = read(ROOT / "README.md")
     assert results.filled(text, results.read()) == text, "run `benchmarks/make_results.py`"

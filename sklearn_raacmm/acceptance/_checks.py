@@ -55,8 +55,7 @@ def find_faults(test: str, readings, arm: Any = None, limit: float | None = None
         return [_finding("acceptance-incomplete", f"{test}: {gap}", advice, readings.rows)]
     faults: list[Finding] = []
     if test in (*SPHERES, *BARS):
-        faults = _unknown(test, readings) or list(_implausible(test, readings, limit))
-        faults = faults or _wrong_sizes(test, readings)
+        faults = list(_artefacts(test, readings, limit)) or _wrong_sizes(test, readings)
     taken = itertools.chain(_copies(test, readings), _ways(test, readings, arm))
     return faults or list(taken) or _slips(test, readings) or list(_off_means(test, readings))
 
@@ -89,9 +88,12 @@ def _gaps(test, readings):
             yield f"{where} has {n} readings, {wanted} are needed."
 
 
-def _unknown(test, readings):
-    """Artefacts of which nobody has stated what a value needs."""
-    found = []
+def _artefacts(test, readings, limit):
+    """Artefacts of which a value needs what nobody has stated, or stated in another unit."""
+    most = 1e3 * (limit or _NO_LIMIT_MM)
+    least = _SHARE_OF_LIMIT * most
+    ranges = _RANGES | {"expanded_mm": (least, most, "um", 1e3)}
+    ranges["form_mm"] = (least if test in SPHERES else 0.0, most, "um", 1e3)
     for (name,), rows in readings.groups("artefact").items():
         artefact = readings.run.by_name.get(name)
         missing = ("everything",) if artefact is None else artefact.missing
@@ -100,25 +102,15 @@ def _unknown(test, readings):
         if missing:
             text = f"{test}: of the artefact {name!r} is not stated: {', '.join(missing)}."
             advice = "State what its certificate says, and its temperature."
-            found.append(_finding("artefact-unknown", text, advice, readings.rows[rows]))
-    return found
-
-
-def _implausible(test, readings, limit):
-    """Numbers of artefacts that are of another unit than that which is asked for."""
-    limit = limit or _NO_LIMIT_MM
-    size = _SHARE_OF_LIMIT * limit, limit, "um", 1e3
-    ranges = _RANGES | {"expanded_mm": size, "form_mm": size if test in SPHERES else (0, *size[1:])}
-    for (name,), rows in readings.groups("artefact").items():
+            yield _finding("artefact-unknown", text, advice, readings.rows[rows])
+            continue
         for field, (low, high, unit, factor) in ranges.items():
-            value = getattr(readings.run.by_name[name], field)
-            shown = value if unit == "degC" else factor * value
-            bounds = (factor * low, factor * high) if unit == "um" else (low, high)
-            tiny = field == "expansion_per_k" and 0 < abs(value) < _LEAST_EXPANSION
-            if tiny or not bounds[0] <= shown <= bounds[1]:
+            shown = factor * getattr(artefact, field)
+            tiny = field == "expansion_per_k" and 0 < abs(shown) < factor * _LEAST_EXPANSION
+            if tiny or not low <= shown <= high:
                 text = (
                     f"{test}: of the artefact {name!r} {field} is {shown:.3g} {unit}, where "
-                    f"{bounds[0]:.3g} to {bounds[1]:.3g} {unit} can be."
+                    f"{low:.3g} to {high:.3g} {unit} can be."
                 )
                 advice = "Is it in the unit that its heading names?"
                 yield _finding("artefact-implausible", text, advice, readings.rows[rows])

@@ -149,6 +149,7 @@ def learn(options):
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
     step = step_of("learn", today, facts, result.scores.measure, before, after)
+    step |= {"probe_mm": result.arm.probe.tolist()}
     taught = replace(result, facts=result.facts | {"training": card["training"]})
     # The verdict first: it is the answer, and what follows says why.
     print_verdict(result.verdict, result.helps)
@@ -179,6 +180,10 @@ def export(options):
     """Write a saved correction as C, with a program that tests it, or as ONNX."""
     if not (options.c or options.onnx):
         raise TableError("say what to write: --c FOLDER, --onnx FILE or both.")
+    if not (options.name.isidentifier() and options.name.isascii()):
+        raise TableError(
+            f"--name is the name of functions in C: letters, digits and '_', not {options.name!r}."
+        )
     folder = Path(options.c or ".")
     source = folder / f"{options.name}.c"
     sources = [source, source.with_suffix(".h")] if options.c else []

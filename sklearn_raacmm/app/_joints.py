@@ -78,7 +78,7 @@ def _joints(table, n, joint_names, taken, slides):
     # Columns without names are numbered by us, and such numbers mean nothing.
     unnamed = all(re.fullmatch(r"column \d+", table.header[i]) for i in range(table.width))
     if not fitting or unnamed:
-        fitting, what = _only_numbers(table, n, taken), "the columns of numbers, "
+        fitting, what = _only_numbers(table, n, taken), "the columns of numbers in their order, "
     if len(fitting) == 1:
         first, last = (table.header[fitting[0][i]] for i in (0, -1))
         table.notes.append(f"Joint angles: {what}{first} to {last}.")

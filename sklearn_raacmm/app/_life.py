@@ -142,7 +142,10 @@ def _print_lack(saved, new):
     models = saved.model.linear_model_, new.model.linear_model_
     old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
-        print("Learn with two probes: the first alone shows less of the last joints.")
+        print(
+            "The first test shows less of the errors of this probe than of its own: where they "
+            "matter, learn with both probes (raacmm learn --tool)."
+        )
 
 
 def _print_doubts(correction, angles, positions=None):
@@ -176,13 +179,14 @@ def check(options):
     if used := _used_poses(saved, today):
         print_notes([f"{used} A check by them says that the correction holds, whatever happened."])
     rate = _FALSE_ALARM / (has_causes + by_spread)  # of each of the two tests
-    facts, slipped, advice = {}, (), ""
+    facts, advice = {}, ""
+    result: Any = None  # of the model's check
     if has_causes:
-        facts, slipped, advice = _check_model(saved, today, measured, rate, options)
+        facts, result, advice = _check_model(saved, today, measured, rate, options)
     holds = not advice
     if by_spread:
         # Rows that slipped are left out where each position keeps two or more.
-        kept = np.delete(np.arange(len(today.angles)), list(slipped))
+        kept = np.delete(np.arange(len(today.angles)), list(result.slipped if result else ()))
         if np.unique(today.positions[kept], return_counts=True)[1].min() > 1:
             today = replace(today, angles=today.angles[kept], positions=today.positions[kept])
         scatter = _check_spread(saved, today, rate, advice)
@@ -192,12 +196,20 @@ def check(options):
         usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
         said = advice and f"It does not hold. {advice}"
         facts["said"] = said or f"It holds: {_describe_poses(today)}, {usual}."
-    print(facts["said"])
     facts |= {"holds": holds}
+    if options.record:
+        try:
+            names = ("before_mm", "after_mm", "expected_below_mm", "holds", "said")
+            answer = {name: facts.get(name, "") for name in names}
+            replace(result, record=result.record | answer).append_to(options.record)
+            print(f"Appended to {options.record}")
+        except OSError as error:
+            print_notes([f"This check is not in {options.record}: {error}"])
+    print(facts["said"])
     try:
         _refuse_other_writers(saved, options.model)
-        spread: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
-        step = step_of("check", today, facts, *spread)
+        measure: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
+        step = step_of("check", today, facts, *measure)
         # A check changes no model: its file is written again as it is, without importing skops.
         model = (options.model / "model.skops").read_bytes()
         same = digest_of(model) == saved.facts["files"]["model.skops"]
@@ -209,7 +221,7 @@ def check(options):
 
 
 def _check_model(saved, today, measured, rate, options):
-    """Facts of what the model sees, rows that slipped, and what to do about a change; else ""."""
+    """Facts of what the model sees, its check, and what to do about a change; else ""."""
     accept, new_base = options.accept or (), options.new_base
     result = saved.check(*measured, new_base=new_base, false_alarm_rate=rate, accept=accept)
     changed = bool(result.matters and not result.holds)
@@ -225,15 +237,9 @@ def _check_model(saved, today, measured, rate, options):
     for row in result.slipped:
         label = "" if today.positions is None else f" ({today.positions[row]})"
         print(f"slipped: row {today.rows[row]}{label}, measure it again")
-    if options.record:
-        try:
-            result.append_to(options.record)
-            print(f"Appended to {options.record}")
-        except OSError as error:
-            print_notes([f"This check is not in {options.record}: {error}"])
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     facts = {name: getattr(result, name) for name in names}
-    return facts, result.slipped, result.advice if changed else ""
+    return facts, result, result.advice if changed else ""
 
 
 def _check_spread(saved, today, rate, advice):
@@ -247,6 +253,7 @@ def _check_spread(saved, today, rate, advice):
     for i in natural_order(labels):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
     expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
+    expected *= _wider_than_learnt(saved, today)
     was, now = float(before.mean()), float(after.mean())
     facts = {"before_mm": was, "after_mm": now, "expected_below_mm": expected}
     change = f"mean 2S {was:.3f} -> {now:.3f} mm"
@@ -284,6 +291,21 @@ def highest_mean(learnt, n, rate):
     """
     spread = np.std(learnt, ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
     return float(stats.t.ppf(1 - rate, len(learnt) - 1, np.mean(learnt), spread))
+
+
+def _wider_than_learnt(saved, today):
+    """How much wider points scatter with the probe of today than with that of the first test.
+
+    The ratio of the standard deviations within a position that the model states at these poses: an
+    error of a joint moves the end of a longer probe by more.
+    """
+    steps = [step for step in saved.facts.get("history", []) if step["what"] == "learn"]
+    learnt = steps[-1].get("probe_mm") if steps else None
+    if learnt is None or not hasattr(saved.model, "with_arm"):
+        return 1.0
+    both = saved, saved.move(learnt)
+    now, then = (_rms(one.correct(today.angles, std_of="position")[1]) for one in both)
+    return now / then
 
 
 def _open_correction(options):
@@ -332,6 +354,7 @@ def _compare(word, saved, new, today, was, now):
         usual = float(np.mean(saved.facts["positions"]["after"]))
         if by_cones:  # of normal errors: twice their length's root mean square
             usual *= np.sqrt(8 / (3 * np.pi)) / 2
+        usual *= _wider_than_learnt(new, today)
     if after > max(MUCH_SCATTER_MM, _MUCH_MORE * (usual or 0.0)):
         raise TableError(
             f"the points are still off by {after:.3g} mm, and nothing is written. {_OTHER_ARM} If "

@@ -13,11 +13,17 @@ from typing import Any
 
 from sklearn_raacmm._version import __version__
 
-_EPILOG = (
-    "Exit codes: 0 done, 2 bad input, 3 nothing that was learnt helps, or a check found a change, "
-    "4 of accept: not judged."
-)
-
+_EXIT_CODES = "Exit codes: 0 done, 1 a fault of this program, 2 bad input"
+# What 3 says, and 4; other words end with 0 to 2.
+_NO_HELP = ", 3 nothing that was learnt helps"
+_MORE_CODES = {
+    "learn": _NO_HELP,
+    "demo": _NO_HELP,
+    "check": ", 3 the check found a change",
+    "register": ", 3 the arm itself may have changed",
+    "update": ", 3 nothing was changed: too few poses",
+    "accept": ", 3 a limit is missed, 4 not judged, as a finding says",
+}
 
 # Options of a logger, beside its tables.
 _CONFIG = "raacmm.toml"
@@ -29,7 +35,7 @@ _TODAY = f"table --model --points --length --lengths --length-sd {_COLUMNS}"
 # Each word with the module that holds its function, a description, an example, and its options.
 WORDS = {
     "learn": (
-        "_commands", "calibrate an arm, learn a correction, judge it, report",
+        "_commands", "calibrate an arm, learn its correction, judge both, and write a report",
         "raacmm learn cone_test.csv --arm my_arm.json --out my_arm",
         f"table --arm --base --tip --out {_LEARNING} {_COLUMNS} --points --points-sd --length "
         f"--lengths --places --length-sd --feature --kind --tip-diameter {_CAUSES} --block "
@@ -118,7 +124,7 @@ _LENGTHS = ("SHOULDER", "UPPER", "FORE", "PROBE")
 OPTIONS: dict[str, dict[str, Any]] = {
     "learn table": {"help": "one row per pose: joint angles and position"},
     "correct table": {"help": "table with joint angles; - is the standard input"},
-    "check table": {"help": "a small test of today"},
+    "check table": {"help": "a small test of today: joint angles in a few cones"},
     "register table": {"help": "poses with the new probe, or in the new place: 15 in two cones"},
     "update table": {"help": "20 poses or more of the arm as it is now"},
     "watch table": {"help": "the table that the arm's logger writes, row by row"},
@@ -137,67 +143,90 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--position": _value("NAME", "column of the positions' labels"),
     "--unit": _choice(("deg", "rad"), "unit of the joint angles", dest="angle_unit"),
     "--counts-per-turn": _value("N", "counts of the encoders in a turn, one or one for each joint"),
-    "--sheet": _value("NAME", "sheet of a spreadsheet, name or number; topics of a log of ROS"),
+    "--sheet": _value(
+        "NAME", "name or number of the sheet of a spreadsheet; topics of a log of ROS"
+    ),
     "--points": _value("X,Y,Z", "columns of a tracker's points, or a file of points"),
-    "--points-sd": _number("MM", "sd of a tracker's coordinate, not the arm's", default=0.0),
+    "--points-sd": _number("MM", "sd of one coordinate of the tracker's points", default=0.0),
     "--length": _value(
         "FROM:TO:MM:SD[@DEGC]",
-        "a known distance in mm, its sd, and its temperature",
+        "a known distance in mm, its sd in mm, and the temperature of the bar",
         action="append",
     ),
-    "--lengths": _value("CSV", "known lengths: from, to, mm, sd in mm"),
-    "--places": _value("CSV", "a plate of known points: position, x, y, z, sd in mm"),
-    "--length-sd": _number("MM", "sd of all known lengths"),
+    "--lengths": _value("CSV", "file of known lengths, with the columns from, to, mm, sd in mm"),
+    "--places": _value("CSV", "file of a plate's known points: position, x, y, z, sd in mm"),
+    "--length-sd": _number("MM", "sd of the known lengths that state none"),
     "--feature": _value(
         "LABEL:KIND[:SIZE:SD]",
         "positions that are touches of a plane or sphere, perhaps of known diameter in mm",
         action="append",
     ),
-    "--kind": _value("COLUMN", "column of what was touched: plane, sphere or cone"),
+    "--kind": _value("COLUMN", "column that says what was touched: plane, sphere or cone"),
     "--tip-diameter": _number("MM", "diameter of the probe's own ball, for --feature", default=0.0),
-    "--extra": _value("NAME[=COLUMN]", "causes, such as temperature=T1, payload, time", nargs="+"),
+    "--extra": _value(
+        "NAME[=COLUMN]", "columns of other causes: temperature=T1, payload, time", nargs="+"
+    ),
     "correct --std": _choice(
         ("no", "point", "all"),
         "standard deviations to write: none, of coordinates, or also within a position and of 1 m",
         "all",
     ),
     "--formulas": _flag("write cells such as =A1 as they are, not behind an apostrophe"),
-    "--tool": _value("COLUMN", "column of the probe's name, where several took turns"),
-    "--block": _value("COLUMN", "column of what holds positions that are left out together"),
-    "--station": _value("COLUMN", "column of the set-up, where tracker or arm were moved"),
+    "--tool": _value("COLUMN", "column that names the probe of each row, where there are several"),
+    "--block": _value("COLUMN", "column that names groups of positions, each left out as a whole"),
+    "--station": _value(
+        "COLUMN", "column that names the set-up of each row, if tracker or arm were moved"
+    ),
     # -- learning
-    "--folds": _number("N", "times that some positions are left out (5)", int),
+    "--folds": _number("N", "how many times some positions are left out (5)", int),
     "--jobs": _number("N", "folds computed at the same time (1)", int),
     "--open": _flag("open the report in the browser"),
+    "accept --open": _flag("open the sheet in the browser"),
     "--dry-run": _flag("say what was read and what would be done, and stop"),
     "--force": _flag("replace the correction that the folder holds"),
     "--like": _number("FOLDER", "corrections of earlier arms of this make", Path, nargs="+"),
     "--take": _value(
-        "CODE", "change the arm as learn proposes: reversed-2-4, coupled-2-3", action="append"
+        "CODE",
+        "change the arm as learn proposes, such as reversed-2-4 or coupled-2-3",
+        action="append",
     ),
     "--serial": _value("TEXT", "serial number, for the report"),
-    "--operator": _value("NAME", "for the report"),
+    "--operator": _value("NAME", "name of the operator, for the report"),
     # -- the life of a correction
     "--new-base": _flag("the tracker was set up anew: find the base from these poses"),
-    "--record": _value("CSV", "file to append the line of this check to"),
-    "--accept": _value("CODE", "go on in spite of a finding: corrected-already", action="append"),
-    "move --probe": _value("X,Y,Z", "in the last frame, mm; --probe=-5,0,250", required=True),
-    "--c": _value("FOLDER", "C source and header"),
+    "--record": _value("CSV", "file to which a line on this check is appended"),
+    "--accept": _value(
+        "CODE",
+        "go on in spite of the finding of this code, such as corrected-already",
+        action="append",
+    ),
+    "move --probe": _value(
+        "X,Y,Z",
+        "centre of the probe in the last frame, mm, such as --probe=-5,0,250",
+        required=True,
+    ),
+    "--c": _value("FOLDER", "folder for C source and header"),
     "--onnx": _value("FILE", "ONNX file to write"),
-    "--name": _value("NAME", "of the C functions (arm_correction)", default="arm_correction"),
-    "--std": _flag("standard deviations in C, too"),
+    "--name": _value("NAME", "name of the C functions (arm_correction)", default="arm_correction"),
+    "--std": _flag("write standard deviations in C, too"),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
-    "accept --model": _number("FOLDER", "folder of raacmm learn: the arm as left", Path),
-    "accept --arm": _value("ARM", "as found (the table of --model, without its correction)"),
+    "accept --model": _number("FOLDER", "folder written by raacmm learn: the arm as left", Path),
+    "accept --arm": _value(
+        "ARM", "the arm as found (default: the table of --model without its correction)"
+    ),
     "accept --out": _value("HTML", "sheet to write (sheet.html)", default="sheet.html"),
     "watch --arm": _value("ARM", _ARM),
     "watch --model": _number("FOLDER", "correction that is in use: it is checked", Path),
     "watch --out": _value("HTML", "page to write (watch.html)", default="watch.html"),
-    "--template": _flag("write RUN, a spreadsheet for this arm, without its numbers"),
-    "--language": _choice(("en", "de"), "of the sheet (en)", "en"),
-    "--rule": _choice(("guarded", "simple"), "with a guard of 1.645 u, or without", "guarded"),
-    "--dcc": _value("XML", "Digital Calibration Certificate to write, too"),
+    "--template": _flag("write the spreadsheet RUN for this arm, to be filled in"),
+    "--language": _choice(("en", "de"), "language of the sheet (en)", "en"),
+    "--rule": _choice(
+        ("guarded", "simple"),
+        "decide with a guard of 1.645 standard uncertainties, or without",
+        "guarded",
+    ),
+    "--dcc": _value("XML", "also write a Digital Calibration Certificate"),
     # -- arms
     "--lengths-222": _number(_LENGTHS, "lengths in mm of a 2-2-2 arm", nargs=4),
     "--lengths-223": _number(_LENGTHS, "lengths in mm of a 2-2-3 arm", nargs=4),
@@ -211,12 +240,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--mirrored": _flag("take the mirror image of the arm that --from-data finds"),
     "--up": _value("X,Y,Z", "direction against gravity in the base frame; 0,0,1: upright"),
     "--sign": _value("S1,S2,...", "-1 where an encoder counts against its joint, else 1"),
-    "--zero": _value("Q1,Q2,...", "degrees that encoders show at the zero of the arm"),
+    "--zero": _value("Q1,Q2,...", "degrees that the encoders show at the zero of the arm"),
     "--into": _value("FILE", "write into a copy of the robot's own URDF or UR kinematics"),
     "--cones": _number("N", "number of cones (8)", int, default=8),
     "--poses": _number("N", "poses in each cone (12)", int, default=12),
-    "--bar": _number("MM", "bar whose two seats are two of the cones (by the reach); 0: none"),
-    "--lean": _number("DEG", "how far the probe may lean from the vertical (any way)"),
+    "--bar": _number("MM", "length of the bar between two of the cones (by the reach); 0: no bar"),
+    "--lean": _number("DEG", "how far the probe may lean from the vertical (no limit)"),
     "--limits": _value("LOW1,HIGH1,...", "limits of the joints in degrees, where ARM has none"),
     "--json": _flag("print the result as JSON"),
     "--quiet": _flag("print errors only"),
@@ -287,13 +316,14 @@ def make_parser(as_json=False):
     parser = _Parser(
         "raacmm",
         description="Residual correction for articulated arm coordinate measuring machines.",
-        epilog=f"{_EPILOG} raacmm WORD --help shows the options of a word.",
+        epilog=f"{_EXIT_CODES}. raacmm WORD --help shows the options of a word, and further codes.",
     )
     parser.add_argument("--version", action="version", version=__version__)
     words = parser.add_subparsers(dest="word", required=True, metavar="WORD")
     for word, (module, text, example, names) in WORDS.items():
+        codes = f"{_EXIT_CODES}{_MORE_CODES.get(word, '')}."
         own = words.add_parser(
-            word, help=text, description=text, epilog=f"example:\n  {example}\n\n{_EPILOG}",
+            word, help=text, description=text, epilog=f"example:\n  {example}\n\n{codes}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         # Lists of numbers may begin with a negative one: --up -1,0,0.

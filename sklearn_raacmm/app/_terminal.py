@@ -95,14 +95,15 @@ def print_scores(scores, rows_named="positions"):
             f"{after.mean():.4f} mm after; the largest {before.max():.4f} and {after.max():.4f} mm."
         )
     say(
-        f"Standard deviations: {100 * scores.coverage:.1f} % of the coordinates left out are in "
-        f"their 95 % intervals; the stated ones are {scores.std_factor:.2f} times as large."
+        f"Of the coordinates left out, {100 * scores.coverage:.1f} % are inside the model's 95 % "
+        f"intervals; its standard deviations are multiplied by {scores.std_factor:.2f}, so that "
+        "95 % are."
     )
     if scores.changes:
         say(f"What calibration changed of the table: {'; '.join(scores.changes)}.")
     low, high = min(scores.fold_shares), max(scores.fold_shares)
     say(
-        f"Share of the correction in use: {100 * scores.share:.0f} % (folds: "
+        f"Share of the correction that is in use: {100 * scores.share:.0f} % (in the folds "
         f"{100 * low:.0f} % to {100 * high:.0f} %)."
     )
     if len(scores.outliers):

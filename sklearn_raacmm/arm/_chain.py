@@ -43,7 +43,7 @@ _OPPOSITE = -0.9
 # Keys of Universal Robots' kinematics files and the joints that they belong to, as in the package
 # ur_description: origins of joints about z, in m and rad.
 _UR_PARTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-_UR_JOINTS = dict(zip(_UR_PARTS, UR_NAMES, strict=True))
+_UR_JOINTS: dict[str, str] = dict(zip(_UR_PARTS, UR_NAMES, strict=True))
 _UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 # The link and the fixed joint by which a file of our own says how the arm stands: points are in the
 # frame of the link behind them, as those of the arm that was written.

@@ -102,9 +102,9 @@ def calibrate(
     angles : array-like of shape (n_samples, n_joints) or Measurements
         Joint angles, or all that was measured.
     groups : array-like of shape (n_samples,), default=None
-        Label of the fixed point of each sample. Without it and without `points` the places are
-        found that the arm's own points are at, and taken as "1", "2" and so on, as they come, if
-        "places-found" is accepted.
+        Label of the fixed point of each sample. Without it and without `points`, places at which
+        the arm's points lie together are found and called "1", "2" and so on, if "places-found"
+        is accepted.
     points : array-like of shape (n_samples, 3), default=None
         Measured positions in mm, instead of `groups`.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -122,8 +122,8 @@ def calibrate(
         ``("ball 1", "sphere", 30.0, 0.001)``. `lengths` may join centres and planes, such as those
         of a gauge block.
     tip_diameter : float, default=0.0
-        Diameter of the probe's own ball, mm, by which sizes and blocks differ for its centre: on
-        the side that fits best, or as a fifth part, "outside" or "inside", says.
+        Diameter of the probe's own ball, mm: for its centre spheres and blocks are so much larger
+        or smaller. The side is found, or stated by a fifth entry, "outside" or "inside".
     correction : object, default=None
         Fitted model of the arm's residuals, such as :class:`ArmResidualRegressor`: what its
         ``predict(angles)`` gives, (n_samples, 3) in mm, is subtracted from the arm's points. Needed

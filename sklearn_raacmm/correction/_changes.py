@@ -6,8 +6,8 @@ change of k numbers adds ``v^2 U U'``. The noise is an axis of every change: els
 more than before would be believed to be a change. In the axes of G, with ``D = 1 / (f^2 + lambda)``
 the diagonal precision, ``K = U' D U`` of the eigenvalues e and a what ``U' D r`` is along its axes,
 a change of the size v raises the log likelihood by ``sum(v^2 a^2 / (1 + v^2 e) - log(1 + v^2 e)) /
-2``. The mean likelihood over grids of f and v, less the logarithm of how many changes there are, is
-compared with that of no change.
+2``. The mean likelihood over grids of f and of v / f, less the logarithm of how many changes there
+are, is compared with that of no change. Changes far smaller than the noise would be none.
 """
 
 # Authors: The sklearn_raacmm developers
@@ -29,7 +29,7 @@ from sklearn_raacmm.utils import group_means
 _ORDERS = (1, 2)
 
 # Noise of the new rows, in units of the model's, and sizes of a change, root mean square over the
-# rows in units of the noise. Equally likely; finer or wider grids name the same changes.
+# rows in units of that noise. Equally likely; finer or wider grids name the same changes.
 _NOISES, _SIZES = 2.0 ** np.arange(7), 2.0 ** np.arange(-1, 9)
 # Changes of which an update names so many, one after another, before whole families may change: a
 # choice. Names of those that have columns in the model; of others the families tell.
@@ -39,11 +39,15 @@ NOISE = "noise"
 
 
 def likeliest_change(
-    residual: np.ndarray, known: np.ndarray, causes: Mapping[str, np.ndarray], freedom: int
+    residual: np.ndarray,
+    known: np.ndarray,
+    causes: Mapping[str, np.ndarray],
+    freedom: int,
+    least_nats: float = 0.0,
 ) -> tuple[str, np.ndarray | None, float]:
     """The change of highest evidence, its columns times its size, and how much that is, nats.
 
-    Where none is likelier than noise, "noise", None and 0.
+    Where none is likelier than noise by `least_nats`, "noise", None and `least_nats`.
 
     `residual` (m,), the root `known` (m, r) of the model's covariance, and the columns (m, k) of
     the `causes` are divided by the noise and have no part along nuisances, which leave the rows so
@@ -58,7 +62,7 @@ def likeliest_change(
     whole = precision @ np.square(along) + noise * rest - np.log(precision).sum(axis=1)
     whole = -0.5 * (whole - (freedom - len(value)) * np.log(noise))
     nothing = logsumexp(whole) - np.log(len(whole))
-    best, columns, highest = NOISE, None, nothing
+    best, columns, highest = NOISE, None, nothing + least_nats
     for name, cause in causes.items():
         size = np.linalg.norm(cause)
         if not size > 0:
@@ -71,13 +75,13 @@ def likeliest_change(
             pull = outside * (unit.T @ residual - own.T @ along) + (own.T * share) @ along
             spread, turn = np.linalg.eigh(seen)
             spread, pull = np.maximum(spread, 0.0), turn.T @ pull
-            wider = 1 + np.square(_SIZES)[:, None] * spread
-            fit = np.square(_SIZES)[:, None] * np.square(pull) / wider
-            gains[i] = 0.5 * (fit - np.log(wider)).sum(axis=1)
+            variance = np.square(_SIZES)[:, None] / outside
+            wider = 1 + variance * spread
+            gains[i] = 0.5 * (variance * np.square(pull) / wider - np.log(wider)).sum(axis=1)
         logs = whole[:, None] + gains
         evidence = logsumexp(logs) - np.log(logs.size) - np.log(len(causes))
         if evidence > highest:
-            size = _SIZES[np.argmax(logsumexp(logs, axis=0))]
+            size = np.outer(_NOISES, _SIZES).flat[np.argmax(logs)]
             best, columns, highest = name, size * unit, evidence
     return best, columns, float(highest - nothing)
 
@@ -102,14 +106,18 @@ class Table:
 
 
 def named_changes(
-    expected: Any, refitted: Sequence[str] = ("base", "probe"), least_nats: float = 0.0
+    expected: Any,
+    refitted: Sequence[str] = ("base", "probe"),
+    least_nats: float = 0.0,
+    only: Sequence[str] = (),
 ) -> list[str] | None:
     """Changes that new rows name, one after another; None: all columns may.
 
     The change of the highest evidence becomes a part of what the model expects, and the next is
     looked for beside it. That all columns have changed a little is one of them. An empty list:
     nothing is likelier by `least_nats` than that only noise is there. Before a tracker what was
-    `refitted` may be off beside any change (``benchmarks/bench_after_the_lab.py knocks``).
+    `refitted` may be off beside any change (``benchmarks/bench_after_the_lab.py knocks``). If
+    `only` some changes are possible, no others are looked for.
     """
     table, linear = Table(expected.widened(), expected.mean), expected.linear
     causes, known, shown = table.seen, table.known, table.shown
@@ -119,11 +127,13 @@ def named_changes(
         taken = "base turned", *refitted
         causes = {name: one for name, one in causes.items() if name not in taken}
     causes["arm"] = shown.flat(table.expected.columns * changes_of(linear)[1])
+    causes = {name: one for name, one in causes.items() if not only or name in only}
     names: list[str] = []
     held = {*with_names(linear, parts_of(linear)).tolist()}
     while True:
-        name, change, nats = likeliest_change(table.residual, known, causes, shown.n_coordinates)
-        if change is None or nats < least_nats:
+        given = table.residual, known, causes, shown.n_coordinates, least_nats
+        name, change, _ = likeliest_change(*given)
+        if change is None:
             return names
         if len(names) == _MOST_NAMED or name not in held:
             return None

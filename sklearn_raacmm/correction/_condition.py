@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
+from scipy.linalg import block_diag, cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
 
@@ -114,7 +114,8 @@ def condition(
             break
     half = left_out = None
     if not means_only:
-        root = _prior_root(prior.half, sd)
+        before_all = thin(np.hstack([prior.half, np.diag(sd[:p])]))
+        root = block_diag(before_all, np.diag(sd[p:]))  # of the covariance before the new rows
         half = narrowed(root, A @ root / noise_sd)
         after = every.reshape(-1, len(mean)) @ half
         left_out = _left_out(left, after.reshape(*y.shape, -1), weights * before, noise_sd)
@@ -231,23 +232,6 @@ class Evidence:
             options={"maxiter": _MOST_STEPS, "ftol": _SMALL_GAIN},
         )  # fmt: skip
         return found.x * unit
-
-
-def _prior_root(half, sd):
-    """Root of the covariance of all coefficients before the new rows, (p + q, k)."""
-    p = len(half)
-    scale = np.sqrt(np.square(half).sum(axis=1) + np.square(sd[:p]))
-    scale[scale == 0] = 1.0
-    unit = half / scale[:, None]
-    covariance = unit @ unit.T
-    covariance[np.diag_indices(p)] += np.square(sd[:p] / scale)
-    # With pivots a covariance may be singular. The transpose is the same matrix.
-    factor, order, rank, _ = lapack.dpstrf(covariance.T, lower=1, overwrite_a=1)
-    root = np.zeros((len(sd), rank + len(sd) - p))
-    root[order - 1, :rank] = np.tril(factor)[:, :rank]
-    root[:p, :rank] *= scale[:, None]
-    root[p:, rank:] = np.diag(sd[p:])
-    return root
 
 
 def thin(root: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from sklearn.utils import check_random_state
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._change import as_prior, doubts_of
+from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._files import dump_model, load_model, read_folder, write_folder
 from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correction
 from sklearn_raacmm.correction._rows import Expected, for_centres, new_rows
@@ -34,10 +35,15 @@ from sklearn_raacmm.utils import (
     check_option,
     encode_groups,
     ignored_findings,
+    listed,
+    one_warning,
 )
 
 # A base of which more is open is none that a correction could be used with, mm.
 _WELL_KNOWN_MM = 1.0
+# A registration keeps the probe where its poses are likelier of that one than of another, by so
+# many nats: see ``benchmarks/bench_after_the_lab.py registers``.
+_SAME_PROBE_NATS = 1.0
 # Share of a standard deviation that is the arm's at least, whatever a reference states: a choice.
 _LEAST_SHARE = 0.2
 # Outliers that are shown.
@@ -144,6 +150,7 @@ class Correction:
         fields = [("row", "i8"), ("position", labels.dtype), ("distance", "f8")]
         return np.array(rows, dtype=fields)
 
+    @one_warning
     def correct(
         self,
         angles: ArrayLike,
@@ -365,7 +372,7 @@ class Correction:
         measured: Any = self._measured(angles, positions, **given)
         new_base = measured.points is not None and (new_base or self.base is None)
         known = self.register(measured, free=(), accept=accept) if new_base else self
-        y, today = self._shown(measured, lambda: known.residuals(measured.angles, measured.points))
+        y, today = known._shown(measured)
         model: Any = self.model  # of another kind is refused
         found = check_correction(
             model, self.inputs(measured.angles, measured.extra), y, **today,
@@ -389,7 +396,9 @@ class Correction:
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
 
-        Of causes beside the angles counts what is usual.
+        Where the poses are likelier of the probe that the correction was for than of another one,
+        that is kept: few poses would find it worse. Of causes beside the angles counts what is
+        usual.
 
         Parameters
         ----------
@@ -423,17 +432,25 @@ class Correction:
         given = {"points": points, "lengths": lengths, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
         measured: Any = self._measured(angles, positions, **given)
-        X = self.inputs(measured.angles)
+        X, free = self.inputs(measured.angles), listed("free", free)
         model: Any = copy(self.model)
-        places = np.arange(len(X)) if measured.points is not None else measured.index
         linear: Any = getattr(model, "linear_model_", None)
+        by_points = measured.points is not None
+        if "probe" in free and linear_in_use(model) and not (by_points and linear.offsets):
+            with ignored_findings():  # of poses as if the probe were the old one
+                expected = self._expected(measured, X)[2]
+            if named_changes(expected, ["base"], -_SAME_PROBE_NATS, only=["probe"]) == []:
+                free.remove("probe")
+                said = "These poses are likelier of the probe that the correction was for than of"
+                Finding("same-probe", f"{said} another: it is kept.", weight="note").report()
+        places = np.arange(len(X)) if by_points else measured.index
         doubt: Any = None
-        if linear is not None and len(np.unique(places)) >= LEAST_POSITIONS:
+        if "probe" in free and linear is not None and len(np.unique(places)) >= LEAST_POSITIONS:
             # These poses had no part in the fit: it fades beyond the largest doubt at them.
             doubt = linear.predict_with_doubt(X)[2]
             model.fading_ = replace(model.fading_, known_mm=float(doubt.max()))
         of_angles = self._of_angles(model)
-        found = calibrate(self.arm, measured, correction=of_angles, free=list(free), accept=accept)
+        found = calibrate(self.arm, measured, correction=of_angles, free=free, accept=accept)
         turns = np.char.startswith(found.names, "base_r")
         open_mm = self.arm.reach_mm * found.standard_deviations[turns].max(initial=0.0)
         if open_mm > _WELL_KNOWN_MM:
@@ -447,8 +464,8 @@ class Correction:
         if hasattr(model, "with_arm"):
             model = model.with_arm(found.arm)
         new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
-        if doubt is not None:  # and they say how much of it is used
-            y, today = new._shown(measured, lambda: new.residuals(measured.angles, measured.points))
+        if doubt is not None:  # and they say how much of it is used with another probe
+            y, today = new._shown(measured)
             codes: Any = None
             centre: Any = None
             if today:  # a tracker's points show the offsets of positions, too
@@ -503,15 +520,7 @@ class Correction:
         measured: Any = self._measured(angles, positions, **given)
         X = self.inputs(measured.angles, measured.extra)
         model: Any = copy(self.model)
-
-        def aligned():  # the base is where the corrected points say
-            shown = self.arm.forward(measured.angles)
-            turn, shift = align(measured.points, shown - self.model.predict(X))
-            return shown - measured.points @ turn.T - shift
-
-        y, today = self._shown(measured, aligned)
-        rows = new_rows(model, X, y, **today)
-        expected = Expected.of(as_prior(model.linear_model_), rows)
+        y, today, expected = self._expected(measured, X)
         unchanged = nothing_changed(model, expected, date)
         if unchanged or not probe_is_new(expected):
             if not unchanged:
@@ -519,10 +528,9 @@ class Correction:
             new: Any = replace(self, model=model).register(measured, free=(), accept=accept)
             return replace(new, model=model)
         new = self.register(measured, accept=accept)
-        y, today = new._shown(measured, lambda: new.residuals(measured.angles, measured.points))
-        model = new.model
-        updated = update_correction(model, X, y, accept=accept, date=date, **today)
-        return replace(new, model=updated)
+        y, today = new._shown(measured)
+        model = update_correction(new.model, X, y, accept=accept, date=date, **today)
+        return replace(new, model=model)
 
     def move(self, probe: ArrayLike) -> Self:
         """The same with another probe, whose vector is known.
@@ -687,18 +695,32 @@ class Correction:
             raise ValueError("Give positions, the label of each pose, or points, of a tracker.")
         return measured
 
-    def _shown(self, measured, by_tracker):
+    def _shown(self, measured):
         """Residuals (n, 3) of today's poses, and what else a model takes of them.
 
-        Without the correction, in the base frame: against points `by_tracker`, or about positions.
+        Without the correction, in the base frame: against a tracker's points, or about positions.
         """
         if measured.points is not None:
-            return by_tracker(), {}
+            return self.residuals(measured.angles, measured.points), {}
         points = self.arm.forward(measured.angles)
         with ignored_findings():  # of a correction that is not in use
             corrected = points - self.model.predict(self.inputs(measured.angles, measured.extra))
         today = for_centres(measured, corrected)
         return position_residuals(points, today["groups"], features=today["features"]), today
+
+    def _expected(self, measured, X):
+        """As `_shown`, the base being where the corrected points say; and what the model expects.
+
+        `X` are the poses and causes, as `inputs` returns them.
+        """
+        model: Any = self.model
+        here = self
+        if measured.points is not None:
+            corrected = self.arm.forward(measured.angles) - model.predict(X)
+            here = replace(self, base=align(corrected, measured.points))
+        y, today = here._shown(measured)
+        rows = new_rows(model, X, y, **today)
+        return y, today, Expected.of(as_prior(model.linear_model_), rows)
 
     def _scale_beside(self, linear):
         """Standard deviation of the common scale beside that of a linear model, or of none."""

@@ -92,9 +92,9 @@ def learn_correction(
     angles : array-like of shape (n_samples, n_joints) or Measurements
         Joint angles, or all that was measured.
     positions : array-like of shape (n_samples,), default=None
-        Label of the position at which the probe was held. With `points`, regions of neighbouring
-        points replace names of single poses, and None; without, None stands for the places that
-        :func:`calibrate` finds.
+        Label of the position at which the probe was held. None with `points`: regions of
+        neighbouring points take their place, as where each row has its own label. None without:
+        the places that :func:`calibrate` finds.
     points : array-like of shape (n_samples, 3), default=None
         Positions measured by a tracker in a frame of its own, mm. None: a single-point test.
     lengths : iterable of (label, label, length, standard deviation), default=()
@@ -135,16 +135,16 @@ def learn_correction(
         Standard deviation of a coordinate of `points` as the tracker states it, mm: the noise that
         is not the arm's, which standard deviations of corrected points then leave out.
     blocks : array-like of shape (n_samples,), default=None
-        Label of what holds the position of each row, where what happens to one position happens to
-        others: the plate of a socket, the placement of a bar. Positions of one block are left out
+        Label of what carries the position of each row, and others with it: the plate of a socket,
+        the placement of a bar. Positions of one block are left out
         together, and the intervals count blocks. With the number of blocks as `cv` they are the
         folds.
     stations : array-like of shape (n_samples,), default=None
         Label of the set-up of each row, where tracker or arm were moved. Corrected points are in
         the arm's base frame; ``learned.at_station(label)`` knows the tracker's.
     accept : str or list of str, default=()
-        Codes of findings, such as "moved-position", with which the correction is handed over all
-        the same. "mirror-image" says that the arm is as it was taken, see `take`.
+        Codes of findings, such as "moved-position", in spite of which the correction is returned.
+        "mirror-image" says that the arm is as it was taken, see `take`.
     take : str or list of str, default=()
         Codes by which :func:`search_table` proposes to change `arm`, one after the other, such as
         "reversed-2-4", "zero-2-180", "coupled-2-3" (joint 3 stands at J3 + J2), "zeros" (all of

@@ -291,10 +291,9 @@ class Data:
             y = self.residuals(calibration, rows)
             low = ArmResidualRegressor(orders=_LOW_ORDERS)
             model = self._fitted(low, calibration, rows, y, [], judged=False)
-            if several:
-                again = calibrate(calibration.arm, self.measured, correction=model)
-                seen._leave_out_wrong(again)
-        if several:
+            again = several and calibrate(calibration.arm, self.measured, correction=model)
+        if again:
+            seen._leave_out_wrong(again)
             given = self.measured.lengths, again.length_errors_mm, again.length_sd_mm
             for finding in disagreeing(*given, self.measured.labels):
                 finding.report()

@@ -17,6 +17,8 @@ import numpy as np
 
 # Types of the keys of dicts, by their names.
 _KEYS = {"str": str, "int": int, "float": float, "bool": bool}
+# Arrays, and NumPy's numbers.
+_ARRAYS = {"numpy.ndarray", *(f"numpy.{kind.__name__}" for kind in np.sctypeDict.values())}
 
 
 class OtherContentError(ValueError):
@@ -44,80 +46,43 @@ def read_model(content: bytes, kinds: dict[str, type]) -> Any:
         If the file holds anything but plain values, arrays and these classes.
     """
     with ZipFile(BytesIO(content)) as file:
-        return _Reader(file, kinds).read(json.loads(file.read("schema.json")))
+        return _read(json.loads(file.read("schema.json")), file, kinds, {})
 
 
-class _Reader:
-    """Objects of the nodes of one file; one that stands there several times is made once."""
+def _read(node, file, kinds, made):
+    """Object of a node of a file; one that stands there several times, as in `made`, is one."""
 
-    def __init__(self, file, kinds):
-        self.file, self.kinds, self.made = file, kinds, {}
+    def read(other):
+        return _read(other, file, kinds, made)
 
-    def read(self, node):
-        known = node.get("__id__")
-        if known is not None and known in self.made:
-            return self.made[known]
-        make = getattr(self, f"_{node['__loader__']}", None)
-        if make is None:
-            raise OtherContentError(node["__loader__"])
-        made = make(node, f"{node['__module__']}.{node['__class__']}")
-        if known is not None:
-            self.made[known] = made
-        return made
-
-    def _JsonNode(self, node, _):  # noqa: N802 - the names are those in the file
-        return json.loads(node["content"])
-
-    def _TypeNode(self, node, name):  # noqa: N802
-        if name.removeprefix("builtins.") not in _KEYS:
-            raise OtherContentError(name)
-        return _KEYS[node["__class__"]]
-
-    def _DictNode(self, node, name):  # noqa: N802
-        if name != "builtins.dict":
-            raise OtherContentError(name)
-        kinds = self.read(node["key_types"])
-        pairs = zip(kinds, node["content"].items(), strict=True)
-        return {kind(key): self.read(value) for kind, (key, value) in pairs}
-
-    def _ListNode(self, node, name):  # noqa: N802
-        if name != "builtins.list":
-            raise OtherContentError(name)
-        return [self.read(one) for one in node["content"]]
-
-    def _TupleNode(self, node, name):  # noqa: N802
-        content = tuple(self.read(one) for one in node["content"])
-        if name == "builtins.tuple":
-            return content
-        kind = self._kind(name)
-        if not (issubclass(kind, tuple) and hasattr(kind, "_fields")):
-            raise OtherContentError(name)
-        return kind(*content)
-
-    def _NdArrayNode(self, node, name):  # noqa: N802
-        if node["type"] != "numpy":
-            raise OtherContentError(node["type"])
-        values = np.load(BytesIO(self.file.read(node["file"])), allow_pickle=False)
-        if name == "numpy.ndarray":
-            return values
-        kind = getattr(np, node["__class__"], None)
-        if node["__module__"] != "numpy" or not (
-            isinstance(kind, type) and issubclass(kind, np.generic)
-        ):
-            raise OtherContentError(name)
-        return kind(values)
-
-    def _ObjectNode(self, node, name):  # noqa: N802
-        kind: Any = self._kind(name)
-        made = kind.__new__(kind)
-        state = None if node.get("content") is None else self.read(node["content"])
-        if state is not None and hasattr(made, "__setstate__"):
-            made.__setstate__(state)
-        elif state is not None:
-            made.__dict__.update(state)
-        return made
-
-    def _kind(self, name):
-        if name not in self.kinds:
-            raise OtherContentError(name)
-        return self.kinds[name]
+    known, loader, name = node.get("__id__"), node["__loader__"], node["__class__"]
+    whole_name = f"{node['__module__']}.{name}"
+    kind: Any = kinds.get(whole_name)
+    value: Any
+    if known in made:
+        return made[known]
+    if loader == "JsonNode":
+        value = json.loads(node["content"])
+    elif loader == "TypeNode" and whole_name.removeprefix("builtins.") in _KEYS:
+        value = _KEYS[name]
+    elif loader == "DictNode" and whole_name == "builtins.dict":
+        keys = zip(read(node["key_types"]), node["content"], strict=True)
+        value = {key(text): read(node["content"][text]) for key, text in keys}
+    elif loader == "ListNode" and whole_name == "builtins.list":
+        value = [read(one) for one in node["content"]]
+    elif loader == "TupleNode" and whole_name == "builtins.tuple":
+        value = tuple(read(one) for one in node["content"])
+    elif loader == "TupleNode" and hasattr(kind, "_fields"):
+        value = kind(*(read(one) for one in node["content"]))
+    elif loader == "NdArrayNode" and node["type"] == "numpy" and whole_name in _ARRAYS:
+        value = np.load(BytesIO(file.read(node["file"])), allow_pickle=False)
+        value = value if name == "ndarray" else getattr(np, name)(value)
+    elif loader == "ObjectNode" and kind is not None:
+        value = kind.__new__(kind)
+        if node.get("content") is not None:
+            getattr(value, "__setstate__", vars(value).update)(read(node["content"]))
+    else:
+        raise OtherContentError(f"{loader} of {whole_name}")
+    if known is not None:
+        made[known] = value
+    return value

@@ -5,7 +5,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations, permutations, product
+from itertools import chain, combinations, permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,7 +41,6 @@ _SPLITS = 25
 _ZERO = 0.9
 # Codes of joints whose own angle is a sum or a difference, and what is in `Arm.couplings` for them.
 _SUMS = {"coupled": 1, "uncoupled": -1}
-_CODE_OF = {factor: code for code, factor in _SUMS.items()}
 _OTHER_CONVENTION = {"standard": "modified", "modified": "standard"}
 # Axes of a tracker's points as they are, and with two exchanged.
 _AXES, _MIRRORED = (0, 1, 2), (1, 0, 2)
@@ -184,7 +183,7 @@ def search_table(
         near = [one for left, one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
         tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
 
-    def calibrated(one, options, **measured):
+    def calibrated(one, **measured):
         """The change, and its price: one for each thing changed, and the size of what is left.
 
         Two changes may differ by what calibration finds only, such as the probe. The likelier one
@@ -200,13 +199,14 @@ def search_table(
         ]
         turn, shift = align(*places)
         moved = np.sqrt(np.mean(np.square(places[0] @ turn.T + shift - places[1])))
-        parts = changed, tuple(one.columns), one.angle_unit, options, tuple(places[0][0].tolist())
+        parts = changed, tuple(one.columns), one.angle_unit, one.options
+        parts = *parts, tuple(places[0][0].tolist())
         scatter = result.typical_scatter_mm
         price = one.price + np.log(moved + scatter)
         return price, TableChange(one.change, scatter, given, *parts, axes=one.axes)
 
     different = {one.change: one for one in tried}.values()
-    found = [calibrated(one, _options(arm, one, angle_unit)) for one in different]
+    found = [*map(calibrated, different)]
     least, limit = min(one.scatter_mm for _, one in found), _COINCIDE * arm.reach_mm
     limit = min(_WORTH_SAYING * given, limit)
     rarer = _rarer_changes(arm, (raw, positions, points, angle_unit), others or {})
@@ -214,8 +214,9 @@ def search_table(
         if (one := next(rarer, None)) is None:
             return None
         change, options, other, measured = one
-        whole = _Candidate(0, change, other, {}, [*range(arm.n_joints)], _AXES, angle_unit)
-        found = [calibrated(whole, options, **measured)]
+        straight = [*range(arm.n_joints)]
+        whole = _Candidate(0, change, options, other, {}, straight, _AXES, angle_unit)
+        found = [calibrated(whole, **measured)]
         least = found[0][1].scatter_mm
     found = sorted(found, key=lambda entry: (entry[0], entry[1].change))
     first, *equals = (one for _, one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
@@ -232,7 +233,7 @@ def _rarer_changes(arm, measured, others):
     by name; what differs is what `_calibrated` takes instead.
     """
     angles, positions, points, unit = measured
-    n, as_given = len(angles), _Candidate(0, "", arm, {}, [*range(arm.n_joints)], _AXES, unit)
+    n, as_given = len(angles), _Candidate(0, "", "", arm, {}, [*range(arm.n_joints)], _AXES, unit)
     codes: Any = None if positions is None else encode_groups(positions, n)[1]
 
     def left(row):  # where from this row on the base, or all cones, are elsewhere
@@ -396,23 +397,6 @@ def _sense_of_first_joint(arm):
     return round(arm.joint_signs[0] * axis @ up) * (-1 if arm.up_frame else 1)
 
 
-def _options(arm, one, unit):
-    """Options of `raacmm learn` that change an arm, the order of its angles and their unit."""
-    reversed_ = np.flatnonzero(arm.joint_signs != one.arm.joint_signs) + 1
-    turns = np.rad2deg(one.arm.theta_offset - arm.theta_offset).round().astype(int) % 360
-    order, own = ",".join(str(i + 1) for i in one.columns), arm.couplings
-    words = [
-        ("--take " + "-".join(["reversed", *map(str, reversed_)])) * bool(len(reversed_)),
-        *(f"--take {_CODE_OF[f]}-{j}-{i}" for i, j, f in one.arm.couplings if (i, j, f) not in own),
-        *(f"--take zero-{i + 1}-{turns[i]}" for i in np.flatnonzero(turns)),
-        "--take other-convention" * (arm.convention != one.arm.convention),
-        f"--angles with the columns {order}" * (one.columns != sorted(one.columns)),
-        f"--unit {one.angle_unit}" * (one.angle_unit != unit),
-        "--points with two of its columns exchanged" * (one.axes != _AXES),
-    ]
-    return " ".join(word for word in words if word)
-
-
 def _calibrated(arm, angles, positions, points, unit, stations=None):
     """The calibration by what was measured."""
     where = {"groups": positions} if points is None else {"points": points, "stations": stations}
@@ -424,6 +408,7 @@ class _Candidate(NamedTuple):
 
     price: float
     change: str
+    options: str
     given: Arm
     changed: dict[str, Any]
     columns: list[int]
@@ -437,15 +422,22 @@ class _Candidate(NamedTuple):
 
 
 def _candidates(arm, unit, largest, has_points):
-    """Yield every candidate, the arm as it is given left out."""
-    n, straight = arm.n_joints, [*range(arm.n_joints)]
+    """Yield every candidate, the arm as it is given left out.
+
+    Each is one of the changes of joints, of the convention, of the unit and of the points' hand:
+    words, options of `raacmm learn`, price, and what is changed.
+    """
+    n, straight, types = arm.n_joints, [*range(arm.n_joints)], arm.joint_types
     # Orders with the given senses, and senses in the given order: both wrong at once is rare.
-    joints: list[Any] = [(["the joints in reverse order"], 1, straight[::-1], {})]
-    types = arm.joint_types
-    joints *= types == types[::-1]  # rad and mm are not exchanged, nor added
-    for i, j in ((i, j) for i, j in combinations(range(n), 2) if types[i] == types[j]):
-        columns = [{i: j, j: i}.get(column, column) for column in straight]
-        joints.append(([f"joints {i + 1} and {j + 1} exchanged"], 1, columns, {}))
+    alike = [(i, j) for i, j in permutations(range(n), 2) if types[i] == types[j]]
+    orders = [(f"joints {i + 1} and {j + 1} exchanged", {i: j, j: i}) for i, j in alike if i < j]
+    if types == types[::-1]:  # rad and mm are not exchanged, nor added
+        orders.append(("the joints in reverse order", dict(enumerate(straight[::-1]))))
+    joints: list[Any] = []
+    for words, order in orders:
+        columns = [order.get(column, column) for column in straight]
+        shown = ",".join(str(column + 1) for column in columns)
+        joints.append(([words], [f"--angles with the columns {shown}"], 1, (columns, {})))
     # Zeros of the first joint and the last are free: base and probe go with them.
     turning = [j for j in straight[1:-1] if types[j] == "R"]
     single = [{j: degrees} for j in turning for degrees in (90, 180, 270)]
@@ -456,33 +448,39 @@ def _candidates(arm, unit, largest, has_points):
         for turned in zeros:
             words = [f"joint{'s' * (len(which) > 1)} {' and '.join(which)} reversed"] * bool(which)
             words += [f"the zero of joint {j + 1} turned by {turned[j]} degrees" for j in turned]
+            options = ["--take " + "-".join(["reversed", *which])] * bool(which)
+            options += [f"--take zero-{j + 1}-{turned[j]}" for j in sorted(turned)]
             offset = _turned(arm, np.array([turned.get(j, 0) for j in straight]))
             changed = {"joint_signs": arm.joint_signs * signs, "theta_offset": offset}
-            joints.append((words, len(which) + _ZERO * len(turned), straight, changed))
-    alike = [(i, j) for i, j in permutations(range(n), 2) if types[i] == types[j]]
-    for (i, j), factor, sign in product(alike, (1, -1), (1, -1)):
+            price = len(which) + _ZERO * len(turned)
+            joints.append((words, options, price, (straight, changed)))
+    for (i, j), (code, factor), sign in product(alike, _SUMS.items(), (1, -1)):
         text = f"{'-' * (sign < 0)}J{i + 1} {'- +'[1 + sign * factor]} J{j + 1}"
-        words = [f"joint {i + 1} at {text}"]
+        options = [f"--take reversed-{i + 1}"] * (sign < 0) + [f"--take {code}-{j + 1}-{i + 1}"]
         signs = arm.joint_signs * np.where(np.arange(n) == i, sign, 1)
-        sums = (*arm.couplings, (i + 1, j + 1, factor))
-        joints.append((words, 1 + (sign < 0), straight, {"joint_signs": signs, "couplings": sums}))
+        changed = {"joint_signs": signs, "couplings": (*arm.couplings, (i + 1, j + 1, factor))}
+        joints.append(([f"joint {i + 1} at {text}"], options, 1 + (sign < 0), (straight, changed)))
     other = _OTHER_CONVENTION[arm.convention]
-    conventions: Any = [([], arm.convention), ([f"the {other} convention"], other)]
-    units: Any = [([], unit)]
+    conventions: Any = [([], [], 0, arm.convention)]
+    conventions.append(([f"the {other} convention"], ["--take other-convention"], 1, other))
+    units: Any = [([], [], 0, unit)]
     # Read as degrees, an arm in radians hardly moves, and its points scatter little for that.
     if (largest > 2 * np.pi) == (unit == "rad"):
-        wrong = {"rad": ("the angles in degrees", "deg"), "deg": ("the angles in radians", "rad")}
-        units.append(([wrong[unit][0]], wrong[unit][1]))
+        word, other = {"rad": ("degrees", "deg"), "deg": ("radians", "rad")}[unit]
+        units.append(([f"the angles in {word}"], [f"--unit {other}"], 1, other))
     # Two exchanged columns make left-handed points right-handed, whatever mirrored them.
-    hands: Any = [([], _AXES)]
+    hands: Any = [([], [], 0, _AXES)]
     if has_points:
-        hands.append((["the points mirrored (an axis negated, or two exchanged)"], _MIRRORED))
-    for (words, price, columns, changed), *rest in product(joints, conventions, units, hands):
-        if said := [*words, *(word for one, _ in rest for word in one)]:
-            form, angle_unit, axes = (value for _, value in rest)
-            price += len(said) - len(words)
-            other = {"convention": form, **changed}
-            yield _Candidate(price, " and ".join(said), arm, other, columns, axes, angle_unit)
+        said = ["the points mirrored (an axis negated, or two exchanged)"]
+        hands.append((said, ["--points with two of its columns exchanged"], 1, _MIRRORED))
+    for each in product(joints, conventions, units, hands):
+        words, options, prices, ((columns, changed), form, angle_unit, axes) = zip(
+            *each, strict=True
+        )
+        if words := [*chain(*words)]:
+            said = " and ".join(words), " ".join(chain(*options))
+            changed = {"convention": form, **changed}
+            yield _Candidate(sum(prices), *said, arm, changed, columns, axes, angle_unit)
 
 
 def _quick_scatter(one, angles, codes, points):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, Change, as_prior, day
 from sklearn_raacmm.correction._changes import named_changes
-from sklearn_raacmm.correction._explanations import what_is_wrong
+from sklearn_raacmm.correction._what_is_wrong import what_is_wrong
 from sklearn_raacmm.correction._rows import (
     REGISTERED_PLACE_MM,
     Expected,

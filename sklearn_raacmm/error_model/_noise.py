@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from sklearn_raacmm.inference import evidence_variance
+from sklearn_raacmm.utils import stage
 
 # The guess that joints are alike counts as so many observations of each joint's noise.
 _COUNTS = 3.0
@@ -68,6 +69,7 @@ def _beside(shown):
     return (1 - np.square(shown).sum(axis=2).round())[:, :, None] * np.eye(3)
 
 
+@stage("noise of each joint")
 def joint_noise(
     left: np.ndarray,
     levers: np.ndarray,

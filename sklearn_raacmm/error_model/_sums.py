@@ -36,7 +36,7 @@ from sklearn_raacmm.arm import Arm, phases
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
 from sklearn_raacmm.measurements import Form, known_length
-from sklearn_raacmm.utils import chunks, group_sums, summing
+from sklearn_raacmm.utils import chunks, group_sums, stage, summing
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
 _CHUNK = 1024
@@ -128,6 +128,7 @@ class Rows(NamedTuple):
         return sums._replace(extra=length_equations(self, columns)) if self.lengths else sums
 
 
+@stage("sums over the poses")
 def candidate_sums(rows, columns):
     """Sum up what the choice of harmonics needs, as `Sums`.
 

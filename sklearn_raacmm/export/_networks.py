@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.export._program import OPERATIONS
 from sklearn_raacmm.network import by_feature, radial
 
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
@@ -17,11 +18,10 @@ MOST_CENTERS = 2000
 _CLEAR = 1e-6
 
 
-# Operations of the functions that a kernel may consist of.
-_FUNCTIONS = {
-    "add": "add", "subtract": "sub", "multiply": "mul", "divide": "div", "maximum": "max",
-    "minimum": "min", "less": "less", "sqrt": "sqrt", "exp": "exp", "sin": "sin", "cos": "cos",
-}  # fmt: skip
+# Operations by the functions of NumPy that a kernel may consist of.
+_FUNCTIONS: dict[Any, str] = {np.less: "less"}
+_FUNCTIONS |= {f: name for name, f in OPERATIONS.items() if isinstance(f, np.ufunc)}
+del _FUNCTIONS[np.arctan2]  # which holds in the right half plane only
 
 
 class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
@@ -31,30 +31,27 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
         self.p, self.value = p, value
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
-        name, p = ufunc.__name__, self.p
-        values = [v.value if isinstance(v, _Traced) else v for v in inputs]
-        if name == "negative":
-            found = p("mul", *values, -1.0)
-        elif name == "square":
-            found = p("mul", *values, *values)
-        elif name == "greater_equal":
-            found = p("sub", 1.0, p("less", *values))
-        elif name in _FUNCTIONS:
-            found = p(_FUNCTIONS[name], *values)
-        else:
-            raise self._unknown(name)
-        return _Traced(p, found)
+        p, values = self.p, [v.value if isinstance(v, _Traced) else v for v in inputs]
+        if ufunc is np.greater_equal:
+            return _Traced(p, p("sub", 1.0, p("less", *values)))
+        if ufunc in (np.negative, np.square):
+            ufunc, values = np.multiply, [*values, -1.0 if ufunc is np.negative else values[0]]
+        if ufunc not in _FUNCTIONS:
+            raise _unknown(ufunc)
+        return _Traced(p, p(_FUNCTIONS[ufunc], *values))
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
-        if function is np.clip:
-            return np.minimum(np.maximum(*args[:2]), args[2])
-        raise self._unknown(function.__name__)
+        if function is not np.clip:
+            raise _unknown(function)
+        return np.minimum(np.maximum(*args[:2]), args[2])
 
-    def _unknown(self, name):
-        known = ", ".join([*_FUNCTIONS, "negative", "square", "greater_equal", "clip"])
-        return ValueError(
-            f"A kernel uses numpy.{name}, which cannot be written as C or ONNX; {known} can."
-        )
+
+def _unknown(function):
+    known = ", ".join(f.__name__ for f in (*_FUNCTIONS, np.negative, np.square, np.clip))
+    return ValueError(
+        f"A kernel uses numpy.{function.__name__}, which cannot be written as C or ONNX; {known} "
+        "can."
+    )
 
 
 def network(p, step, x, std):

@@ -39,7 +39,7 @@ WORDS = {
         "their axes are others: {}",
         "Give residuals in the arm's base frame, x, y and z in this order.",
     ),
-    "rows-shifted": ("they are of the row {}", _FILES),
+    "shifted-rows": ("they are of the row {}", _FILES),
     "moved-station": (
         "the base or the tracker moved{}",
         "Give each part by itself, after a registration of its own.",
@@ -203,7 +203,7 @@ def _late(y, expected, codes):
         is_late = np.arange(len(rows)) >= first
         left, of = np.where(is_late[:, None], *parts[::-1]), rows + step * is_late
         n_tried, row = (4 * len(rows), int(rows[first])) if first else (4, 0)
-        yield Explanation("rows-shifted", word, left, rows, n_tried, first=row, of=of)
+        yield Explanation("shifted-rows", word, left, rows, n_tried, first=row, of=of)
 
 
 def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:

@@ -229,6 +229,8 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, tmp_path, cap
     records = pd.read_csv(tmp_path / "checks.csv")
     assert records["suspect"].tolist() == ["nothing", *["harmonics of joint 4"] * 2]
     assert records["mean_mm"][1] > records["mean_high_mm"][1]
+    assert records["holds"].tolist() == [True, False, False]
+    assert records["said"].str.startswith("It ").all()
 
 
 def test_checks_raise_a_false_alarm_once_in_a_hundred():

@@ -1,7 +1,6 @@
 """The words for the life of an arm: register, update, move, check; by cones and by a tracker."""
 
 import functools
-import html
 import io
 import json
 import os
@@ -20,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, learn_correction
 from sklearn_raacmm.app import _report, main, read_table
-from sklearn_raacmm.app._life import save_step
+from sklearn_raacmm.app._life import highest_mean, save_step
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
@@ -126,6 +125,19 @@ def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, t
     assert corrected < 0.6 * bare
 
 
+def test_points_of_a_longer_probe_may_scatter_more(folder, tmp_path, capsys):
+    saved = Correction.load(folder / "cones")
+    step = {"what": "learn", "date": "2026-01-05", "probe_mm": saved.arm.probe.tolist()}
+    replace(saved, facts=saved.facts | {"history": [step]}).save(tmp_path)
+    plain = highest_mean(saved.facts["positions"]["after"], 5, 0.005)
+    for word, table in (("register", "new.csv"), ("check", "more.csv")):
+        code, printed = run(capsys, word, folder / table, "--model", tmp_path)
+    checked = Correction.load(tmp_path).facts["history"][-1]
+    # Errors of joints move the end of an arm by its lever: here up to 150 mm in 900 more.
+    assert 1.05 * plain < checked["expected_below_mm"] < 2 * plain
+    assert (code, checked["holds"]) == (0, True), printed
+
+
 def test_a_base_that_has_moved_is_named_and_registered(folder, tmp_path, capsys):
     out = tmp_path / "registered"
     start = ["register", folder / "new_points.csv", "--model", folder / "tracker", "--out", out]
@@ -183,7 +195,7 @@ def test_one_story_of_whatever_changes_the_model(folder, tmp_path, capsys, learn
     # The sentence of the check stands below the title, and its point in the chart.
     (sentence,) = re.findall(r"<strong>(.*?)</strong>", page)
     checked = Correction.load(out).facts["history"][-1]
-    assert sentence == html.escape(f"Checked on {step['date']}. {checked['said']}", quote=False)
+    assert sentence == f"Checked on {step['date']}. {checked['said'].replace('->', '→')}"
     assert checked["said"] in printed
     assert ('class="verdict good"' in page) == checked["holds"]
     assert page.count("<circle") == checked["holds"]

@@ -5,26 +5,10 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, PoseFeatures
 from sklearn_raacmm.arm import random_poses
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-
-
-def pose(turn, shift):
-    """Pose (4, 4) of a rotation vector and a shift, mm."""
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
-    return found
-
-
-def ends(arm, q):
-    """Poses (n, 4, 4) of the probe with the axes of the last frame."""
-    found = np.tile(np.eye(4), (len(q), 1, 1))
-    found[:, :3] = arm.frames(q)[:, -1]
-    return found @ pose([0, 0, 0], arm.probe)
-
 
 TABLES = {
     "tilts and turns": Arm.from_degrees(
@@ -37,7 +21,8 @@ TABLES = {
     ),
     "turns with its tilt": Arm.from_degrees([0, 0], [90, 0], [400, 200], couplings=[(2, 1, 1)]),
 }  # fmt: skip
-BASE = pose([0.0, 0.0, 2.0], [1500, 300, -100])
+COS, SIN = np.cos(2.0), np.sin(2.0)
+BASE = np.array([[COS, -SIN, 0, 1500], [SIN, COS, 0, 300], [0, 0, 1, -100], [0, 0, 0, 1]])
 
 
 @pytest.fixture(params=["ur10", "panda", "irb120", "ur10_rail"])
@@ -51,12 +36,14 @@ def table(request):
     return TABLES[request.param]
 
 
-def test_points_and_the_vertical_are_those_of_homogeneous_matrices(robot, table):
+def test_points_and_the_vertical_are_those_of_homogeneous_matrices(robot, table, matrices):
     arm, m = robot.seen_from(table, BASE), table.n_joints
     q, e = random_poses(robot, 40), random_poses(table, 40, np.random.default_rng(1))
     both = np.hstack([e[:, ::-1], q])
-    base = np.linalg.inv(ends(table, e)) @ BASE
-    assert_allclose(arm.forward(both), (base @ ends(robot, q))[:, :3, 3], atol=1e-9, rtol=0)
+    base = np.linalg.inv(matrices.ends(table, e)) @ BASE
+    assert_allclose(
+        arm.forward(both), (base @ matrices.ends(robot, q))[:, :3, 3], atol=1e-9, rtol=0
+    )
     upright = arm.frames(both)[:, arm.up_frame, :, :3] @ arm.up
     assert_allclose(upright, base[:, :3, :3] @ robot.up, atol=1e-12)
     assert Arm.from_json(arm.to_json()) == arm
@@ -67,7 +54,7 @@ def test_points_and_the_vertical_are_those_of_homogeneous_matrices(robot, table)
         assert_allclose(arm.limits, [*limits[0][::-1], *limits[1]])
 
 
-def test_gravity_bends_the_arm_as_without_a_positioner(robot, table):
+def test_gravity_bends_the_arm_as_without_a_positioner(robot, table, matrices):
     """What a load does to the arm is the same, whatever it is seen from."""
     robot = robot.replace(up=[0.1, 0.2, 1]) if robot.name == "panda" else robot
     if robot.convention == "standard":  # whose frames have other numbers
@@ -75,7 +62,7 @@ def test_gravity_bends_the_arm_as_without_a_positioner(robot, table):
     arm, m, terms = robot.seen_from(table, BASE), table.n_joints, (True, False, False)
     alone, seen = (columns_of(one, Terms(np.empty((0, 2), int), *terms)) for one in (robot, arm))
     q, e = random_poses(robot, 10), random_poses(table, 10, np.random.default_rng(1))
-    turn = (np.linalg.inv(ends(table, e)) @ BASE)[:, :3, :3]
+    turn = (np.linalg.inv(matrices.ends(table, e)) @ BASE)[:, :3, :3]
     own = turn @ alone.at(q) / alone.table["unit"]
     found = seen.at(np.hstack([e[:, ::-1], q])) / seen.table["unit"]
     assert len(alone.names) == len(seen.names)
@@ -86,13 +73,14 @@ def test_gravity_bends_the_arm_as_without_a_positioner(robot, table):
             assert_allclose(found[:, :, at], own[:, :, i], atol=1e-9 * np.abs(own).max(), rtol=0)
 
 
-def test_axes_that_are_all_but_parallel_are_taken_as_such():
+def test_axes_that_are_all_but_parallel_are_taken_as_such(matrices):
     """And the probe moves by no more than the warning says."""
-    robot, table, leaning = Arm.from_name("ur10"), TABLES["turns"], pose([0, 1e-3, 0], [900, 0, 0])
+    robot, table = Arm.from_name("ur10"), TABLES["turns"]
+    leaning = matrices.pose([0, 1e-3, 0], [900, 0, 0])
     with pytest.warns(UserWarning, match="joints 1 and 2 are 0.001 rad from parallel") as caught:
         arm = robot.seen_from(table, leaning)
     q, e = random_poses(robot, 40), random_poses(table, 40, np.random.default_rng(1))
-    wanted = (np.linalg.inv(ends(table, e)) @ leaning @ ends(robot, q))[:, :3, 3]
+    wanted = (np.linalg.inv(matrices.ends(table, e)) @ leaning @ matrices.ends(robot, q))[:, :3, 3]
     off = np.linalg.norm(arm.forward(np.hstack([e, q])) - wanted, axis=1).max()
     stated = float(re.search(r"by up to (\S+) mm", str(caught[0].message))[1])
     assert 0.1 * stated < off < stated

@@ -35,7 +35,7 @@ def log_evidences(residual, known, causes):
         unit = columns * np.sqrt(M) / max(np.linalg.norm(columns), 1e-300)
         logs = [
             multivariate_normal.logpdf(
-                residual, cov=f**2 * np.eye(M) + known @ known.T + v**2 * unit @ unit.T
+                residual, cov=f**2 * np.eye(M) + known @ known.T + (f * v) ** 2 * unit @ unit.T
             )
             for f in _NOISES
             for v in _SIZES

@@ -16,6 +16,7 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_point
 from sklearn_raacmm.metrics import fit_sphere
+from sklearn_raacmm.utils import collected_findings
 
 MACHINE = SimulatedArm("eccentricity", random_state=1)
 ARCSEC = np.pi / 180 / 3600
@@ -202,6 +203,20 @@ def test_a_new_probe_is_registered_by_touches(learned):
     measured = Measurements.of(test.data, test.groups, **given)
     assert_allclose(learned.register(measured).arm.probe, found.arm.probe, atol=1e-9)
     assert found.check(measured).holds
+
+
+def test_a_registration_keeps_the_probe_that_few_poses_do_not_show_to_be_another(learned):
+    """Of ten poses in two cones: the old one is better than what they find, another is found."""
+    with collected_findings() as found:
+        same = make_single_point(2, 5, machine=MACHINE, random_state=5)
+        kept = learned.register(same.data, same.groups)
+    assert [finding.code for finding in found] == ["same-probe"]
+    assert kept.arm == learned.arm
+    more = np.array([0.3, 0.0, 0.0])
+    other = changed(probe=MACHINE.true_arm.probe + more)
+    test = make_single_point(2, 5, machine=other, random_state=5)
+    moved = learned.register(test.data, test.groups)
+    assert_allclose(moved.arm.probe, learned.arm.probe + more, atol=0.1)
 
 
 def test_an_update_by_touches_of_a_ball_of_the_probe(learned):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, learn_correction
 
@@ -13,25 +12,14 @@ TILTS = Arm.from_degrees([0, 0], [90, -90], [0, 300], convention="modified", pro
 TURNS = Arm.from_degrees([0], [0], [700], probe=(0, 0, 50))
 
 
-def pose(turn, shift):
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
-    return found
-
-
-def ends(arm, q):
-    found = np.tile(np.eye(4), (len(q), 1, 1))
-    found[:, :3] = arm.frames(q)[:, -1]
-    return found @ pose([0, 0, 0], arm.probe)
-
-
 class Cell:
     """A UR10 and a positioner as they were built: lengths, angles and base are a little off.
 
     Joints turn by their encoders' eccentricity, and by the torque of weights at some frames.
     """
 
-    def __init__(self, table, seed):
+    def __init__(self, table, seed, matrices):
+        self.matrices, pose = matrices, matrices.pose
         self.rng = rng = np.random.default_rng(seed)
         base = [0.0, 0.0, 0.5], [1000.0, 200.0, -300.0]
         self.arm, self.n = ROBOT.seen_from(table, pose(*base)), table.n_joints
@@ -69,13 +57,14 @@ class Cell:
         weights, stiff = {2: 100, 3: 60, 5: 30, 6: 20}, np.array([2, 6, 6, 3, 3, 3]) * 1e-9
         q = self.turned(self.robot, angles[:, self.n :], weights, stiff)
         e = self.turned(self.table, angles[:, self.n - 1 :: -1], {self.n: 300}, 3e-9)
-        seen = np.linalg.inv(ends(self.table, e)) @ self.base @ ends(self.robot, q)
+        table, robot = self.matrices.ends(self.table, e), self.matrices.ends(self.robot, q)
+        seen = np.linalg.inv(table) @ self.base @ robot
         return seen[:, :3, 3]
 
 
 @pytest.mark.parametrize(("table", "seed"), [(TILTS, 0), (TURNS, 1)], ids=["tilts", "turns"])
-def test_what_is_left_at_places_unseen_is_near_the_share_of_the_noise(table, seed):
-    cell = Cell(table, seed)
+def test_what_is_left_at_places_unseen_is_near_the_share_of_the_noise(table, seed, matrices):
+    cell = Cell(table, seed, matrices)
     angles, unseen = cell.poses(N), cell.poses(1000)
     points = cell.points(angles) + cell.rng.normal(0, NOISE_MM, (N, 3))
     found = learn_correction(cell.arm, angles, points=points)
