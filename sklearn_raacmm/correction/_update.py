@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, Change, as_prior, day
 from sklearn_raacmm.correction._changes import named_changes
-from sklearn_raacmm.correction._what_is_wrong import what_is_wrong
 from sklearn_raacmm.correction._rows import (
     REGISTERED_PLACE_MM,
     Expected,
@@ -22,6 +21,7 @@ from sklearn_raacmm.correction._rows import (
     place_columns,
     why_too_few,
 )
+from sklearn_raacmm.correction._what_is_wrong import what_is_wrong
 from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor
 from sklearn_raacmm.measurements import EQUAL
 from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
