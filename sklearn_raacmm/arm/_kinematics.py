@@ -150,17 +150,18 @@ def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
     cos, sin, *links = _rows_of_table(arm, angles)
     if len(angles) == 1:  # by numbers, as in `carried`: a third of the time, and equal bits
         table = cos[:, 0].tolist(), sin[:, 0].tolist(), *links
-        of_axes = [[*_frames(arm, table, x, y, z, 0.0)] for x, y, z in np.eye(3).tolist()]
+        of_axes = [[*_frames(arm, table, axis)] for axis in np.eye(3, 4).tolist()]
         return np.array(of_axes).transpose(1, 2, 0)[..., None]
     out = np.zeros((len(cos) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
-    for frame, columns in zip(out, _frames(arm, (cos, sin, *links), *out[0]), strict=True):
+    for frame, columns in zip(out, _frames(arm, (cos, sin, *links), out[0]), strict=True):
         frame[0], frame[1], frame[2], frame[3] = columns
     return out
 
 
-def _frames(arm, table, x, y, z, origin):
-    """Yield x, y, z and origin of each frame: arrays, or numbers of one axis of the base."""
+def _frames(arm, table, base):
+    """Yield x, y, z and origin of each frame: arrays, or numbers along one axis of the base."""
+    x, y, z, origin = base
     yield x, y, z, origin
     for c, s, a, d, ca, sa in zip(*table, strict=True):
         if arm.convention == "standard":
