@@ -32,6 +32,19 @@ from .export._chains import form_a, form_b
 # Chains are fitted without groups: what they learn is not the question here.
 pytestmark = pytest.mark.filterwarnings("ignore:No groups were given")
 
+# Of the correction in ``correction/written_by_0.1.0.dev0``, at three poses by the version that
+# wrote it: mean and standard deviation in mm, and the share that is used.
+WAS_PREDICTED = [
+    [0.00029315, 0.00014399, -0.00106702],
+    [0.00331334, 0.00012723, -0.00052035],
+    [0.00275179, 0.00060706, -0.00096543],
+]
+WAS_STD = [
+    [0.00684169, 0.00762915, 0.00187501],
+    [0.00621386, 0.00693957, 0.00317885],
+    [0.00458388, 0.00683347, 0.00283288],
+]
+WAS_SHARE = [0.40246836, 0.40323801, 0.4046418]
 OTHER_PYTHONS = [f"python3.{minor}" for minor in range(11, 16) if minor != sys.version_info[1]]
 
 
@@ -116,11 +129,19 @@ def test_a_field_that_a_file_does_not_have_is_no_default(fitted):
             object.__new__(type(linear)).__setstate__(state)
 
 
-def test_a_folder_that_does_not_say_all_of_a_model_is_refused(skops):
-    """Written before the ranges of the poses were kept: a guess at them would be silent."""
+def test_an_earlier_folder_is_read(skops):
+    """Written before the prior of the table was given; what it predicted then is kept here."""
     folder = Path(__file__).parent / "correction" / "written_by_0.1.0.dev0"
-    with pytest.raises(ValueError, match=r"was written by .* 0\.1\.0\.dev0, whose model"):
-        Correction.load(folder)
+    model = Correction.load(folder).model
+    angles = make_single_point(8, 10, machine="eccentricity", random_state=0).data[:3]
+    mean, std = model.predict(angles, return_std=True)
+    np.testing.assert_allclose(mean, WAS_PREDICTED, rtol=1e-4)
+    np.testing.assert_allclose(std, WAS_STD, rtol=1e-5)
+    np.testing.assert_allclose(model.fading(angles), WAS_SHARE, rtol=1e-5)
+    linear = model.linear_model_
+    assert linear.noise_of_rows == pytest.approx((1 - 0.083056252) * linear.noise_variance)
+    share = np.square(linear.lever_mm) @ linear.noise_of_joints / linear.noise_variance
+    assert share == pytest.approx(0.083056252)
 
 
 def interpreters():
@@ -251,3 +272,19 @@ def test_an_arm_from_skops_is_as_immutable_as_any(skops, data):
     assert hash(loaded) == hash(data.arm)
     with pytest.raises(ValueError, match="read-only"):
         loaded.d[0] = 0.0
+
+
+def test_an_earlier_folder_knows_the_scale_of_its_calibration(skops):
+    """Its root had no scale in it: what the calibration left open is drawn beside it."""
+    folder = Path(__file__).parent / "correction" / "written_by_0.1.0.dev0"
+    correction = Correction.load(folder)
+    linear = correction.model.linear_model_
+    assert len(linear.seen) == 7  # three shifts, three turns and the scale: it has no gravity
+    assert np.all(linear.ranges == [[-np.pi] * 6, [np.pi] * 6])
+    whole = correction.facts["scale_sd"]
+    assert np.hypot(linear.scale_sd, correction.scale_sd) == pytest.approx(whole)
+    angles = make_single_point(8, 10, machine="eccentricity", random_state=0).data
+    lengths, std = correction.distances(angles[:10], angles[-10:])
+    assert np.all(std > 0.9 * whole * lengths)
+    again = pickle.loads(pickle.dumps(correction.model))
+    np.testing.assert_array_equal(again.predict(angles), correction.model.predict(angles))

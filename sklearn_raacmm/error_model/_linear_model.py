@@ -51,14 +51,18 @@ _NOTHING, _NEVER = 1e-6, 1e-9
 # Divides the roots of a noise of 0, mm.
 _NO_NOISE = 1e-150
 
-# Shapes of what a file holds.
+# Shapes of what a file holds. Roots of one that was written when `seen` was not in it.
 _SHAPES = {
     "coef": ("columns",),
     "half": ("columns", "rank"),
     "log_bayes_factor": ("pairs",),
     "noise_of_joints": ("joints",),
     "lever_mm": ("joints",),
-    "ranges": (2, "inputs"),
+}
+_BEFORE = {
+    "half": ("columns", "rank"),
+    "gauge_free_half": ("columns", "rank"),
+    "fading_half": ("columns", "fading"),
 }
 _OF_HARMONICS = (
     "joint", "order", "amplitude_arcsec", "phase_deg", "cos_arcsec", "sin_arcsec",
@@ -138,7 +142,16 @@ class LinearModel:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         values = dict(state)
+        before = _BEFORE.keys() <= values.keys() and "seen" not in values
+        if "noise_of_angles" in values and "noise_variance" in values:  # until 0.1.0.dev0
+            share, variance = values.pop("noise_of_angles"), values.pop("noise_variance")
+            n, lever = values["arm"].n_joints, values["lever_mm"]
+            values["noise_of_joints"] = np.full(n, share * variance / lever**2)
+            values["noise_of_rows"] = (1 - share) * variance
+            values["lever_mm"] = np.full(n, lever / np.sqrt(n))
         wanted = {"arm", "terms", *(f.name for f in fields(self)[1:])}
+        if before:
+            wanted ^= {"seen", "ranges", "informed_half", *_BEFORE}
         # A default would be a guess at what another version knew of this model.
         if missing := sorted(wanted.difference(values)):
             raise ValueError(
@@ -154,14 +167,16 @@ class LinearModel:
                 f"{arm.n_joints}."
             )
         layout = columns_of(arm, terms)
-        shapes: dict[str, Any] = dict(_SHAPES)
-        if len(values["seen"]):
+        shapes: dict[str, Any] = _SHAPES | (_BEFORE if before else {"ranges": (2, "inputs")})
+        if not before and len(values["seen"]):
             shapes["seen"] = ("fields", "rank")
         if values.get("informed_half") is not None:
             shapes["informed_half"] = ("columns", "informed")
         n = 2 * len(pairs) + len(layout.others)
         sizes = {"columns": n, "pairs": len(pairs), "joints": arm.n_joints}
         check_shapes("LinearModel", values, shapes, sizes)
+        if before:
+            values = _as_now(values, layout)
         vars(self).update(values, layout=layout)
 
     @property
@@ -443,6 +458,24 @@ def _poses_in(arm, ranges):
     turns = own_angles(arm, np.eye(n))
     tried = rng.uniform(ranges[0], ranges[1], (_TRIED, ranges.shape[1]))
     return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
+
+
+def _as_now(values, layout):
+    """The fields of a file that was written when `seen` was not among them, as they are today.
+
+    It does not say in which ranges the model was learnt: all turns count.
+    """
+    half, shown, fading = (values.pop(name) for name in _BEFORE)
+    values.pop("scale_sd", None)  # that of `half`
+    arm, extra = layout.arm, layout.terms.extra
+    of_place, seen = place_fields(layout), NOTHING_SEEN
+    if not np.array_equal(half, shown):
+        seen = np.linalg.lstsq(of_place, half - shown, rcond=None)[0]
+        half = shown + of_place @ seen
+    usual = [reference[0] for _, reference in extra]
+    ranges = np.array([[turn] * arm.n_joints + usual for turn in (-np.pi, np.pi)])
+    informed = None if np.array_equal(fading, shown) else fading
+    return values | {"half": half, "seen": seen, "ranges": ranges, "informed_half": informed}
 
 
 def _triangle(half, n_pairs):
