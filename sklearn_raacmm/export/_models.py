@@ -32,9 +32,11 @@ from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, 
 
 # In place of a length that is nothing.
 _TINY = 1e-30
-# The largest number of 16 bits, and by which share of themselves they may move deviations, at every
-# so manieth pose.
-_INT16, _OFF, _SEEN = 2**15 - 1, 1e-3, 10
+# The largest number of 16 bits, and by which share of themselves they may move deviations: half of
+# what is promised. So many poses in the ranges of the fit and each so manieth from far to near are
+# looked at: half of them make the rounding good (so little, as a share of its size, where none is),
+# half judge. Deviations at a UR10's own poses are 5.8e-4 off at most, 1.2e-3 by rounding alone.
+_INT16, _OFF, _NEAR, _SEEN, _UNSEEN = 2**15 - 1, 5e-4, 400, 5, 0.1
 
 
 # -- the whole chain ------------------------------------------------------------------------------
@@ -309,7 +311,7 @@ def linear_model(chain, linear, fading):
         if not len(used):
             return p.constant(np.zeros(3))
         root, of_rows = root[used], p.take(sizes, used)
-        if seen is not None and (found := _in_16_bits(root, seen[:, order[used]])):
+        if seen is not None and (found := _in_16_bits(root, *(at[:, order[used]] for at in seen))):
             root, of_rows = found[0], p("mul", of_rows, found[1])
         elif small:  # seven digits do where no correction depends on more
             root = root.astype(np.float32)
@@ -323,7 +325,11 @@ def linear_model(chain, linear, fading):
     poses = _poses(chain, linear) if small and fades else None
     v = None
     if chain.std:
-        seen = None if poses is None else linear.columns(poses[::_SEEN]).reshape(-1, m)
+        seen = None
+        if poses is not None:
+            near = np.random.default_rng(0).uniform(*linear.ranges, (_NEAR, poses.shape[1]))
+            poses = np.concatenate([near, poses[::_SEEN]])
+            seen = [linear.columns(at).reshape(-1, m) for at in (poses[::2], poses[1::2])]
         v = variances(triangle(linear.gauge_free_half), seen)
     if not fades:
         return y, v, None
@@ -340,14 +346,23 @@ def linear_model(chain, linear, fading):
     return y, v, doubt
 
 
-def _in_16_bits(root, columns):
+def _in_16_bits(root, columns, others):
     """Whole numbers for a root and the unit of each row, or None where deviations feel it.
 
     They do where columns that are known together only, such as lengths and zeros of joints, nearly
-    cancel; not among waves, of which large models have most.
+    cancel; not among waves, of which large models have most. What the rounding of a row changes at
+    the `others` is made good by the rows behind it (nearest plane, Babai 1986): that halves it.
+    `columns` (n, m) at other poses judge.
     """
-    unit = np.abs(root).max(axis=1) / _INT16
-    whole = np.rint(root / unit[:, None])
+    m, unit = len(root), np.abs(root).max(axis=1) / _INT16
+    size = np.linalg.norm(others, axis=0)
+    held = np.diag(np.where(size > 0, _UNSEEN * size, 1.0))
+    plane = np.linalg.qr(np.vstack([others, held])[:, ::-1], mode="r")
+    left, whole = plane @ root[::-1], np.zeros(root.shape)
+    for row, i in enumerate(reversed(range(m))):
+        wanted = left[i] / (plane[i, i] * unit[row])
+        whole[row] = np.where(root[row], np.clip(np.rint(wanted), -_INT16, _INT16), 0.0)
+        left[:i] -= np.outer(plane[:i, i], whole[row] * unit[row])
     exact, near = (np.linalg.norm(columns @ r, axis=1) for r in (root, whole * unit[:, None]))
     return (whole.astype(np.int16), unit) if np.all(abs(near - exact) <= _OFF * exact) else None
 

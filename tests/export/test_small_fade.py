@@ -79,14 +79,30 @@ def test_16_bits_a_number_are_taken_where_deviations_do_not_feel_it(models):
     root = max((op.given["root"] for op in program.ops if op.name == "variances"), key=np.size)
     assert root.dtype == np.float32
     np.testing.assert_allclose(run(program, X)["std"], std, rtol=3e-4)
-    columns = model.linear_model_.columns(X).reshape(3 * len(X), -1)
+    columns = model.linear_model_.columns(X)
+    columns, others = (part.reshape(3 * len(part), -1) for part in (columns[::2], columns[1::2]))
     half = model.linear_model_.gauge_free_half
-    assert _in_16_bits(half, columns) is None
+    assert _in_16_bits(half, columns, others) is None
     waves = slice(model.linear_model_.layout.n_waves)
-    whole, unit = _in_16_bits(half[waves], columns[:, waves])
-    exact = np.linalg.norm(columns[:, waves] @ half[waves], axis=1)
-    found = np.linalg.norm((columns[:, waves] * unit) @ whole, axis=1)
-    np.testing.assert_allclose(found, exact, rtol=1e-3)
+    half, columns, others = half[waves], columns[:, waves], others[:, waves]
+    whole, unit = _in_16_bits(half, columns, others)
+    exact = np.linalg.norm(columns @ half, axis=1)
+    found = np.linalg.norm((columns * unit) @ whole, axis=1)
+    np.testing.assert_allclose(found, exact, rtol=5e-4)
+
+
+def test_rounding_of_columns_that_go_together_is_made_good():
+    rng = np.random.default_rng(0)
+    root = np.tril(rng.normal(size=(60, 60)))
+    few = rng.normal(size=(10, 60))
+    others, columns = (rng.normal(size=(n, 10)) @ few for n in (300, 200))
+    whole, unit = _in_16_bits(root, columns, others)
+    assert np.all(np.triu(whole, 1) == 0)
+    off, plain = (
+        np.linalg.norm(columns @ (numbers * unit[:, None] - root))
+        for numbers in (whole, np.rint(root / unit[:, None]))
+    )
+    assert off < 0.5 * plain
 
 
 @needs_compiler
