@@ -12,8 +12,9 @@ from sklearn_raacmm.datasets import fetch_panda_ball_socket, fetch_ur10_tracker
 
 DOC = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOC))
+from _glossary import link_terms, terms_of  # noqa: E402
 from _results import substitutions  # noqa: E402
-from _sphinx import link_terms, terms_of, with_sections, write_inventories  # noqa: E402
+from _sphinx import with_sections, write_inventories  # noqa: E402
 
 project = "sklearn_raacmm"
 author = "The sklearn_raacmm developers"

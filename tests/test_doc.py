@@ -142,9 +142,9 @@ def results(script):
 
 def test_terms_are_linked_where_a_page_uses_them_first(script):
     nodes = pytest.importorskip("docutils.nodes")
-    sphinx = script("_sphinx")
+    glossary = script("_glossary")
     definitions = [nodes.term(text=words) for words in ("eccentricity", "2S", "gauge, ball bar")]
-    terms = sphinx.terms_of(nodes.definition_list("", *definitions))
+    terms = glossary.terms_of(nodes.definition_list("", *definitions))
     assert terms["ball bar"] == terms["gauge"] == definitions[2]["ids"][0] == "term-gauge"
     page = nodes.section(
         "",
@@ -153,7 +153,7 @@ def test_terms_are_linked_where_a_page_uses_them_first(script):
         nodes.paragraph(text="a ball bar, eccentricity, 2S"),
     )
     text = page.astext()
-    sphinx.link_terms(page, terms, "glossary.html")
+    glossary.link_terms(page, terms, "glossary.html")
     links = [(link.astext(), link["refuri"]) for link in page.findall(nodes.reference)]
     assert links == [("Gauges", "glossary.html#term-gauge"), ("2S", "glossary.html#term-2s"),
                      ("eccentricity", "glossary.html#term-eccentricity")]  # fmt: skip

@@ -23,7 +23,7 @@ MODEL = ArmResidualRegressor(orders=2, causes=["kinematics", "wobble"])
 
 def touched(*n, **given):
     machine = SimulatedArm("eccentricity", random_state=1)
-    return make_features(*n, machine=machine, random_state=1, **given)
+    return make_features(*n, machine=machine, **{"random_state": 1} | given)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,9 @@ def test_measurements_say_the_same(test, learned):
 
 def test_blocks_sizes_and_the_probes_ball():
     """A slipped touch is no lesson; a block is judged by its own length, by another one."""
-    test = touched(3, 0, 2, 20, blocks=[100.0, 500.0, 300.0], tip_diameter=6.0)
+    # Of the touches of seed 1 a good one has a weight of 0.01 beside the model, or of 0.
+    given = {"blocks": [100.0, 500.0, 300.0], "tip_diameter": 6.0, "random_state": 2}
+    test = touched(3, 0, 2, 20, **given)
     slipped = test.data.copy()
     slipped[5, 1] += 1e-3
     given = {"features": test.features, "lengths": test.lengths, "tip_diameter": 6.0}
