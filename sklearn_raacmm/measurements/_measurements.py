@@ -151,7 +151,7 @@ class Measurements:
                 found[f"{name}_labels"] = tuple(names.tolist())
         lengths, features = listed("lengths", lengths), listed("features", features)
         if groups is not None:
-            found["labels"], found["index"] = encode_groups(groups, n)
+            found["labels"], found["index"] = encode_groups(groups, n, "groups (positions)")
             named = found["labels"].tolist()
             found["lengths"] = [check_length(entry, named) for entry in lengths]
             if features:

@@ -99,7 +99,7 @@ def test_some_rows_keep_what_belongs_to_them():
         ({"points": np.zeros((3, 3))}, r"points must have shape \(20, 3\)"),
         ({"groups": np.zeros(20), "stations": np.zeros(20)}, "stations are of measured points"),
         ({"lengths": [(0, 1, 100.0, 0.01)]}, "lengths and features are of groups"),
-        ({"groups": np.zeros(19)}, "groups names 19 samples, but there are 20"),
+        ({"groups": np.zeros(19)}, r"groups \(positions\) names 19 samples, but there are 20"),
         ({"groups": np.zeros(20), "extra": {"load": [1, 2]}}, r"extra\['load'\] must have shape"),
         ({"points": np.zeros((20, 3)), "features": [(0, "plane")]}, "features are groups of"),
     ],
