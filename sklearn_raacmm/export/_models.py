@@ -327,7 +327,8 @@ def linear_model(chain, linear, fading):
     if chain.std:
         seen = None
         if poses is not None:
-            near = np.random.default_rng(0).uniform(*linear.ranges, (_NEAR, poses.shape[1]))
+            low, high = linear.ranges
+            near = np.random.default_rng(0).uniform(low, high, (_NEAR, len(low)))
             poses = np.concatenate([near, poses[::_SEEN]])
             seen = [linear.columns(at).reshape(-1, m) for at in (poses[::2], poses[1::2])]
         v = variances(triangle(linear.gauge_free_half), seen)
@@ -357,7 +358,7 @@ def _in_16_bits(root, columns, others):
     m, unit = len(root), np.abs(root).max(axis=1) / _INT16
     size = np.linalg.norm(others, axis=0)
     held = np.diag(np.where(size > 0, _UNSEEN * size, 1.0))
-    plane = np.linalg.qr(np.vstack([others, held])[:, ::-1], mode="r")
+    plane = np.asarray(np.linalg.qr(np.vstack([others, held])[:, ::-1], mode="r"))
     left, whole = plane @ root[::-1], np.zeros(root.shape)
     for row, i in enumerate(reversed(range(m))):
         wanted = left[i] / (plane[i, i] * unit[row])

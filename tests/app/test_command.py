@@ -283,7 +283,7 @@ def test_an_arm_that_no_correction_helps(off_mm, code, verdict, box, tmp_path, c
     assert re.search(r"calibration changed .*length [ad] of joint \d [+-]0\.\d+ mm \(sd 0", printed)
     assert "known lengths" not in printed  # one cannot be judged by another
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert f'<p class="{box}"><strong>{verdict}' in report
+    assert f'<p class="{box}">When it was learnt: <strong>{verdict}' in report
     # Whoever uses it all the same is told so.
     assert main(["export", "--model", str(tmp_path), "--c", str(tmp_path / "c")]) == 0
     assert f"note: {verdict}" in capsys.readouterr().err
