@@ -185,12 +185,8 @@ def _shares(share, of_folds):
 
 def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
     """Scores of checked data with the calibration of all of them; `folds` hold no outliers."""
-    with ignored_findings():  # whatever there is to say is said of the calibration
-        # Probe and base alone: numbers so few that the rows left out may be among those of the fit.
-        kept = np.delete(np.arange(len(data.angles)), outliers)
-        as_given = data.calibrate(kept, free=["probe"])
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
-        delayed(_one_fold)(data, model, as_given, train, test) for train, test in folds
+        delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
     given, before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
     lengths, fold_shares = [], []
@@ -266,12 +262,13 @@ def folds_of(data, outliers, cv):
     return folds
 
 
-def _one_fold(data, model, as_given, train, test):
+def _one_fold(data, model, train, test):
     """Deviations as given, before, after, and standard deviations at the rows left out; lengths."""
     train, lonely = data.without_lonely(train)
     with ignored_findings():  # whatever there is to say is said of all rows
         known = np.sort(np.r_[train, lonely])
         calibration = data.calibrate(known)
+        as_given = data.calibrate(known, free=["probe"])
         fitted, noise = data.fit(model, calibration, train)
         share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
