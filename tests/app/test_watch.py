@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm.app import Table, _watch, main
+from sklearn_raacmm.app._report import render
 from sklearn_raacmm.arm import solve
 from sklearn_raacmm.datasets import make_single_point
 
@@ -50,6 +51,15 @@ def test_each_wrong_row_is_named_within_two_rows(test):
     n, text = first["row 65 (cone 2)"]
     assert n <= 67
     assert "is where cone 6 is" in text
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_the_page_of_the_first_rows(test, n):
+    arm, angles, labels = test
+    seen = _watch._Seen(arm, None)
+    seen.take(as_table(angles[:n], labels[:n]))
+    page = render("_watch.html", **vars(seen), title="cone.csv", time="12:00:00")
+    assert page.count('width="7"') == n
 
 
 def test_the_page_of_a_growing_table(test, tmp_path, monkeypatch, capsys, read_page):
