@@ -2,8 +2,8 @@
 
 Every local link has to lead to a file, and to an anchor of it where it names one. Nothing of the
 building machine or of a failed build may stand in the text: no path of the project's folder, no
-traceback, no number that was not filled in. The page of a script of the gallery
-has to have its pictures and words. Exit code 1 and one line for each finding otherwise.
+traceback, no number that was not filled in. The page of a script of the gallery has to have its
+pictures, and what the script prints. Exit code 1 and one line for each finding otherwise.
 """
 
 import re
@@ -16,7 +16,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 # What must not be read on a page; sources of the package, shown as they are, are exempt.
 UNWANTED = {
     "a path of the building machine": re.compile(
-        re.escape(str(PROJECT)) + r"\b|/home/\w|/tmp/\w|/root/\w"
+        re.escape(str(PROJECT)) + r"\b|/(?:home|tmp|root)/\w"
     ),
     "a traceback": re.compile(r"Traceback \(most recent call last\):(?!\s+\.\.\.)"),
     "a number that was not filled in": re.compile(r"\{\{ ?\w+ ?\}\}"),
@@ -42,8 +42,8 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.links, self.anchors, self.words = [], set(), []
-        self._hidden = 0
+        self.links, self.anchors, self.words, self.printed = [], set(), [], []
+        self._hidden = self._output = 0
         self.feed(text)
 
     def has(self, fragment):
@@ -53,6 +53,9 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attributes):
         """Collect links and anchors."""
         self._hidden += tag in ("script", "style")
+        if tag == "div":  # what a script of the gallery prints, and all that is inside
+            is_output = "sphx-glr-script-out" in (dict(attributes).get("class") or "")
+            self._output += self._output > 0 or is_output
         for name, value in attributes:
             if name == "id" or (name == "name" and tag == "a"):
                 self.anchors.add(value)
@@ -60,13 +63,15 @@ class Page(HTMLParser):
                 self.links.append(value)
 
     def handle_endtag(self, tag):
-        """Leave scripts."""
+        """Leave scripts, and what they print."""
         self._hidden -= tag in ("script", "style")
+        self._output -= tag == "div" and self._output > 0
 
     def handle_data(self, data):
         """Collect what is read."""
         if not self._hidden:
             self.words.append(data)
+            self.printed += [data] * (self._output > 0)
 
 
 def findings(folder):
@@ -97,18 +102,19 @@ def findings(folder):
             for what, pattern in UNWANTED.items():
                 if found := pattern.search(text):
                     yield f"{name}: {what}: {text[found.start() : found.start() + 60]!r}"
-        if path.stem in GALLERY:
-            yield from missing(name, page)
+    gallery = folder / "auto_examples"
+    for script in GALLERY if gallery.is_dir() else ():
+        yield from missing(script, pages.get(gallery / f"{script}.html", Page("")))
 
 
-def missing(name, page):
-    """One line for what the page of a script lacks."""
-    n_pictures, said = GALLERY[name.stem]
-    drawn = set(re.findall(rf"{name.stem}_\d+\.png", " ".join(page.links)))
+def missing(script, page):
+    """One line for each picture and word that the page of a script lacks."""
+    n_pictures, said = GALLERY[script]
+    drawn = set(re.findall(rf"{script}_\d+\.png", " ".join(page.links)))
     if len(drawn) != n_pictures:
-        yield f"{name}: {len(drawn)} pictures, not {n_pictures}"
-    if said not in "".join(page.words):
-        yield f"{name}: {said!r} is not on the page"
+        yield f"{script}: {len(drawn)} pictures, not {n_pictures}"
+    if said not in "".join(page.printed):
+        yield f"{script}: it does not print {said!r}"
 
 
 if __name__ == "__main__":

@@ -135,6 +135,20 @@ def test_every_example_is_in_a_section_of_the_gallery(script):
     assert sorted(shown) == sorted(path.stem for path in (ROOT / "examples").glob("plot_*.py"))
 
 
+def test_a_script_of_the_gallery_has_to_print_what_it_shows(script):
+    site = script("check_site")
+    picture = '<img src="../_images/sphx_glr_plot_ols_path_001.png">'
+    code = '<div class="highlight"><div>print("auto: ")</div></div>'
+    output = '<div class="sphx-glr-script-out notranslate"><div><pre>{}</pre></div></div>'
+    shown = picture + output.format("auto: 9") + code
+    assert list(site.missing("plot_ols_path", site.Page(shown))) == []
+    silent = picture + output.format("9") + code
+    assert list(site.missing("plot_ols_path", site.Page(silent))) == [
+        "plot_ols_path: it does not print 'auto: '"
+    ]
+    assert len(list(site.missing("plot_ols_path", site.Page("")))) == 2
+
+
 @pytest.fixture
 def results(script):
     return script("_results")
