@@ -7,6 +7,7 @@ import argparse
 import json
 import re
 import tomllib
+from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -109,7 +110,7 @@ def _value(metavar, text, **more):
     return {"metavar": metavar, "help": text, **more}
 
 
-def _number(metavar, text, kind: Any = float, **more):
+def _number(metavar, text, kind: Callable[[str], object] = float, **more):
     return _value(metavar, text, type=kind, **more)
 
 
