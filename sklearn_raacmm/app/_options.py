@@ -277,10 +277,9 @@ def with_config(words):
         if option not in WORDS[words[0]][3].split():
             continue
         kind = OPTIONS.get(f"{words[0]} {option}") or OPTIONS[option]
-        values = [str(one) for one in (value if isinstance(value, list) else [value])]
-        values = [
-            str(path.parent / one) if (path.parent / one).is_file() else one for one in values
-        ]
+        values = list(map(str, value if isinstance(value, list) else [value]))
+        beside = [path.parent / one for one in values]
+        values = [str(b) if b.is_file() else one for b, one in zip(beside, values, strict=True)]
         if kind.get("action") == "store_true":
             more += [option] * bool(value)
         elif kind.get("action") == "append":

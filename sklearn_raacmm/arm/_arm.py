@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from html import escape
 from os import PathLike
@@ -35,6 +35,7 @@ _ROUNDING = 1e-12
 _FEW_JOINTS = 5
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Arm(DHTable):
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 

@@ -164,7 +164,11 @@ class Measurements:
         parts = (whole.index, whole.tools, whole.stations)
         columns = [np.zeros(n), *(part for part in parts if part is not None)]
         codes = np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
-        return whole._of_poses(find_poses(angles, codes, points, types))
+        poses = find_poses(angles, codes, points, types)
+        values = {name: poses.mean(getattr(whole, name)) for name in _ROWS}
+        causes = {name: column[poses.first] for name, column in whole.extra.items()}
+        angles = poses.mean_angles(angles)
+        return replace(whole, angles=angles, extra=causes, poses=poses, **values)
 
     def check_joints(self, arm: Arm) -> None:
         """Refuse measurements of another number of joints, or whose mm are taken for angles."""
@@ -191,13 +195,6 @@ class Measurements:
                 "already: give them to Measurements.of."
             )
         return angles
-
-    def _of_poses(self, poses):
-        """One row for each pose."""
-        values = {name: poses.mean(getattr(self, name)) for name in _ROWS}
-        extra = {name: column[poses.first] for name, column in self.extra.items()}
-        angles = poses.mean_angles(self.angles)
-        return replace(self, angles=angles, extra=extra, poses=poses, **values)
 
     def without_lengths(self, out: Iterable[bool]) -> "Measurements":
         """The same without the lengths that are `out`, (n_lengths,) of bool."""
