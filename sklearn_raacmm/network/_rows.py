@@ -12,12 +12,12 @@ have independent noise of unit variance: that is done to all columns and targets
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import reduce
 from itertools import chain, pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import qr
 
 from sklearn_raacmm.network._linear import (
     Polynomial,
@@ -132,14 +132,6 @@ class Block(NamedTuple):
     part: slice | None = None  # which of the rows that are held these are
 
 
-class Elsewhere(NamedTuple):
-    """Where not all rows are held: all of them, read block by block."""
-
-    chunks: Any
-    outputs: np.ndarray  # which of their targets are the problem's
-    tail_root: np.ndarray | None = None  # triangular factor of the polynomial on them
-
-
 class Problem(NamedTuple):
     """A polynomial and targets at distinct rows, or at more rows, of which these are a sample."""
 
@@ -154,11 +146,12 @@ class Problem(NamedTuple):
     spread: np.ndarray  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis, if any
-    elsewhere: Elsewhere | None = None
+    # Combines a function of all blocks, as `reduce` does, where not all rows are held.
+    of_read: Callable | None = None
 
     @property
     def n_rows(self) -> int:
-        return len(self.rows.X) if self.elsewhere is None else int(self.n_total)
+        return len(self.rows.X) if self.of_read is None else int(self.n_total)
 
     @property
     def n_tail(self) -> int:
@@ -193,11 +186,10 @@ class Problem(NamedTuple):
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.elsewhere is None:
+        if self.of_read is None:
             found: Any = map(function, self._of_held(width))
         else:
-            read = partial(self._on_read, function)
-            found = [self.elsewhere.chunks.reduce(read, combine, width)]
+            found = [self.of_read(function, combine, width)]
         return reduce(combine, chain(found, map(function, self._of_ridge())))
 
     def triangle(self, columns: Callable, width: int) -> np.ndarray:
@@ -218,16 +210,6 @@ class Problem(NamedTuple):
         if m:
             X, targets = (np.zeros((m, a.shape[1])) for a in (self.rows.X, self.held.targets))
             yield Block(X, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
-
-    def _on_read(self, function, X, Y, weights, start):
-        """The function of rows that are not held."""
-        elsewhere: Any = self.elsewhere
-        kept, (_, outputs, tail_root) = weights > 0, elsewhere
-        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
-        basis = tail = root * self.polynomial.columns(X)
-        if tail.size and tail_root is not None:
-            basis = solve_triangular(tail_root, tail.T, trans="T", check_finite=False).T
-        return function(Block(X, root, tail, basis, root * Y[kept][:, outputs]))
 
 
 def _whole_groups(parts, codes):
