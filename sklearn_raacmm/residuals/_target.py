@@ -180,7 +180,10 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         groups = fit_params.pop("regressor__groups", groups)
         unasked = groups is None
         self._rotates = target.ndim == 2 and target.shape[1] == 3 and self.azimuth is not None
-        groups = self._positions(X, target, groups)
+        if groups is False:
+            groups = None
+        elif groups is None and self._rotates and (arm := self._arm()) is not None:
+            groups = found_positions(arm.forward(X), target)
         codes = None if groups is None else encode_groups(groups, len(target))[1]
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
@@ -218,12 +221,6 @@ class CylindricalResidualTarget(PointCorrectionMixin):
                 f"sklearn.multioutput.MultiOutputRegressor. ({error})"
             ) from error
         return self
-
-    def _positions(self, X, y, groups):
-        """Labels of the rows' positions: those given, those that the arm's points show, or None."""
-        if groups is None and self._rotates and (arm := self._arm()) is not None:
-            return found_positions(arm.forward(X), y)
-        return None if groups is False else groups
 
     def _findings(self, X, y, codes, direction, unasked):
         """What residuals (n, 3) show of themselves, and of positions that nobody named."""
@@ -427,26 +424,19 @@ def _before_last(pipeline, X):
     """
     while type(pipeline) is Pipeline:
         for _, step in pipeline.steps[:-1]:
-            if step is not None and not isinstance(step, str):  # "passthrough"
-                X = _scaled(step, X) if _is_plain_scaler(step, X) else step.transform(X)
+            if step is None or isinstance(step, str):  # "passthrough"
+                continue
+            if (
+                type(step) is StandardScaler
+                and "n_features_in_" in vars(step)
+                and "_sklearn_output_config" not in vars(step)
+                and get_config()["transform_output"] == "default"
+                and is_plain(step, X)
+                and np.isfinite(X).all()
+            ):  # which would find nothing to say about X
+                X = X - step.mean_ if step.with_mean else X
+                X = X / step.scale_ if step.with_std else X
+            else:
+                X = step.transform(X)
         pipeline = pipeline.steps[-1][1]
     return X, pipeline
-
-
-def _is_plain_scaler(step, X):
-    """Whether a step is a fitted `StandardScaler` that would find nothing to say about X."""
-    return (
-        type(step) is StandardScaler
-        and "n_features_in_" in vars(step)
-        and "_sklearn_output_config" not in vars(step)
-        and get_config()["transform_output"] == "default"
-        and is_plain(step, X)
-        and bool(np.isfinite(X).all())
-    )
-
-
-def _scaled(scaler, X):
-    """What the scaler makes of X, without its checks: for one row they take ten times as long."""
-    if scaler.with_mean:
-        X = X - scaler.mean_
-    return X / scaler.scale_ if scaler.with_std else X
