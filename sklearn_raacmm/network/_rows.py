@@ -71,7 +71,7 @@ class Rows(NamedTuple):
     def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
+        arrays = {name: getattr(self, name)[kept] for name in self._fields[:6]}
         return self._replace(**arrays, codes=codes)
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
@@ -187,10 +187,9 @@ class Problem(NamedTuple):
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
         if self.of_read is None:
-            found: Any = map(function, self._of_held(width))
-        else:
-            found = [self.of_read(function, combine, width)]
-        return reduce(combine, chain(found, map(function, self._of_ridge())))
+            return reduce(combine, map(function, chain(self._of_held(width), self._of_ridge())))
+        found = self.of_read(function, combine, width)
+        return reduce(combine, map(function, self._of_ridge()), found)
 
     def triangle(self, columns: Callable, width: int) -> np.ndarray:
         """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
@@ -199,7 +198,7 @@ class Problem(NamedTuple):
     def _of_held(self, width):
         """Blocks of the rows that are held; whole groups."""
         parts, codes = chunks(self.n_rows, block_rows(width)), self.held.codes
-        arrays: Any = self.held[:5]
+        arrays = self.held[:5]
         for part in parts if codes is None else _whole_groups(parts, codes):
             own = None if codes is None else codes[part] - codes[part.start]
             yield Block(*(array[part] for array in arrays), codes=own, part=part)

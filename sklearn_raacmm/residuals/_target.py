@@ -123,7 +123,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     }
 
     def __init__(
-        self, regressor: Any = None, *, azimuth: str | Callable[..., Any] | None = "appended"
+        self, regressor: object = None, *, azimuth: str | Callable[..., object] | None = "appended"
     ) -> None:
         self.regressor = regressor
         self.azimuth = azimuth
@@ -175,7 +175,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         """
         X = _with_shape(X)
         validate_data(self, X, y, skip_check_array=True)
-        target: Any = floats("y", y, finite=True)
+        target = floats("y", y, finite=True)
         check_consistent_length(X, target)
         groups = fit_params.pop("regressor__groups", groups)
         unasked = groups is None
@@ -257,7 +257,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     @overload
     def predict(self, X: ArrayLike, **options: Literal[False]) -> Floats: ...
     @one_warning
-    def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
+    def predict(self, X: ArrayLike, **predict_params: Any) -> Floats | Pair:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
         Parameters
@@ -351,7 +351,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         regressor = LinearRegression()
         return regressor.set_fit_request(sample_weight=True) if routing else regressor
 
-    def get_metadata_routing(self) -> Any:
+    def get_metadata_routing(self) -> MetadataRouter:
         """Route `fit` and `predict` to the regressor; `groups` are our own, and requested."""
         methods = MethodMapping().add(caller="fit", callee="fit")
         methods.add(caller="predict", callee="predict")
@@ -368,7 +368,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         return tags
 
 
-def _poses(X, y, groups, codes, fit_params) -> Any:
+def _poses(X, y, groups, codes, fit_params):
     """The same with each pose once at which a logger wrote many rows."""
     rows = None if issparse(X) else np.asarray(X)
     # What is no table of numbers is left to the regressor.
@@ -381,10 +381,8 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
         finding.report()
     of_rows = [n for n, v in fit_params.items() if np.ndim(v) and len(v) == len(rows)]
     merged = {name: dwells.mean(np.asarray(fit_params[name])) for name in of_rows}
-    X, groups, codes = (
-        v if v is None else _safe_indexing(v, dwells.first) for v in (X, groups, codes)
-    )
-    return X, dwells.mean(y), groups, codes, fit_params | merged
+    groups, codes = (v if v is None else _safe_indexing(v, dwells.first) for v in (groups, codes))
+    return _safe_indexing(X, dwells.first), dwells.mean(y), groups, codes, fit_params | merged
 
 
 def _with_shape(X):
