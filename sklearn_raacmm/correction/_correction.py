@@ -127,7 +127,7 @@ class Correction:
         return self._scale_beside(linear_in_use(self.model))
 
     @property
-    def causes(self) -> dict[str, Any]:
+    def causes(self) -> dict[str, float]:
         """The causes that the model takes after the angles, and what counts where one is not known.
 
         The mean, no direction, and of time the last value.
@@ -157,7 +157,7 @@ class Correction:
         *,
         angle_unit: str = "rad",
         std_of: str = "coordinate",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
     ) -> tuple[Floats, Floats]:
         """Corrected points, and how far to trust them.
 
@@ -247,7 +247,7 @@ class Correction:
         random_state: int | np.random.RandomState | None = None,
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         with_noise: bool = False,
     ) -> Floats:
         """Draw corrected points of all poses together, with all that is not known of the arm.
@@ -333,15 +333,15 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         new_base: bool = False,
         false_alarm_rate: float = 0.01,
         date: str | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> CorrectionCheck:
         """Say from a few poses of today whether the correction still holds.
@@ -386,12 +386,12 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
         free: Sequence[str] = ("probe",),
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
@@ -482,13 +482,13 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         date: str | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> Self:
         """Bring the model up to date with new poses; a tracker's base is found by them, too.
@@ -646,7 +646,7 @@ class Correction:
             base = tuple(np.array(base[name]) for name in _BASE)
         return cls(Arm.from_json(arm), model, base, facts)
 
-    def inputs(self, angles: Floats, extra: dict[str, Any] | None = None) -> Floats:
+    def inputs(self, angles: Floats, extra: Mapping[str, ArrayLike] | None = None) -> Floats:
         """What the model takes: angles in rad, (n, n_joints), then its causes."""
         given = given_causes(extra, len(angles))
         unknown = [name for name in given if name not in self.causes]

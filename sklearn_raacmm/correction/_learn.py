@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
@@ -63,14 +63,14 @@ def learn_correction(
     angles: ArrayLike | Measurements,
     positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
+    lengths: Iterable[Sequence[object]] = (),
     *,
     angle_unit: str = "rad",
     model: Any = None,
     cv: int | None = None,
     n_jobs: int | None = None,
     progress: Callable[..., object] | None = None,
-    extra: dict[str, Any] | None = None,
+    extra: Mapping[str, ArrayLike] | None = None,
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
@@ -78,7 +78,7 @@ def learn_correction(
     stations: ArrayLike | None = None,
     accept: str | Sequence[str] = (),
     take: str | Sequence[str] = (),
-    features: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[object]] = (),
     tip_diameter: float = 0.0,
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.

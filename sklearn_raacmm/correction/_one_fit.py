@@ -349,7 +349,7 @@ class Data:
             )
         return calibration
 
-    def _fitted(self, model, calibration, rows, y, lengths, judged=True) -> Any:
+    def _fitted(self, model, calibration, rows, y, lengths, judged=True):
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
         fitted = self._model_for(model, calibration.arm)
         last, prefix = last_step_of(fitted)
@@ -379,7 +379,7 @@ class Data:
         fitted.fit(self.inputs[rows], y, **{f"{prefix}{n}": v for n, v in given.items()})
         return fitted
 
-    def _model_for(self, model, arm) -> Any:
+    def _model_for(self, model, arm):
         """Copy of a model, or the default one, for this arm and for angles in rad."""
         if model is None:
             return ArmResidualRegressor(arm, extra=self.causes)

@@ -81,22 +81,22 @@ class CorrectionScores:
     """
 
     measure: str
-    table: dict[str, Any]
-    summary: dict[str, Any]
-    lengths: list[Any]
+    table: dict[str, np.ndarray]
+    summary: dict[str, tuple[float, float, float]]
+    lengths: list[tuple[Any, ...]]
     length_errors_before: Floats
     length_errors_after: Floats
     coverage: float
     std_factor: float
     n_folds: int
     outliers: np.ndarray
-    rows_by_position: list[Any]
+    rows_by_position: list[np.ndarray]
     left_before: Floats
     left_after: Floats
     n_blocks: int
     fold_shares: tuple[float, ...]
     changes: tuple[str, ...] = ()
-    findings: tuple[Any, ...] = ()
+    findings: tuple[Finding, ...] = ()
     share: float = 1.0
 
     @property

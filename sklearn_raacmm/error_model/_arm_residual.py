@@ -190,7 +190,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         angle_unit: str = "rad",
         extra: Sequence[str] = (),
         orders: ArrayLike = 400,
-        causes: Sequence[str | Callable[..., Any]] = CAUSES,
+        causes: Sequence[str | Callable[..., object]] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
     ) -> None:
@@ -211,10 +211,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
         *,
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | bool | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         probes: ArrayLike | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
@@ -314,15 +314,15 @@ class ArmResidualRegressor(PointCorrectionMixin):
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
     @property
-    def harmonics_(self) -> Any:
+    def harmonics_(self) -> np.ndarray:
         return self.linear_model_.harmonic_table()
 
     @property
-    def terms_(self) -> Any:
+    def terms_(self) -> np.ndarray:
         return self.linear_model_.term_table()
 
     @property
-    def column_harmonics_(self) -> Any:
+    def column_harmonics_(self) -> np.ndarray:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
     coef_: Any = property(attrgetter("linear_model_.coef"))
