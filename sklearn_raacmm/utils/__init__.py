@@ -37,6 +37,7 @@ from sklearn_raacmm.utils._findings import (
     FindingWarning as FindingWarning,
     are_findings_ignored,
     call_collecting,
+    check_accepted,
     collected_findings,
     ignored_findings,
     numbered_rows,

@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.app import _arms, _commands, _correct, _files, _life, main
 from sklearn_raacmm.app._files import parse_length, read_places
 from sklearn_raacmm.app._sources import TableError
@@ -231,6 +231,18 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, tmp_path, cap
     assert records["mean_mm"][1] > records["mean_high_mm"][1]
     assert records["holds"].tolist() == [True, False, False]
     assert records["said"].str.startswith("It ").all()
+
+
+@pytest.mark.parametrize("word", ["learn", "check", "register", "update"])
+def test_a_code_that_no_finding_has_is_refused_before_anything_is_read(word, capsys):
+    needed = ("--arm", "none.json", "--out", "none") if word == "learn" else ("--model", "none")
+    assert main([word, "none.csv", *needed, "--accept", "corected-already"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "'corected-already' is no code of a finding that can be accepted." in said
+    assert "nearest are: corrected-already" in said
+    arm = Arm.from_name("aacmm6")
+    with pytest.raises(ValueError, match=r"'few-poses' is no code .* nearest are: strange-poses"):
+        calibrate(arm, np.zeros((8, 6)), np.arange(8) // 4, accept=["table-off", "few-poses"])
 
 
 def test_checks_raise_a_false_alarm_once_in_a_hundred():
