@@ -262,7 +262,14 @@ def test_export_writes_what_it_names(learned, tmp_path, capsys):
     assert sorted(printed) == sorted(map(str, tmp_path.iterdir()))
     facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
     line = f"#define ARM_CORRECTION_SCALE_SD {facts['scale_sd']!r}\n"
-    assert line in (tmp_path / "arm_correction.h").read_text()
+    small = (tmp_path / "arm_correction.h").read_text()
+    assert line in small
+    assert "fade small" in small
+    assert main(["export", "--model", str(folder), "--c", str(tmp_path), "--fade", "exact"]) == 0
+    exact = (tmp_path / "arm_correction.h").read_text()
+    assert "fade small" not in exact
+    sizes = [int(re.search(r"TABLE_BYTES (\d+)", text)[1]) for text in (small, exact)]
+    assert sizes[0] < 0.8 * sizes[1]
 
 
 @pytest.mark.exhaustive
