@@ -186,6 +186,14 @@ def test_numbers_of_the_readme_are_those_of_the_results(results):
     assert results.filled(text, results.Results(contents)) != text
 
 
+def test_numbers_that_pages_take_from_the_results_are_there(results):
+    made = results.substitutions()
+    used = {name for page in PAGES for name in re.findall(r"\{\{ (\w+) \}\}", read(page))}
+    assert len(used) > 40
+    assert used - set(made) == set()
+    assert {name for name in made if name.startswith("table_")} - used == set()
+
+
 def test_what_the_pages_say_of_the_results_is_true(results):
     """Sentences without a number of their own that the next measurement could make false."""
     found, better = results.read(), []
