@@ -533,7 +533,10 @@ class Correction:
         return replace(new, model=model)
 
     def move(self, probe: ArrayLike) -> Self:
-        """The same with another probe, whose vector is known.
+        """The same with another probe, whose vector is stated, by a drawing or an instrument.
+
+        Poses with one probe do not show how the last frame is turned. With another probe standard
+        deviations contain what that may do; a registration of it takes it out again.
 
         Parameters
         ----------
@@ -545,13 +548,17 @@ class Correction:
         ValueError
             If the model knows no causes, so that only a registration helps.
         """
+        return self._at_probe(probe, stated=True)
+
+    def _at_probe(self, probe, stated=False):
+        """The same with a probe whose vector is stated, or known in the frames of the table."""
         model: Any = self.model
         if not hasattr(model, "with_arm"):
             raise ValueError(
                 "this correction has no model of causes: register the new probe instead."
             )
         arm = self.arm.replace(probe=probe)
-        return replace(self, arm=arm, model=model.with_arm(arm))
+        return replace(self, arm=arm, model=model.with_arm(arm, stated=stated))
 
     def with_tool(self, tool: str) -> Self:
         """The same with another of the probes that it was learnt with.
@@ -566,7 +573,7 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        return self.move(_labelled("tool", tool, self.tools, "with"))
+        return self._at_probe(_labelled("tool", tool, self.tools, "with"))
 
     def at_station(self, station: str) -> Self:
         """The same with the base of another of the stations that it was learnt at.

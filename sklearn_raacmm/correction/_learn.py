@@ -240,6 +240,7 @@ def learn_correction(
         data, outliers = data.seen_by(calibration).beside_a_model(calibration)
         folds = folds_of(data, outliers, cv)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
+        calibration = data.at_stations(model, calibration, rows)
         fitted, noise = data.fit(model, calibration, rows)
         parts = data.along_vertical_of(fitted)
         scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)

@@ -451,7 +451,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def with_arm(self, arm: Arm) -> Self:
+    def with_arm(self, arm: Arm, *, stated: bool = False) -> Self:
         """Move the fitted model to another probe.
 
         Each cause is multiplied by the Jacobian of the new probe. A registration through the
@@ -462,6 +462,9 @@ class ArmResidualRegressor(PointCorrectionMixin):
         arm : Arm
             The table that the model was fitted with, and the new probe; where the arm is mounted
             anew, another `up`, too.
+        stated : bool, default=False
+            Whether the vector is that of a drawing or of another instrument, and not found by
+            poses: how the table has the last frame turned is then in doubt, and so in `std`.
 
         Returns
         -------
@@ -495,7 +498,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         check_arm(arm)
         old = self.linear_model_
         moved = copy(self)
-        moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
+        moved.arm, moved.linear_model_ = arm, moved_model(old, arm, stated)
         moved.fading_ = moved_fading(self.fading_, old.arm, arm)
         return moved
 

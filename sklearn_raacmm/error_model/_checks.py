@@ -131,9 +131,8 @@ def touched_rows(features, labels, codes, points, y, weights):
     shown = np.where(value[:, :, None] > 0.5, axes.swapaxes(1, 2), 0.0)
     y = np.where(held[codes][:, None], y, rows.residual)
     of_surfaces = tuple(None if one else form for one, form in zip(held, forms, strict=True))
-    sizes = [(code, code, size, sd) for code, _, size, sd, _ in sizes]
     of_rows = {"root": shown, "shown": shown, "unknowns": rows.unknowns, "forms": of_surfaces}
-    return y, of_rows | {"held": held[codes], "sizes": sizes}
+    return y, of_rows | {"held": held[codes], "sizes": [entry[:4] for entry in sizes]}
 
 
 def _check_repeats(weights):
