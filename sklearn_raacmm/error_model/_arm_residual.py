@@ -37,6 +37,7 @@ from sklearn_raacmm.utils import (
     Floats,
     Pair,
     check_flags,
+    is_dask,
     many_without_weight,
     one_blas_thread,
     param_checks,
@@ -268,7 +269,14 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
             Rows in which the arm stood still are merged to one pose.
         """
+        arrays = X, y, sample_weight, groups, probes
+        if by_dask := any(map(is_dask, arrays)):
+            from dask import compute
+
+            arrays = compute(*arrays, traverse=False)
+        X, y, sample_weight, groups, probes = arrays
         rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes, features)
+        rows = rows._replace(by_dask=by_dask)
         positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
         dwells, rows = poses_of(rows.at(used), self.extra)

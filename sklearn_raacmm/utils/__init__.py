@@ -14,6 +14,7 @@ from sklearn_raacmm.utils._checks import (
     check_shapes,
     check_weights,
     floats,
+    is_dask,
     is_plain,
     listed,
     refuse_disguised,
