@@ -59,6 +59,7 @@ from sklearn_raacmm.utils._rows import (
     group_means,
     group_sums,
     many_without_weight,
+    medians_of,
     natural_order,
     numbered_by_rows,
     robust_scale,
