@@ -43,6 +43,13 @@ _MUCH_MORE = 1.5
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
 # Share of the reach that a probe is at least: in metres none is. A choice.
 _LEAST_PROBE = 1e-3
+# What a step in the history says of points without and with the correction.
+_SIDES = "before_mm", "after_mm"
+# What to do where most poses of a check lie where the model knows little.
+_MEASURE_OTHERS = (
+    "Check with poses like those that it was learnt with; if you need these, run raacmm update "
+    "with some of them."
+)
 # Steps whose poses the model knows already.
 _LEARNT = {"learn": "taught", "update": "updated"}
 # Decimals of rad and mm by which a pose is known again, and so many that are no coincidence.
@@ -193,13 +200,12 @@ def check(options):
         facts, holds = facts | scatter, holds and scatter["after_mm"] < scatter["before_mm"]
         holds = holds and scatter["after_mm"] <= scatter["expected_below_mm"]
     else:
-        usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
-        said = advice and f"It does not hold. {advice}"
-        facts["said"] = said or f"It holds: {_describe_poses(today)}, {usual}."
+        facts |= _check_distances(saved, today, measured, options) if options.points else {}
+        facts["said"], holds = _said_of(result, today, facts, advice)
     facts |= {"holds": holds}
     if options.record:
         try:
-            names = ("before_mm", "after_mm", "expected_below_mm", "holds", "said")
+            names = (*_SIDES, "expected_below_mm", "holds", "said")
             answer = {name: facts.get(name, "") for name in names}
             replace(result, record=result.record | answer).append_to(options.record)
             print(f"Appended to {options.record}")
@@ -208,7 +214,8 @@ def check(options):
     print(facts["said"])
     try:
         _refuse_other_writers(saved, options.model)
-        measure: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
+        name = "mean 2S" if by_spread else "mean distance"
+        measure: Any = (name, *map(facts.get, _SIDES)) if _SIDES[0] in facts else ()
         step = step_of("check", today, facts, *measure)
         # A check changes no model: its file is written again as it is, without importing skops.
         model = (options.model / "model.skops").read_bytes()
@@ -240,6 +247,34 @@ def _check_model(saved, today, measured, rate, options):
     names = ("suspect", "p_value", "size_mm", "usual_mm", "matters")
     facts = {name: getattr(result, name) for name in names}
     return facts, result, result.advice if changed else ""
+
+
+def _check_distances(saved, today, measured, options):
+    """Facts: mean distances from a tracker's points, mm, without the correction and with it."""
+    if saved.base is None or options.new_base:
+        saved = saved.register(*measured, free=(), accept=options.accept or ())
+    off = saved.residuals(today.angles, today.points)
+    with ignored_findings():  # of poses where little is known: the check has said so
+        correction = saved.model.predict(saved.inputs(today.angles))
+    mean = [float(np.linalg.norm(y, axis=1).mean()) for y in (off, off - correction)]
+    return dict(zip(_SIDES, mean, strict=True))
+
+
+def _said_of(result, today, facts, advice):
+    """The answer of a check by a model alone, in sentences, and whether the correction holds."""
+    change = _describe_poses(today)
+    if _SIDES[0] in facts:
+        change += ", mean distance {:.3f} -> {:.3f} mm".format(*map(facts.get, _SIDES))
+    change += f"; the model expects {facts['usual_mm']:.3f} mm (rms) at these poses"
+    if advice:
+        return f"It does not hold: {change}. {advice}", False
+    for finding in result.findings:
+        if finding.code == "little-known":
+            return (
+                f"Whether it holds does not show: {change}. {finding.text} {_MEASURE_OTHERS}",
+                False,
+            )
+    return f"It holds: {change}.", True
 
 
 def _check_spread(saved, today, rate, advice):

@@ -24,6 +24,7 @@ from sklearn_raacmm.correction._condition import UNSEEN, Whitened, score_tests
 from sklearn_raacmm.correction._rows import Expected, new_rows, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
+    Finding,
     listed,
     one_blas_thread,
     one_warning,
@@ -99,6 +100,9 @@ class CorrectionCheck:
         One line for a control chart: `date`, `n_poses`, `mean_mm` and `range_mm` of the corrected
         distances with the limits `mean_low_mm`, `mean_high_mm`, `range_low_mm` and `range_high_mm`
         of the test itself, `p_value`, `suspect`.
+    findings : tuple of Finding
+        What was found in the poses: "little-known" if most lie where the model knows little, and
+        the check says next to nothing of them.
     """
 
     holds: bool
@@ -111,6 +115,7 @@ class CorrectionCheck:
     tests: np.ndarray = field(repr=False)
     slipped: tuple[Any, ...]
     record: dict[str, Any] = field(repr=False)
+    findings: tuple[Finding, ...] = field(default=(), repr=False)
 
     def append_to(self, path: str | PathLike[str]) -> None:
         """Append the record to a CSV file, a line for each check: the data of a control chart.

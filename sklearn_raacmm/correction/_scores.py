@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -190,12 +191,17 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
     )
     given, before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
     lengths, fold_shares = [], []
-    for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-        given[test], before[test], after[test], std[test], found, share = result
-        lengths += found
-        fold_shares.append(share)
-        if progress is not None:
-            progress(i + 1, len(folds))
+    try:
+        for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
+            given[test], before[test], after[test], std[test], found, share = result
+            lengths += found
+            fold_shares.append(share)
+            if progress is not None:
+                progress(i + 1, len(folds))
+    finally:  # Whoever cancels by `progress` need not hear how joblib ends its other processes.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            work.close()
     table, rows_by_position = _table(data, before, after)
     blocks = data.blocks()[[rows[0] for rows in rows_by_position]]
     coverage, factor = coverage_of(*data.as_shown(after, std))

@@ -23,6 +23,7 @@ from sklearn_raacmm.app._life import highest_mean, save_step
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
+from sklearn_raacmm.utils import FindingWarning
 
 MACHINE = SimulatedArm("typical", random_state=1)
 TURN, SHIFT = Rotation.from_rotvec([0.1, 0.2, 1]).as_matrix(), np.array([1500.0, 300.0, -100.0])
@@ -123,6 +124,38 @@ def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, t
     )
     # Of a probe that is 150 mm longer 128 rows of eight cones leave 0.55 on this arm.
     assert corrected < 0.6 * bare
+
+
+def test_a_check_elsewhere_does_not_say_that_it_holds(tmp_path, capsys):
+    # Learnt in a narrow range of the joints, checked in all: next to nothing is corrected there.
+    rng = np.random.default_rng(0)
+    middle = np.array([0.3, 0.2, 1.0, 0.3, 0.8, 0.1])
+    near = middle + rng.uniform(-0.4, 0.4, (160, 6))
+    far = rng.uniform(-2.5, 2.5, (40, 6))
+    seen_there = [
+        MACHINE.forward(q) @ TURN.T + SHIFT + rng.normal(0, 0.005, (len(q), 3)) for q in (near, far)
+    ]
+    model = ArmResidualRegressor(orders=4)
+    names = np.arange(160) // 8
+    learn_correction(MACHINE.nominal_arm, near, names, seen_there[0], model=model, cv=2).save(
+        tmp_path / "near"
+    )
+    header = ",".join([*(f"q{i} [deg]" for i in range(1, 7)), *"xyz"])
+    np.savetxt(
+        table := tmp_path / "far.csv", np.c_[np.rad2deg(far), seen_there[1]], delimiter=",",
+        header=header, comments="",
+    )  # fmt: skip
+    code, printed = run(capsys, "check", table, "--model", tmp_path / "near", *POINTS)
+    saved = Correction.load(tmp_path / "near")
+    off = saved.residuals(far, seen_there[1])
+    with pytest.warns(FindingWarning, match="the model knows little"):
+        mean = [np.linalg.norm(y, axis=1).mean() for y in (off, off - saved.model.predict(far))]
+    assert code == 3
+    assert "Whether it holds does not show" in printed
+    assert f"mean distance {mean[0]:.3f} -> {mean[1]:.3f} mm" in printed
+    step = saved.facts["history"][-1]
+    assert not step["holds"]
+    assert_allclose([step["before_mm"], step["after_mm"]], mean, rtol=1e-9)
 
 
 def test_points_of_a_longer_probe_may_scatter_more(folder, tmp_path, capsys):
