@@ -387,9 +387,6 @@ class Fit:
     def _free_columns(self, x, mask):
         """Blocks as `located` yields them, with the derivatives by what is free."""
         free = np.flatnonzero(mask[: len(self.nominal)])
-        if not len(free):
-            yield slice(None), self._points_at(x), np.empty((len(self.angles), 3, 0))
-            return
         for part, points, jac in self.located(x):
             yield part, points, np.take(jac, free, axis=2)
 

@@ -221,9 +221,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-        y : array-like of shape (n_samples, 3)
+        X : array-like or dask array of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names. Of dask
+            arrays the sums over rows are made by the workers.
+        y : array-like or dask array of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
         sample_weight : array-like of shape (n_samples,), default=None
             Weights; an integer weight is worth that many repeats of the row. Rows of weight 0

@@ -9,60 +9,37 @@ blocks: what is added up is the same number wherever it was computed.
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import contextmanager
 from functools import reduce
 from typing import Any
 
 from sklearn_raacmm.utils import one_blas_thread
 
 
-def results(function: Callable, given: Iterable[tuple], by_dask: bool = False) -> Any:
-    """Results of a function of the arguments of each block, in the order of the blocks."""
+def of_blocks(function: Callable, given: Iterable[tuple], by_dask: bool, hold: bool = False) -> Any:
+    """Results of a function of the arguments of each block, in the order of the blocks.
+
+    To `hold` them leaves what dask makes where it is; such a result may be an argument again.
+    """
     if not by_dask:
-        return (function(*one) for one in given)
-    from dask import compute
+        found = (function(*one) for one in given)
+        return [*found] if hold else found
+    import dask
 
-    with _large_graphs():
-        return compute(*(_task(function, *one) for one in given))
-
-
-def held_blocks(function: Callable, given: Iterable[tuple], by_dask: bool = False) -> Any:
-    """The same, each of which stays where it is made."""
-    if not by_dask:
-        return [*results(function, given)]
-    from dask import persist
-
-    with _large_graphs():
-        return persist(*(_task(function, *one) for one in given))
+    task = dask.delayed(_with_one_thread, pure=False)
+    tasks = (task(function, *one) for one in given)
+    with warnings.catch_warnings():
+        # Arguments are sent with the tasks, so that a block that is lost can be made again.
+        warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+        return dask.persist(*tasks) if hold else dask.compute(*tasks)
 
 
-def each(function: Callable, blocks: Sequence[Any]) -> Any:
-    """Results of a function of each of the `held_blocks`, in their order."""
-    by_dask = any(type(block).__module__.startswith("dask.") for block in blocks)
-    return results(function, ((block,) for block in blocks), by_dask)
-
-
-def total_of(function: Callable, blocks: Sequence[Any]) -> list[Any]:
+def sums_of_blocks(function: Callable, blocks: Sequence[Any], by_dask: bool) -> list[Any]:
     """Sums of the arrays that a function makes of each of the blocks, added in their order."""
 
     def added(one, other):
         return [a + b for a, b in zip(one, other, strict=True)]
 
-    return list(reduce(added, each(function, blocks)))
-
-
-@contextmanager
-def _large_graphs():
-    """Arguments are sent with the tasks, so that a block that is lost can be made again."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-        yield
-
-
-def _task(function, *given):
-    from dask import delayed
-
-    return delayed(_with_one_thread, pure=False)(function, *given)
+    return list(reduce(added, of_blocks(function, ((block,) for block in blocks), by_dask)))
 
 
 @one_blas_thread

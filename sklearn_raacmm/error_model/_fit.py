@@ -8,13 +8,12 @@ function of every joint's angle, all low orders together, is the field.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
-from operator import methodcaller
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sklearn_raacmm.arm import slides_of, turn_mm
-from sklearn_raacmm.error_model._blocks import each, held_blocks
+from sklearn_raacmm.error_model._blocks import of_blocks
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
@@ -485,11 +484,12 @@ def _expected(rows, columns):
     """Function of a state of these columns: the residuals (n, 3) that it expects at the rows."""
     n = len(rows.X)
     given = ((columns, rows.X[of], n <= _HELD_POSES) for of in chunks(n, _TOGETHER))
-    blocks = held_blocks(_Expected, given, rows.by_dask)
+    blocks = of_blocks(_Expected, given, rows.by_dask, hold=True)
 
     def expected(state):
-        by_coef = methodcaller("dot", np.roll(state.coef, columns.n_waves))
-        return np.concatenate([*each(by_coef, blocks)])
+        coef = np.roll(state.coef, columns.n_waves)
+        given = ((block, coef) for block in blocks)
+        return np.concatenate([*of_blocks(_Expected.dot, given, rows.by_dask)])
 
     return expected
 

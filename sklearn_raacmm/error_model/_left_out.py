@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import digamma, gammaln
 from scipy.stats import norm, t
 
-from sklearn_raacmm.error_model._blocks import results
+from sklearn_raacmm.error_model._blocks import of_blocks
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
 from sklearn_raacmm.error_model._sums import parts_of_positions
@@ -297,7 +297,7 @@ def leave_out(fitted, positions, between=False):
             of = of[np.argsort(rows.codes[of], kind="stable")]
             together = parts_of_positions(rows.codes[of], _OF_POSITIONS)
         given = ((rest, rows.at(of[part])) for part in together)
-        for part, mine in zip(together, results(_at_rows, given, rows.by_dask), strict=True):
+        for part, mine in zip(together, of_blocks(_at_rows, given, rows.by_dask), strict=True):
             for values, own in zip(found, mine, strict=True):
                 values[of[part]] = own
     return found

@@ -34,7 +34,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
 from sklearn_raacmm.arm import Arm, phases
-from sklearn_raacmm.error_model._blocks import held_blocks, total_of
+from sklearn_raacmm.error_model._blocks import of_blocks, sums_of_blocks
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
 from sklearn_raacmm.measurements import Form, known_length
@@ -152,11 +152,11 @@ def candidate_sums(rows, columns):
         moved = () if whitened.basis is None else (whitened.basis[of], rows.codes[of])
         own = [slice(part.start - first, part.stop - first) for part in own]
         given.append((own, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
-    blocks = held_blocks(_Block, given, rows.by_dask)
-    gram, cross, own = total_of(attrgetter("sums"), blocks)
+    blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
+    gram, cross, own = sums_of_blocks(attrgetter("sums"), blocks, rows.by_dask)
 
     def rows_of(pairs):
-        return total_of(methodcaller("gram_rows", pairs), blocks)[0]
+        return sums_of_blocks(methodcaller("gram_rows", pairs), blocks, rows.by_dask)[0]
 
     cross = cross.view(float)
     return Sums(

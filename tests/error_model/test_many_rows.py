@@ -50,13 +50,15 @@ def test_dask_gives_the_model_of_the_same_rows_in_memory(known, small_blocks, mo
     test.target[:] = centred(test.target, test.groups)
     options = {"groups": test.groups, "lengths": test.lengths} if known else {"groups": False}
     calls = []
-    task = _blocks._task
-    monkeypatch.setattr(_blocks, "_task", lambda *given: calls.append(given) or task(*given))
+    one_thread = _blocks._with_one_thread
+    monkeypatch.setattr(
+        _blocks, "_with_one_thread", lambda *given: calls.append(given) or one_thread(*given)
+    )
     whole = fitted(test, np.asarray, **options)
     assert not calls
     with dask.config.set(scheduler="threads"):
         model = fitted(test, lambda a: da.from_array(a, chunks=70), **options)
-    assert len({function for function, *_ in calls}) >= 4
+    assert len({repr(function) for function, *_ in calls}) >= 4
     same(model, whole)
     assert model.pose_weight_[5] == 0 < np.median(model.pose_weight_)
 
@@ -75,22 +77,23 @@ def test_sums_of_blocks_are_those_of_all_rows(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_worker_that_is_killed_changes_nothing(small_blocks, monkeypatch):
-    da, distributed = (pytest.importorskip(name) for name in ("dask.array", "distributed"))
+    dask, distributed = (pytest.importorskip(name) for name in ("dask", "distributed"))
+    da = pytest.importorskip("dask.array")
     test = make_single_point(6, 60, random_state=0)
     whole = fitted(test, np.asarray, groups=test.groups)
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         sizes = {"_PARTS": 2, "_CHUNK": 50}
         client.run(lambda: [setattr(_sums, name, size) for name, size in sizes.items()])
-        workers, calls, results = client.run(os.getpid), [], _blocks.results
+        workers, calls, compute = client.run(os.getpid), [], dask.compute
 
-        def killing(function, given, by_dask=False):
-            calls.append(function)
+        def killing(*tasks, **options):
+            calls.append(tasks)
             if len(calls) == 4:  # some blocks are held by it
                 os.kill(next(iter(workers.values())), signal.SIGKILL)
-            return results(function, given, by_dask)
+            return compute(*tasks, **options)
 
-        monkeypatch.setattr(_blocks, "results", killing)
+        monkeypatch.setattr(dask, "compute", killing)
         model = fitted(test, lambda a: da.from_array(a, chunks=70), groups=test.groups)
         assert len(calls) > 8
         assert client.run(os.getpid) != workers
