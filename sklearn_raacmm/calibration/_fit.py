@@ -377,18 +377,11 @@ class Fit:
             points -= self.correction[rows]
         return points, jac
 
-    def _points_at(self, x):
-        """Corrected points (n, 3) of all rows, mm, which are held for the next look."""
-        x = x[: len(self.nominal)]
-        if self.evaluated is None or not np.array_equal(self.evaluated[0], x):
-            deque(self.located(x), maxlen=0)
-        return self.evaluated[1]
-
     def _free_columns(self, x, mask):
-        """Blocks as `located` yields them, with the derivatives by what is free."""
+        """Yield blocks of rows, and derivatives by what is free, the points as the last column."""
         free = np.flatnonzero(mask[: len(self.nominal)])
         for part, points, jac in self.located(x):
-            yield part, points, np.take(jac, free, axis=2)
+            yield part, np.concatenate([np.take(jac, free, axis=2), points[:, :, None]], axis=2)
 
     def touched(self, x, mask, index=None) -> Any:
         """What was touched, and what the free parameters move it by; None for measured points.
@@ -404,36 +397,33 @@ class Fit:
                 return None
             index = problem.index
         if problem.features:
-            rows, forms = with_forms(problem.features, index, self._points_at(x), weights)
+            rows, forms = with_forms(problem.features, index, self.points(x), weights)
             whitened = whitening(weights, rows.directions, index, rows.directions @ rows.unknowns)
             explained: Any = 0.0
-            for part, _, jac in self._free_columns(x, mask):
-                jac = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ jac)
-                explained = explained + group_sums(jac, index[part], None, len(whitened.unit))
-            return forms, whitened.unit @ explained, whitened.unit, rows, explained, whitened
+            for part, columns in self._free_columns(x, mask):
+                columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
+                explained = explained + group_sums(columns, index[part], None, len(whitened.unit))
+            moves = whitened.unit @ explained[:, :, :-1]
+            return forms, moves, whitened.unit, rows, explained, whitened
         # Sums of differences from the first row, so that a large mean costs no digits.
         total, sums = np.maximum(np.bincount(index, weights), 1e-300)[:, None, None], 0.0
         first: Any = None
-        for part, points, jac in self._free_columns(x, mask):
-            both = np.concatenate([points[:, :, None], jac], axis=2)
-            first = both[0] if first is None else first
-            sums = sums + group_sums(both - first, index[part], weights[part], len(total))
+        for part, columns in self._free_columns(x, mask):
+            first = columns[0] if first is None else first
+            sums = sums + group_sums(columns - first, index[part], weights[part], len(total))
         means = sums / total + first
-        return means[:, :, 0], means[:, :, 1:]
+        return means[:, :, -1], means[:, :, :-1], means
 
     def _beside_touched(self, x, mask, at, index):
         """Yield blocks of rows, and their residuals (m, 3) as the last column of their Jacobian."""
-        for part, points, jac in self._free_columns(x, mask):
-            rows, codes = np.empty((*points.shape, jac.shape[2] + 1)), index[part]
+        for part, rows in self._free_columns(x, mask):
             if self.problem.features:
                 *_, touched, explained, whitened = at
-                rows[:, :, :-1] = touched.directions[part] @ jac
-                rows[:, :, :-1] -= whitened.moves[part] @ explained[codes]
+                rows = touched.directions[part] @ rows
+                rows -= whitened.moves[part] @ explained[index[part]]
                 rows[:, :, -1] = touched.residual[part]
             else:
-                rows[:, :, :-1] = jac
-                rows[:, :, :-1] -= at[1][codes]
-                rows[:, :, -1] = points - at[0][codes]
+                rows -= at[2][index[part]]
             yield part, rows
 
     def _data(self, x, mask, at):
@@ -453,18 +443,19 @@ class Fit:
             return
         n_free = np.count_nonzero(mask)
         place = np.cumsum(mask) - 1  # of each parameter among those that are free
-        for part, points, jac in self._free_columns(x, mask):
+        free = np.flatnonzero(mask[: len(self.nominal)])
+        for part, points, jac in self.located(x):
             rows = np.zeros((len(points), 3, n_free + 1))
             stations = None if problem.stations is None else problem.stations[part]
             for s in range(problem.n_stations):
-                of, columns = rows_of(stations, s), self.base_columns(s)
+                of, base = rows_of(stations, s), self.base_columns(s)
                 turn = self._rotation(x, s)
                 turned = points[of] @ turn.T
-                rows[of, :, -1] = turned + x[columns[3:]] - problem.points[part][of]
-                rows[of, :, : jac.shape[2]] = turn @ jac[of]
-                for column, axis in zip(place[columns[:3]], np.eye(3), strict=True):
+                rows[of, :, -1] = turned + x[base[3:]] - problem.points[part][of]
+                rows[of, :, : len(free)] = turn @ np.take(jac[of], free, axis=2)
+                for column, axis in zip(place[base[:3]], np.eye(3), strict=True):
                     rows[of, :, column] = np.cross(axis, turned)
-                rows[of, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
+                rows[of, :, place[base[3]] : place[base[5]] + 1] = np.eye(3)
             yield part, rows
 
     def known(self, lengths, at):
@@ -518,9 +509,15 @@ class Fit:
         sds = self.length_sd / np.sqrt(self.length_weights)
         return np.column_stack([slopes, self._off(found)]) / sds[:, None]
 
-    def points(self):
-        """Corrected points (n, 3) in mm, in the arm's base frame."""
-        return self._points_at(self.x).copy()
+    def points(self, x=None):
+        """Corrected points (n, 3) in mm, in the arm's base frame; they are held for the next look.
+
+        Of the parameters of the fit, or of others.
+        """
+        x = (self.x if x is None else x)[: len(self.nominal)]
+        if self.evaluated is None or not np.array_equal(self.evaluated[0], x):
+            deque(self.located(x), maxlen=0)
+        return self.evaluated[1].copy()
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
