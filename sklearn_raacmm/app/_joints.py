@@ -5,7 +5,6 @@
 
 import re
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -203,9 +202,9 @@ def _by_names_in_cells(table, n, joint_names):
     joint_names = [name.lower() for name in joint_names or ()]
     if joint_names and in_file.keys() >= set(joint_names):
         return [in_file[name] for name in joint_names]
-    numbered: Any = {name: re.search(r"\d+", name) for name in in_file}
-    if len(in_file) == n and all(numbered.values()):
-        return [in_file[name] for name in sorted(in_file, key=lambda n: int(numbered[n][0]))]
+    numbered = [(re.findall(r"\d+", name), i) for name, i in in_file.items()]
+    if len(in_file) == n and all(digits for digits, _ in numbered):
+        return [i for _, i in sorted(numbered, key=lambda one: int(one[0][0]))]
     order = ", ".join(f"{table.header[i]} ({name})" for name, i in in_file.items())
     raise TableError(
         f"{table.path} names its joints, and the arm's joints have other names or none: say the "
@@ -215,7 +214,7 @@ def _by_names_in_cells(table, n, joint_names):
 
 def _series(table, n):
     """Series of n columns numbered from 0 or 1, such as q1 to q6, that may be the angles."""
-    series: dict[Any, dict[int, int]] = {}
+    series: dict[tuple[str, str], dict[int, int]] = {}
     for i, name in enumerate(table.names):
         match = re.fullmatch(r"(.*?)[\s_.\[-]*(\d+)(\D*)", name)
         if match:

@@ -9,6 +9,7 @@ imported when it is run, so that help is there at once.
 
 import contextlib
 import importlib
+import io
 import json
 import os
 import re
@@ -17,7 +18,6 @@ import sys
 import tempfile
 import warnings
 from pathlib import Path
-from typing import Any
 
 from sklearn_raacmm.app._options import make_parser, with_config
 
@@ -51,10 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
         options = parser.parse_args(with_config(words))
     except ValueError as error:  # of the file of options
         parser.error(str(error))
-    streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
-    for stream in streams:
+    for stream in (sys.stdout, sys.stderr):
         # Labels that a terminal cannot show must not end the work.
-        if hasattr(stream, "reconfigure"):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
         return _run(options)

@@ -7,6 +7,7 @@ import argparse
 import json
 import re
 import tomllib
+from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -109,7 +110,7 @@ def _value(metavar, text, **more):
     return {"metavar": metavar, "help": text, **more}
 
 
-def _number(metavar, text, kind: Any = float, **more):
+def _number(metavar, text, kind: Callable[[str], object] = float, **more):
     return _value(metavar, text, type=kind, **more)
 
 
@@ -276,10 +277,9 @@ def with_config(words):
         if option not in WORDS[words[0]][3].split():
             continue
         kind = OPTIONS.get(f"{words[0]} {option}") or OPTIONS[option]
-        values = [str(one) for one in (value if isinstance(value, list) else [value])]
-        values = [
-            str(path.parent / one) if (path.parent / one).is_file() else one for one in values
-        ]
+        values = list(map(str, value if isinstance(value, list) else [value]))
+        beside = [path.parent / one for one in values]
+        values = [str(b) if b.is_file() else one for b, one in zip(beside, values, strict=True)]
         if kind.get("action") == "store_true":
             more += [option] * bool(value)
         elif kind.get("action") == "append":

@@ -54,7 +54,7 @@ def write_report(
     result: Correction,
     path: str | PathLike[str] | None = None,
     *,
-    facts: dict[str, Any] | None = None,
+    facts: dict[str, str] | None = None,
     row_numbers: ArrayLike | None = None,
 ) -> str:
     """Write what was learnt as one HTML file that needs no network and prints on A4.
@@ -98,7 +98,7 @@ def write_report(
     learnt: Any = result  # it has scores and data, which one that was loaded lacks
     scores, calibration = learnt.scores, learnt.calibration
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
-    harmonics: list[Any] = []
+    harmonics: list[tuple[np.void, float]] = []
     if getattr(learnt.model, "helps_", False):  # it is no other kind of model, and it helps
         waves, n_joints = learnt.model.harmonics_, learnt.arm.n_joints
         sds = HarmonicDisplay(harmonics=waves, n_joints=n_joints).amplitude_sd

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ _MOST_ROWS = 20_000
 _LEAST_MM = 0.005
 
 
-def thinned(codes: Any, n: int) -> np.ndarray:
+def thinned(codes: np.ndarray | None, n: int) -> np.ndarray:
     """Numbers of the rows that are looked at, in their order: every kth of each code (n,), if any.
 
     All of few rows. What moves stays where it is for more than k rows.
@@ -33,7 +32,7 @@ def thinned(codes: Any, n: int) -> np.ndarray:
     return np.sort(order[:: max(-(-n // _MOST_ROWS), 1)])
 
 
-def moved_set_up(fit: Any, numbers: Any) -> Iterator[Finding]:
+def moved_set_up(fit, numbers) -> Iterator[Finding]:
     """A tracker, a base or a tool that moved during the measurement, a finding for each station.
 
     What was given as one station may be two. `numbers` (n,) are what the rows are called.

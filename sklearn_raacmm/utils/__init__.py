@@ -36,6 +36,7 @@ from sklearn_raacmm.utils._findings import (
     Finding as Finding,  # "as" for type checkers of those who import it from here
     FindingError as FindingError,
     FindingWarning as FindingWarning,
+    Weight,
     are_findings_ignored,
     call_collecting,
     collected_findings,

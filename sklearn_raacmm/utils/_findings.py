@@ -8,7 +8,7 @@ A finding is made once, and is the same in every place that shows it.
 
 import logging
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
@@ -16,11 +16,12 @@ from functools import partial, wraps
 from inspect import signature
 from time import perf_counter
 from types import MappingProxyType
-from typing import Any, Literal, cast
+from typing import Any, Literal, SupportsIndex, TypeVar, cast
 
 import numpy as np
+from sklearn.base import _fit_context as fit_context
 
-from sklearn_raacmm.utils._estimators import Function, fit_context, warn_user
+from sklearn_raacmm.utils._estimators import Function, warn_user
 
 _LOGGER = logging.getLogger("sklearn_raacmm")
 
@@ -31,6 +32,9 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 _STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
+
+Result = TypeVar("Result")
+Weight = Literal["note", "doubt", "repair", "refuse"]
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,8 @@ class Finding:
     code: str
     text: str
     advice: str = ""
-    weight: Literal["note", "doubt", "repair", "refuse"] = "doubt"
-    positions: tuple[Any, ...] = ()
+    weight: Weight = "doubt"
+    positions: tuple[Hashable, ...] = ()
     rows: tuple[int, ...] = ()
     joints: tuple[int, ...] = ()
     size_mm: float | None = None
@@ -80,7 +84,7 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.text} {self.advice}".rstrip()
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, object]:
         """The same as a dictionary that JSON can hold."""
         values = asdict(self)
         return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
@@ -112,15 +116,15 @@ class _Within:
     def __init__(self, **changes: Any) -> None:
         self._changes = changes
 
-    def __enter__(self) -> Any:
+    def __enter__(self) -> list[Finding]:
         self._token = _STATE.set({**_STATE.get(), **self._changes})
-        return self._changes.get("collected")
+        return self._changes.get("collected", [])
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(self, *error: object) -> None:
         _STATE.reset(self._token)
 
 
-def numbered_rows(numbers: Any) -> AbstractContextManager[None]:
+def numbered_rows(numbers: Sequence[int] | np.ndarray) -> AbstractContextManager[object]:
     """Let findings that are made within name their rows by these numbers (n,).
 
     Those of the lines of a file, by which whoever reads the findings knows the rows.
@@ -128,7 +132,7 @@ def numbered_rows(numbers: Any) -> AbstractContextManager[None]:
     return _Within(row_numbers=numbers)
 
 
-def row_numbers(rows: Iterable[Any]) -> tuple[int, ...]:
+def row_numbers(rows: Iterable[SupportsIndex]) -> tuple[int, ...]:
     """Numbers by which findings name some rows: counted from 0, or as `numbered_rows` says."""
     numbers = _STATE.get().get("row_numbers")
     return tuple(int(row if numbers is None else numbers[row]) for row in rows)
@@ -159,8 +163,8 @@ def collected_findings() -> AbstractContextManager[list[Finding]]:
 
 
 def call_collecting(
-    function: Callable[[], Any], accept: str | Sequence[str] | None = None
-) -> tuple[Any, list[Finding]]:
+    function: Callable[[], Result], accept: str | Sequence[str] | None = None
+) -> tuple[Result, list[Finding]]:
     """Call a function: its result, and what was found within, each warned of once at the end.
 
     A finding of weight "repair" whose code is in `accept` becomes a doubt; any other ends the call,
@@ -276,7 +280,7 @@ def stage(name: str) -> Callable[[Function], Function]:
     return decorate
 
 
-def _numbers_in(value: Any, depth: int = 4) -> Iterator[Any]:
+def _numbers_in(value: object, depth: int = 4) -> Iterator[np.ndarray]:
     """Yield the numbers of a result, (n,) at a time, those of its parts to some depth."""
     if isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind in "fi":
         yield np.ravel(value).astype(float)
