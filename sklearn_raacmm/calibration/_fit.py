@@ -247,14 +247,14 @@ class Fit:
         finite[:-1, :-1] = np.where(np.isfinite(covariance), covariance, 0.0)
         at, index = self.touched(self.x, mask), self.problem.index
         spread = np.empty(len(self.angles))
-        total: Any = None if index is None else np.bincount(index, self.weights)
+        total = np.zeros(0) if index is None else np.bincount(index, self.weights)
         for part, rows in self._weighted(self.x, mask, at):
             taken = (rows.reshape(-1, len(finite)) @ finite).reshape(rows.shape)
             taken = taken @ rows.swapaxes(1, 2)
             if self.problem.features:
-                basis = at[-1].basis[part]
+                basis: Any = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
-            elif self.problem.points is None:
+            elif index is not None and self.problem.points is None:
                 own = self.weights[part] / total[index[part]]
                 taken += own[:, None, None] * np.eye(3)
             values, axes = np.linalg.eigh(taken)
@@ -320,7 +320,7 @@ class Fit:
             else:
                 damping = max(100 * damping, _DAMPING)
 
-    def _sums(self, x, mask):
+    def _sums(self, x, mask) -> Any:
         """Products of the `rows` with one another, (k + 1, k + 1), summed up over blocks."""
         return sum(rows.T @ rows for rows in self.rows(x, mask))
 
@@ -343,9 +343,8 @@ class Fit:
         are held for the next look.
         """
         x, n = x[: len(self.nominal)], len(self.angles)
-        known = self.evaluated is not None and np.array_equal(self.evaluated[0], x)
-        if known and self.evaluated[2]:
-            yield from self.evaluated[2]
+        if (last := self.evaluated) is not None and np.array_equal(last[0], x) and last[2]:
+            yield from last[2]
             return
         points, held = np.empty((n, 3)), []
         for part in chunks(n, _BLOCK):
@@ -398,7 +397,9 @@ class Fit:
             index = problem.index
         if problem.features:
             rows, forms = with_forms(problem.features, index, self.points(x), weights)
-            whitened = whitening(weights, rows.directions, index, rows.directions @ rows.unknowns)
+            whitened: Any = whitening(
+                weights, rows.directions, index, rows.directions @ rows.unknowns
+            )
             explained: Any = 0.0
             for part, columns in self._free_columns(x, mask):
                 columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
@@ -406,8 +407,9 @@ class Fit:
             moves = whitened.unit @ explained[:, :, :-1]
             return forms, moves, whitened.unit, rows, explained, whitened
         # Sums of differences from the first row, so that a large mean costs no digits.
-        total, sums = np.maximum(np.bincount(index, weights), 1e-300)[:, None, None], 0.0
+        total = np.maximum(np.bincount(index, weights), 1e-300)[:, None, None]
         first: Any = None
+        sums: Any = 0.0
         for part, columns in self._free_columns(x, mask):
             first = columns[0] if first is None else first
             sums = sums + group_sums(columns - first, index[part], weights[part], len(total))
@@ -517,7 +519,8 @@ class Fit:
         x = (self.x if x is None else x)[: len(self.nominal)]
         if self.evaluated is None or not np.array_equal(self.evaluated[0], x):
             deque(self.located(x), maxlen=0)
-        return self.evaluated[1].copy()
+        held: Any = self.evaluated
+        return held[1].copy()
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""

@@ -6,6 +6,7 @@
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,7 +76,7 @@ def with_found_zeros(
     return arm.replace(**fields(_best_of_starts(left, start, len(free), good, slope_of, scale)))
 
 
-def trial(arm, **changes):
+def trial(arm, **changes) -> Any:
     """What kinematics need of an arm with some fields changed: an `Arm` would check them."""
     names = (*FIELDS, "joint_signs", "convention", "couplings", "joint_types")
     return SimpleNamespace(**{name: getattr(arm, name) for name in names} | changes)

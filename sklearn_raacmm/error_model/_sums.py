@@ -145,11 +145,12 @@ def candidate_sums(rows, columns):
         rows = rows.at(np.argsort(rows.codes, kind="stable"))
         parts = parts_of_positions(rows.codes, _CHUNK)
     whitened: Any = rows.whitening()
+    codes: Any = rows.codes
     given, n_held = [], _HELD // -(-len(parts) // _PARTS)
     for i in range(0, len(parts), _PARTS):
         own = parts[i : i + _PARTS]
         first, of = own[0].start, slice(own[0].start, own[-1].stop)
-        moved = () if whitened.basis is None else (whitened.basis[of], rows.codes[of])
+        moved = () if whitened.basis is None else (whitened.basis[of], codes[of])
         own = [slice(part.start - first, part.stop - first) for part in own]
         given.append((own, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
     blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
@@ -315,7 +316,7 @@ class _Block:
     harmonics, and of the harmonics' own blocks.
     """
 
-    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes=None):
+    def __init__(self, parts, n_held, columns, X, y, root, basis: Any = None, codes: Any = None):
         arm, offered = columns.arm, columns.terms.harmonics
         n_joints = len(arm.a)
         self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
@@ -379,13 +380,15 @@ class _Block:
         twice = np.repeat(joints, 2)
         moved: Any = None
         taken: Any = None
+        basis: Any = self.basis
+        of_rows: Any = self.codes
         for k, part in enumerate(self.parts):
             turn = self.turns[part]
             phase = order * self.angles[part][:, joints]
             wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-            if self.basis is not None:
-                moved = self.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-                codes = self.codes[part] - self.codes[part][0]
+            if basis is not None:
+                moved = basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
+                codes = of_rows[part] - of_rows[part][0]
                 taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
             for i, (joint, *_) in enumerate(self.spans):
                 own, along = self._of_part(k, i, on_grid[i])
