@@ -127,7 +127,7 @@ class LinearModel:
     noise_of_joints: np.ndarray
     noise_of_rows: float
     lever_mm: np.ndarray
-    prior_sd: dict[str, Any]
+    prior_sd: dict[str, float]
     offsets: bool
     n_determined: float
     log_bayes_factor: np.ndarray
@@ -139,7 +139,7 @@ class LinearModel:
     n_positions: float = float("inf")
     shown_by: np.ndarray | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         of_layout = {"arm": self.arm, "terms": self.terms}
         own = {f.name: getattr(self, f.name) for f in fields(self)[1:]}
         if self.shown_by is None:
@@ -439,7 +439,7 @@ class LinearModel:
         table = np.array([*zip(*values, strict=True)], dtype=dtype)
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
-    def term_table(self) -> Any:
+    def term_table(self) -> np.ndarray:
         """The other causes as a structured array: see `ArmResidualRegressor`."""
         others, n = self.layout.others, self.layout.n_waves
         width = max([len(column.name) for column in others], default=1)
