@@ -399,8 +399,8 @@ class Correction:
         """Find the probe, and the base from a tracker's points, through the correction.
 
         Where the poses are likelier of the probe that the correction was for than of another one,
-        that is kept: few poses would find it worse. Of causes beside the angles counts what is
-        usual.
+        that is kept, unless it was only stated: few poses would find it worse. Of causes beside
+        the angles counts what is usual.
 
         Parameters
         ----------
@@ -438,7 +438,8 @@ class Correction:
         model: Any = copy(self.model)
         linear: Any = getattr(model, "linear_model_", None)
         by_points = measured.points is not None
-        if "probe" in free and linear_in_use(model) and not (by_points and linear.offsets):
+        found_before = linear_in_use(model) is not None and linear.shown_by is None
+        if "probe" in free and found_before and not (by_points and linear.offsets):
             with ignored_findings():  # of poses as if the probe were the old one
                 expected = self._expected(measured, X)[2]
             if named_changes(expected, ["base"], -_SAME_PROBE_NATS, only=["probe"]) == []:
@@ -463,7 +464,7 @@ class Correction:
         base = self.base
         if found.base_rotation is not None:
             base = found.base_rotation, found.base_translation
-        if hasattr(model, "with_arm"):
+        if "probe" in free and hasattr(model, "with_arm"):
             model = model.with_arm(found.arm)
         new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
         if doubt is not None:  # and they say how much of it is used with another probe

@@ -217,6 +217,15 @@ def test_a_registration_keeps_the_probe_that_few_poses_do_not_show_to_be_another
     test = make_single_point(2, 5, machine=other, random_state=5)
     moved = learned.register(test.data, test.groups)
     assert_allclose(moved.arm.probe, learned.arm.probe + more, atol=0.1)
+    # One that was only stated is found, as well as from the one before it, and is in doubt no more.
+    stated, long = learned.move(learned.arm.probe + more), learned.move((0.0, 0.0, 400.0))
+    based = stated.register(test.data, test.groups, free=())
+    assert based.model.linear_model_.shown_by is not None
+    for known in (based, long.move(learned.arm.probe + more)):
+        again = known.register(test.data, test.groups)
+        assert_allclose(again.arm.probe, moved.arm.probe, atol=1e-3)
+        of_both = (one.model.predict(test.data, return_std=True)[1] for one in (again, moved))
+        assert_allclose(*of_both, rtol=1e-3)
 
 
 def test_an_update_by_touches_of_a_ball_of_the_probe(learned):

@@ -117,6 +117,9 @@ def test_a_stated_probe_is_in_doubt_by_how_the_last_frame_is_turned(model):
         doubt = np.sqrt(np.mean(variance(stated) - variance(found)))
         turned = model.linear_model_.std_scale * 75 * ARCSEC * np.sqrt(2) * np.linalg.norm(more)
         assert 0.6 * turned < doubt < 1.5 * turned
+    # Mounted elsewhere it is in doubt as before.
+    wall = stated.with_arm(far.replace(up=(1, 0, 0))).with_arm(far)
+    assert_allclose(variance(wall), variance(stated), rtol=1e-6)
     # What is found or stated after it does not depend on it, whatever was kept of it.
     again = pickle.loads(pickle.dumps(stated))
     for last in (False, True):
