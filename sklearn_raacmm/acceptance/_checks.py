@@ -6,11 +6,11 @@
 import itertools
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.acceptance._values import BARS, LAYOUTS, SPHERES
+from sklearn_raacmm.acceptance._values import BARS, LAYOUTS, SPHERES, Readings
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.metrics import fit_sphere
 from sklearn_raacmm.utils import Finding, row_numbers
 
@@ -45,7 +45,9 @@ _RATIOS = {
 }
 
 
-def find_faults(test: str, readings, arm: Any = None, limit: float | None = None) -> list[Finding]:
+def find_faults(
+    test: str, readings: Readings, arm: Arm | None = None, limit: float | None = None
+) -> list[Finding]:
     """What keeps a test from having values, the first kind of fault that is found; or a doubt.
 
     `limit` is the largest of the values' limits, mm.
@@ -73,8 +75,7 @@ def _gaps(test, readings):
     for (name, needed), column in zip(levels, columns, strict=True):
         there = sorted(set(column))
         labels.append(there)
-        named: Any = needed if isinstance(needed, tuple) else ()
-        least: Any = len(named) or needed
+        named, least = (needed, len(needed)) if isinstance(needed, tuple) else ((), needed)
         enough = len(there) > least and more and name == names[0]
         if set(there) != set(named) if named else len(there) != least and not enough:
             asked = f" ({', '.join(named)})" if named else ""
@@ -132,7 +133,7 @@ def _ways(test, readings, arm):
     """Where readings were taken, and how differently, against what the test asks."""
     columns = ("artefact", "position", "end") if test in BARS else ("position",)
     means = {k: readings.points[rows].mean(axis=0) for k, rows in readings.groups(*columns).items()}
-    places: dict[Any, Any] = {}
+    places: dict[tuple[str, ...], list[np.ndarray]] = {}
     for key, mean in means.items():  # of a bar both ends
         places.setdefault(key[:2] if test in BARS else key, []).append(mean)
     for (key, one), (other, two) in itertools.combinations(places.items(), 2):

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.acceptance._checks import find_faults
 from sklearn_raacmm.acceptance._run import AcceptanceRun
 from sklearn_raacmm.acceptance._values import FUNCTIONS, LAYOUTS, VALUES, Readings
 from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.utils import Finding, check_option, floats
 
 # One-sided 95 % of a normal error, the guard of ISO 14253-1.
@@ -63,8 +63,8 @@ class AcceptanceValue:
     limit_after: float | None = None
     decision_before: str = ""
     decision_after: str = ""
-    interval_before: Any = None
-    interval_after: Any = None
+    interval_before: tuple[float, float] | None = None
+    interval_after: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +109,8 @@ def evaluate_acceptance(
     model: Any = None,
     *,
     found: Arm | None = None,
-    base: Any = None,
-    limits: Mapping[str, Any] | None = None,
+    base: tuple[ArrayLike, ArrayLike] | None = None,
+    limits: Mapping[str, ArrayLike] | None = None,
     rule: str = "guarded",
 ) -> AcceptanceResult:
     r"""Values of a run of acceptance tests, before and after a correction.
@@ -190,10 +190,10 @@ def evaluate_acceptance(
     'pass'
     """
     check_option("rule", rule, _RULES)
-    limits = {name: _checked_limit(name, limit) for name, limit in (limits or {}).items()}
+    bounds = {name: _checked_limit(name, limit) for name, limit in (limits or {}).items()}
     if unknown := sorted(set(run.test.tolist()) - set(LAYOUTS)):
         raise ValueError(f"the run has the test {unknown[0]!r}; known are {', '.join(LAYOUTS)}.")
-    if isinstance(model, Correction):
+    if hasattr(model, "inputs"):
         correction, arm = model, arm or model.arm
         base = correction.base if base is None else base
         model = SimpleNamespace(predict=lambda q: correction.model.predict(correction.inputs(q)))
@@ -209,7 +209,7 @@ def evaluate_acceptance(
         computed = []
         try:
             # As left is looked at where there is one: its errors are smaller, and faults stand out.
-            own = [one for name, one in limits.items() if VALUES[name][0] == test]
+            own = [one for name, one in bounds.items() if VALUES[name][0] == test]
             most = max((min(a + s * largest, b) for a, s, b in own), default=None)
             faults = find_faults(test, readings[-1], arm, most)
             if all(fault.weight == "doubt" for fault in faults):
@@ -220,7 +220,7 @@ def evaluate_acceptance(
         findings += faults
         for name, about in VALUES.items():
             if about[0] == test:
-                judged = _judged([each[name] for each in computed], limits.get(name), rule)
+                judged = _judged([each[name] for each in computed], bounds.get(name), rule)
                 values.append(AcceptanceValue(name, *about, **judged))
     return AcceptanceResult(values=tuple(values), findings=tuple(findings), rule=rule)
 

@@ -13,7 +13,6 @@ from sklearn.utils import check_random_state, check_scalar
 from sklearn_raacmm.acceptance._run import AcceptanceRun
 from sklearn_raacmm.acceptance._values import BARS, FUNCTIONS, LAYOUTS, SPHERES, Readings
 from sklearn_raacmm.arm import check_angles
-from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.metrics import fit_sphere
 
 # Of the interval of 95 %, and the median.
@@ -78,8 +77,8 @@ def predict_acceptance(
     check_scalar(n_draws, "n_draws", Integral, min_val=2)
     if plan.angles is None:
         raise ValueError("a plan needs joint angles: errors depend on the pose.")
-    known = model if isinstance(model, Correction) else None
-    regressor: Any = known.model if known else model
+    known = model if hasattr(model, "inputs") else None  # a correction
+    regressor = known.model if known else model
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
     arm = known.arm if known else regressor.arm_
@@ -98,7 +97,7 @@ def predict_acceptance(
     ideal = np.zeros_like(points)
     for test, own in rows.items():
         ideal[own] = _on_artefacts(test, Readings(plan, own, points - mean))
-    found: dict[str, Any] = {}
+    found: dict[str, list[float]] = {}
     for k in range(n_draws):
         # Sizes are off by what they are stated to be known to.
         sizes = (a.size_mm and a.size_mm + a.u_size * rng.normal() for a in plan.artefacts)

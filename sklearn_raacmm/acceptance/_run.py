@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -158,7 +158,7 @@ class AcceptanceRun:
     end: Any = None
     angles: Any = None
     points: Any = None
-    artefacts: Any = ()
+    artefacts: Iterable[Artefact] = ()
     tip_mm: float = 0.0
     by_name: Mapping[str, Artefact] = field(init=False, repr=False)
 
@@ -178,11 +178,12 @@ class AcceptanceRun:
                 raise ValueError(f"{name} has {len(values)} rows, test has {n}.")
         if not (np.isfinite(self.tip_mm) and self.tip_mm >= 0):
             raise ValueError(f"tip_mm must be a diameter of 0 or more, got {self.tip_mm!r}.")
+        self._set("artefacts", tuple(self.artefacts))
         self._set("by_name", {artefact.name: artefact for artefact in self.artefacts})
 
     def _set(self, name, value):
         object.__setattr__(self, name, value)
 
-    def with_artefacts(self, artefacts: Any) -> "AcceptanceRun":
+    def with_artefacts(self, artefacts: Iterable[Artefact]) -> "AcceptanceRun":
         """The same readings with other artefacts, as where certificates come later."""
         return replace(self, artefacts=tuple(artefacts))

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -37,7 +38,7 @@ LAYOUTS: dict[str, Any] = {
 SPHERES, BARS = ("probing", "articulation", "diameter"), ("length", "bidirectional", "volumetric")
 _ZONES = LAYOUTS["single-point"][0][0][1]
 # Values in the order of the sheet: test, formula, standard, what of it was read.
-VALUES: dict[str, Any] = {
+VALUES: dict[str, tuple[str, str, str, str]] = {
     "P_Size": ("probing", "D_fit - D_cal, the worse position", _ISO12, OPEN_SOURCE),
     "P_Form": ("probing", "r_max - r_min, the worse position", _ISO12, OPEN_SOURCE),
     "L_Dia": ("articulation", "diameter of the smallest sphere round 5 centres", _ISO12,
@@ -68,7 +69,7 @@ class Readings:
     def groups(self, *columns):
         """Rows (m,) of this test for each combination of labels, in the order of the file."""
         labels = [getattr(self.run, name)[self.rows].tolist() for name in columns]
-        found: dict[Any, list[int]] = {}
+        found: dict[tuple[str, ...], list[int]] = {}
         for i, label in enumerate(zip(*labels, strict=True)):
             found.setdefault(label, []).append(i)
         return {label: np.array(rows) for label, rows in found.items()}
@@ -170,7 +171,7 @@ def _pose(readings):
 
 # What each value of a test is the worst of, by the names of the values: errors and sizes (k,) mm,
 # standard uncertainties of the errors, and where it is known the interval of 95 % from one run.
-FUNCTIONS: dict[str, Any] = {
+FUNCTIONS: dict[str, Callable[[Readings], dict[str, tuple[Any, ...]]]] = {
     "probing": partial(_spheres, column="position", name="P_Size", form_name="P_Form"),
     "articulation": _articulation,
     "length": partial(_lengths, name="E_Uni"),

@@ -7,7 +7,7 @@ The command ``raacmm`` (see ``raacmm --help``) is made of what stands here.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sklearn_raacmm.app._main import main
 
@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Import what is asked for, when it is, as the package itself does."""
     if name in __all__:
         for module in ("_sources", "_tables", "_report"):

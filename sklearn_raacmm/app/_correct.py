@@ -90,24 +90,15 @@ def write_corrected(layout, correction, options, file, std="all"):
                     new[rows] = points - one.model.predict(X[rows])
                 else:
                     new[rows] = one.columns(X[rows])[:, :width]
-        if isinstance(cells[0], str):
-            _write_lines(file, source.separator, cells, new)
+        if isinstance(cells[0], str):  # lines, of which no cell needs quotation marks
+            line = source.separator.join(["%s", *["%.6f"] * width]) + "\r\n"
+            pairs = zip(cells, new.tolist(), strict=True)
+            file.writelines([line % (text, *values) for text, values in pairs])
         else:
             for row, values in zip(cells, new.tolist(), strict=True):
                 writer.writerow([*plain(row), *map(source.text, values)])
         n_rows += len(cells)
     return n_rows, largest
-
-
-def _write_lines(file, separator, lines, new):
-    """Write lines of a table of numbers, with new numbers behind each: as a writer of cells does.
-
-    `Layout.plain_lines` has made sure that no cell needs quotation marks.
-    """
-    line = separator.join(["%s", *["%.6f"] * new.shape[1]]) + "\r\n"
-    file.writelines(
-        [line % (row, *values) for row, values in zip(lines, new.tolist(), strict=True)]
-    )
 
 
 def corrected_file(layout, correction, options):

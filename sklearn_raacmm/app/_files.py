@@ -224,7 +224,7 @@ def _read_rows(path, n_labels, n_numbers, sd, what):
     dialect, begun, n_values = find_source(path, n_numbers), False, n_numbers + 1
     mm = n_values * [1.0]
     for number, cells in dialect.rows():
-        values: list[Any] = [dialect.number(cell) for cell in cells[n_labels:]]
+        values: list[float | None] = [dialect.number(cell) for cell in cells[n_labels:]]
         values = [*values, *n_values * [None]][:n_values]
         if None in values[:n_numbers]:
             if begun or any(value is not None for value in values):

@@ -40,9 +40,18 @@ _FALSE_ALARM = 0.01
 # Scatter through the correction over what it left when it was learnt, from which on a registration
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
+# 2S, mm, below which a position counts as one of this 2S: simulated ones may have none.
+_LEAST_2S_MM = 1e-6
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
 # Share of the reach that a probe is at least: in metres none is. A choice.
 _LEAST_PROBE = 1e-3
+# What a step in the history says of points without and with the correction.
+_SIDES = "before_mm", "after_mm"
+# What to do where most poses of a check lie where the model knows little.
+_MEASURE_OTHERS = (
+    "Check with poses like those that it was learnt with; if you need these, run raacmm update "
+    "with some of them."
+)
 # Steps whose poses the model knows already.
 _LEARNT = {"learn": "taught", "update": "updated"}
 # Decimals of rad and mm by which a pose is known again, and so many that are no coincidence.
@@ -88,7 +97,7 @@ def update(options):
     day = date.today().isoformat()
     new = saved.update(*measured, date=day, accept=options.accept or ())
     X = saved.inputs(today.angles)
-    was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
+    was, now = saved.model.with_arm(new.arm).predict(X), new.model.predict(X)
     before, after, _, facts = _compare("Updated", saved, new, today, was, now)
     updates = vars(new.model).get("updates_", ())
     if len(updates) == len(vars(saved.model).get("updates_", ())):
@@ -193,13 +202,12 @@ def check(options):
         facts, holds = facts | scatter, holds and scatter["after_mm"] < scatter["before_mm"]
         holds = holds and scatter["after_mm"] <= scatter["expected_below_mm"]
     else:
-        usual = f"{facts['usual_mm']:.3f} mm (rms) is what is usual"
-        said = advice and f"It does not hold. {advice}"
-        facts["said"] = said or f"It holds: {_describe_poses(today)}, {usual}."
+        facts |= _check_distances(saved, today, measured, options) if options.points else {}
+        facts["said"], holds = _said_of(result, today, facts, advice)
     facts |= {"holds": holds}
     if options.record:
         try:
-            names = ("before_mm", "after_mm", "expected_below_mm", "holds", "said")
+            names = (*_SIDES, "expected_below_mm", "holds", "said")
             answer = {name: facts.get(name, "") for name in names}
             replace(result, record=result.record | answer).append_to(options.record)
             print(f"Appended to {options.record}")
@@ -208,7 +216,8 @@ def check(options):
     print(facts["said"])
     try:
         _refuse_other_writers(saved, options.model)
-        measure: Any = ("mean 2S", facts["before_mm"], facts["after_mm"]) if by_spread else ()
+        name = "mean 2S" if by_spread else "mean distance"
+        measure: Any = (name, *map(facts.get, _SIDES)) if _SIDES[0] in facts else ()
         step = step_of("check", today, facts, *measure)
         # A check changes no model: its file is written again as it is, without importing skops.
         model = (options.model / "model.skops").read_bytes()
@@ -242,6 +251,34 @@ def _check_model(saved, today, measured, rate, options):
     return facts, result, result.advice if changed else ""
 
 
+def _check_distances(saved, today, measured, options):
+    """Facts: mean distances from a tracker's points, mm, without the correction and with it."""
+    if saved.base is None or options.new_base:
+        saved = saved.register(*measured, free=(), accept=options.accept or ())
+    off = saved.residuals(today.angles, today.points)
+    with ignored_findings():  # of poses where little is known: the check has said so
+        correction = saved.model.predict(saved.inputs(today.angles))
+    mean = [float(np.linalg.norm(y, axis=1).mean()) for y in (off, off - correction)]
+    return dict(zip(_SIDES, mean, strict=True))
+
+
+def _said_of(result, today, facts, advice):
+    """The answer of a check by a model alone, in sentences, and whether the correction holds."""
+    change = _describe_poses(today)
+    if _SIDES[0] in facts:
+        change += ", mean distance {:.3f} -> {:.3f} mm".format(*map(facts.get, _SIDES))
+    change += f"; the model expects {facts['usual_mm']:.3f} mm (rms) at these poses"
+    if advice:
+        return f"It does not hold: {change}. {advice}", False
+    for finding in result.findings:
+        if finding.code == "little-known":
+            return (
+                f"Whether it holds does not show: {change}. {finding.text} {_MEASURE_OTHERS}",
+                False,
+            )
+    return f"It holds: {change}.", True
+
+
 def _check_spread(saved, today, rate, advice):
     """Facts of what the mean 2S shows, the sentence `said` among them.
 
@@ -252,7 +289,8 @@ def _check_spread(saved, today, rate, advice):
     labels = np.unique(today.positions)
     for i in natural_order(labels):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
-    expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
+    n_poses = np.unique(today.positions, return_counts=True)[1]
+    expected = highest_mean(saved.facts["positions"], n_poses, rate)
     expected *= _wider_than_learnt(saved, today)
     was, now = float(before.mean()), float(after.mean())
     facts = {"before_mm": was, "after_mm": now, "expected_below_mm": expected}
@@ -284,13 +322,22 @@ def _why_so_far(saved, today, limit):
     return _OTHER_ARM
 
 
-def highest_mean(learnt, n, rate):
-    """Mean 2S, mm, that n new positions like those learnt exceed at this rate.
+def highest_mean(learnt, n_poses, rate):
+    """Mean 2S, mm, that new positions of so many poses (n,) exceed at this rate at most.
 
-    The one-sided prediction limit of a mean of normal values.
+    `learnt` is the table of the positions of the first test. The one-sided prediction limit of
+    values whose logarithms are normal, as those of standard deviations nearly are; the logarithm of
+    one of n poses has a variance of 1 / (6 (n - 1)) for that few, which new positions have too.
     """
-    spread = np.std(learnt, ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
-    return float(stats.t.ppf(1 - rate, len(learnt) - 1, np.mean(learnt), spread))
+    logs = np.log(np.maximum(learnt["after"], _LEAST_2S_MM))
+    of_few = [
+        np.mean(1 / np.maximum(np.asarray(n) - 1.0, 1)) / 6 for n in (learnt["n_points"], n_poses)
+    ]
+    m, n, variance = len(logs), len(n_poses), np.var(logs, ddof=1)
+    of_new = variance + max(of_few[1] - of_few[0], 0.0)
+    spread = stats.t.ppf(1 - rate, m - 1) * np.sqrt(variance / m + of_new / n)
+    # The mean of n such values lies above the exponential of the mean logarithm.
+    return float(np.exp(np.mean(logs) + of_new / 2 * (1 - 1 / n) + spread))
 
 
 def _wider_than_learnt(saved, today):
@@ -303,8 +350,9 @@ def _wider_than_learnt(saved, today):
     learnt = steps[-1].get("probe_mm") if steps else None
     if learnt is None or not hasattr(saved.model, "with_arm"):
         return 1.0
-    both = saved, saved.move(learnt)
-    now, then = (_rms(one.correct(today.angles, std_of="position")[1]) for one in both)
+    as_learnt = saved.arm.replace(probe=learnt)
+    then = replace(saved, arm=as_learnt, model=saved.model.with_arm(as_learnt))
+    now, then = (_rms(one.correct(today.angles, std_of="position")[1]) for one in (saved, then))
     return now / then
 
 

@@ -9,6 +9,7 @@ imported when it is run, so that help is there at once.
 
 import contextlib
 import importlib
+import io
 import json
 import os
 import re
@@ -17,7 +18,6 @@ import sys
 import tempfile
 import warnings
 from pathlib import Path
-from typing import Any
 
 from sklearn_raacmm.app._options import make_parser, with_config
 
@@ -51,10 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
         options = parser.parse_args(with_config(words))
     except ValueError as error:  # of the file of options
         parser.error(str(error))
-    streams: tuple[Any, Any] = (sys.stdout, sys.stderr)
-    for stream in streams:
+    for stream in (sys.stdout, sys.stderr):
         # Labels that a terminal cannot show must not end the work.
-        if hasattr(stream, "reconfigure"):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
         return _run(options)
@@ -90,6 +89,10 @@ def _run(options):
     if getattr(options, "out", None) == "-" and options.word not in _TO_STANDARD_OUTPUT:
         raise ValueError("--out is a folder here, and - is none: give its name.")
     module = importlib.import_module(f"sklearn_raacmm.app.{options.module}")
+    if getattr(options, "accept", None):  # before anything is read, and in a dry run, too
+        from sklearn_raacmm.utils import check_accepted
+
+        check_accepted(options.accept)
     with contextlib.ExitStack() as stack:
         if getattr(options, "table", None) == "-":
             folder = stack.enter_context(tempfile.TemporaryDirectory())

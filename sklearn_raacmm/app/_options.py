@@ -7,6 +7,7 @@ import argparse
 import json
 import re
 import tomllib
+from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,7 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std",
+        "--model --c --onnx --name --std --fade",
     ),
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
@@ -109,7 +110,7 @@ def _value(metavar, text, **more):
     return {"metavar": metavar, "help": text, **more}
 
 
-def _number(metavar, text, kind: Any = float, **more):
+def _number(metavar, text, kind: Callable[[str], object] = float, **more):
     return _value(metavar, text, type=kind, **more)
 
 
@@ -209,6 +210,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "name of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("write standard deviations in C, too"),
+    "--fade": _choice(
+        ("small", "exact", "no"),
+        "how a correction fades where the model knows little: nearly as in Python from small "
+        "tables, exactly so, or not at all (small)",
+        "small",
+    ),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
     "accept --model": _number("FOLDER", "folder written by raacmm learn: the arm as left", Path),
@@ -276,10 +283,9 @@ def with_config(words):
         if option not in WORDS[words[0]][3].split():
             continue
         kind = OPTIONS.get(f"{words[0]} {option}") or OPTIONS[option]
-        values = [str(one) for one in (value if isinstance(value, list) else [value])]
-        values = [
-            str(path.parent / one) if (path.parent / one).is_file() else one for one in values
-        ]
+        values = list(map(str, value if isinstance(value, list) else [value]))
+        beside = [path.parent / one for one in values]
+        values = [str(b) if b.is_file() else one for b, one in zip(beside, values, strict=True)]
         if kind.get("action") == "store_true":
             more += [option] * bool(value)
         elif kind.get("action") == "append":

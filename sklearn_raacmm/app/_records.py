@@ -13,6 +13,7 @@ import json
 import re
 import tomllib
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.util import find_spec
 from itertools import groupby
@@ -156,7 +157,7 @@ def _lists(head, read, n_numbers):
     if wanted < 2 or 3 * wanted < len(some):
         return None
     text, line, done = read(), 1, 0
-    lines: list[Any] = []
+    lines: list[tuple[int, str, list[str], list[list[str]]]] = []
     for begin, lists in _lists_in(text):
         sizes = [len(numbers) for _, numbers in lists]
         if not _of_joints(sizes, n_numbers):
@@ -293,7 +294,7 @@ def _xml(head, read, n_numbers):
         return None
     if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
         return "HTML", None, list(enumerate(rows, 1))
-    by_tag: dict[str, list[Any]] = {}
+    by_tag: dict[str, list[Mapping[str, object]]] = {}
     for one in root.iter():
         simple = {part.tag: part.attrib or (part.text or "").strip() for part in one}
         by_tag.setdefault(one.tag, []).append(one.attrib | simple)

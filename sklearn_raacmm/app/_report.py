@@ -54,7 +54,7 @@ def write_report(
     result: Correction,
     path: str | PathLike[str] | None = None,
     *,
-    facts: dict[str, Any] | None = None,
+    facts: dict[str, str] | None = None,
     row_numbers: ArrayLike | None = None,
 ) -> str:
     """Write what was learnt as one HTML file that needs no network and prints on A4.
@@ -98,11 +98,14 @@ def write_report(
     learnt: Any = result  # it has scores and data, which one that was loaded lacks
     scores, calibration = learnt.scores, learnt.calibration
     fitted = calibration.nominal, calibration.values, calibration.standard_deviations
-    harmonics: list[Any] = []
+    harmonics: list[tuple[np.void, float]] = []
     if getattr(learnt.model, "helps_", False):  # it is no other kind of model, and it helps
         waves, n_joints = learnt.model.harmonics_, learnt.arm.n_joints
         sds = HarmonicDisplay(harmonics=waves, n_joints=n_joints).amplitude_sd
         harmonics = list(zip(waves, sds, strict=True))[:_MOST_HARMONICS]
+    off = np.linalg.norm(np.nan_to_num(scores.left_after), axis=1)
+    row = int(off.argmax())
+    number = row if row_numbers is None else np.asarray(row_numbers)[row]
     squares = np.mean(learnt.columns(learnt.inputs(learnt.angles)) ** 2, axis=0)
     text = render(
         "_report.html",
@@ -119,6 +122,7 @@ def write_report(
         parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
         harmonics=harmonics,
         outliers=list_outliers(learnt, row_numbers),
+        farthest=(number, off[row]),
         row_numbers=row_numbers,
         figures={
             "positions": draw_svg("positions", draw_positions, scores),

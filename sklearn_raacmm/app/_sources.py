@@ -10,7 +10,7 @@ import codecs
 import contextlib
 import csv
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -74,6 +74,9 @@ _ARRAYS = (".npy", ".npz", ".mat")
 _BAGS = (".bag", ".mcap", ".db3")
 
 
+Row = tuple[int, Sequence[Any]]  # its number and its cells
+
+
 class TableError(ValueError):
     """A table that cannot be read, or not without further options."""
 
@@ -106,7 +109,7 @@ class Dialect:
     separator: str | None = ","
     decimal: str = "."
     what: str = ""
-    table: Iterable[Any] | Callable[[], Iterable[Any]] | None = None
+    table: Iterable[Row] | Callable[[], Iterable[Row]] | None = None
 
     def rows(self):
         """Yield (row number, cells) of each row that is not empty; lines of text count from 1."""

@@ -56,8 +56,8 @@ class Table:
     positions: Any
     points: Floats | None
     rows: np.ndarray
-    notes: list[Any] = field(default_factory=list)
-    others: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    others: dict[str, np.ndarray] = field(default_factory=dict)
     joint_types: str = ""
 
 
@@ -67,10 +67,10 @@ def read_table(
     *,
     angles: list[str] | None = None,
     position: str | None = None,
-    points: list[Any] | str | PathLike[str] | None = None,
+    points: list[str] | str | PathLike[str] | None = None,
     angle_unit: str | None = None,
     labelled: bool = True,
-    joint_names: Sequence[Any] = (),
+    joint_names: Sequence[str] = (),
     counts_per_turn: ArrayLike | None = None,
     sheet: str | None = None,
     others: Iterable[str] = (),
@@ -261,7 +261,7 @@ class Layout(Columns):
         if self.point_columns:
             points = self.points(rows, self.point_columns)
         angles = self.factor * self.numbers(rows, self.angle_columns) / self.turns
-        others: dict[str, Any] = {}
+        others = {}
         for name, i in self.others.items():
             given = [cells[i] for _, cells in rows]
             values = self.source.numbers(given)
@@ -419,8 +419,8 @@ def _match(layout, cells, names):
 
     Names must tell all rows and all points apart, and most of the fewer must have a partner.
     """
-    row_of_name: dict[Any, int] = {name: i for i, name in enumerate(names or ())}
-    best: tuple[Any, Any, int] = ([], [], -1)
+    row_of_name: dict[str, int] = {name: i for i, name in enumerate(names or ())}
+    best: tuple[list[int], list[int], int] = ([], [], -1)
     for column in range(len(layout.header)):
         own = [text_of_label(row[column]) for row in cells]
         if column in layout.angle_columns or len(set(own)) < len(own):

@@ -23,23 +23,15 @@ _LINE_EVERY, _BAR_EVERY = 60.0, 1.0
 _PRODUCTS, _ROWS, _EXPONENT = 50.0, 350, 0.55
 
 
-def width_of(stream):
-    """Columns to fill: of a terminal, or those that COLUMNS says; None for a pipe or a file."""
-    given = os.environ.get("COLUMNS", "")
-    if given.isdigit():
-        return min(_WIDTH, max(20, int(given)))
-    return min(_WIDTH, shutil.get_terminal_size().columns) if _is_terminal(stream) else None
-
-
 def _is_terminal(stream):
     return bool(getattr(stream, "isatty", lambda: False)())
 
 
 def filled(text, stream, indent="  "):
-    """A sentence in lines that the terminal can show; further lines are indented."""
-    width = width_of(stream)
-    if width is None:
+    """A sentence in lines that a terminal can show, or as COLUMNS says; as it is in a file."""
+    if not (os.environ.get("COLUMNS", "").isdigit() or _is_terminal(stream)):
         return text
+    width = min(_WIDTH, max(20, shutil.get_terminal_size().columns))  # which looks at COLUMNS
     return textwrap.fill(
         text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
-from typing import Any
 
 import numpy as np
 
@@ -74,7 +73,7 @@ def unit_of_cells(cells):
 
 def stated_units(lines):
     """Units that lines of text state for a whole table."""
-    units: set[Any] = set()
+    units = set()
     for pair in (pair for line in lines for pair in _STATED.findall(line)):
         first, second = (_UNIT_OF_WORD.get(word.lower(), word.lower()) for word in pair)
         if first in UNITS:  # else it is a sentence: "in Berlin in May"

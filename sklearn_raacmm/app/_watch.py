@@ -4,11 +4,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import warnings
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic, process_time, sleep, strftime, thread_time
-from typing import Any
 
 import numpy as np
 
@@ -100,7 +99,7 @@ class _Seen:
         self.said, self.enough, self.least_poses = "Waiting for the first rows.", False, _POSES
         self._next_rows, self._judged, self._cost_s = _FIRST_ROWS, 0, _FIRST_COST_S
         self._start = monotonic(), process_time()
-        self.job: Any = None
+        self.job: Future[tuple[bool, str, float]] | None = None
 
     def take(self, table):
         """Judge all rows of the table as it is now."""
@@ -109,7 +108,7 @@ class _Seen:
         # Cones are counted as they came.
         order = np.argsort(np.unique(codes, return_index=True)[1])
         labels, self._codes = labels[order], np.argsort(order)[codes]
-        change: Any = 0.0
+        change = 0.0
         if self._saved is not None:
             change = self._saved.model.predict(self._saved.inputs(self._angles))
         elif self.n_rows >= self._next_rows:
@@ -149,8 +148,8 @@ class _Seen:
 
     def work(self, pool):
         """Try a correction of the finished cones, or check one, where the share allows it."""
-        done = bool(self.job and self.job.done())
-        if self.job and done:
+        done = self.job is not None and self.job.done()
+        if self.job is not None and done:
             self.enough, self.said, self._cost_s = self.job.result()
             self.job = None
         finished = len(self.cones) - 1

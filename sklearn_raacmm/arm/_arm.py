@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from html import escape
 from os import PathLike
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
-from sklearn_raacmm.arm._checks import check_angles, check_fields, floats, in_unit, scale_of
+from sklearn_raacmm.arm._checks import DHTable, check_angles, floats, in_unit, scale_of
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import (
     by_given_angles,
@@ -36,7 +36,7 @@ _FEW_JOINTS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Arm:
+class Arm(DHTable):
     """An articulated arm: Denavit-Hartenberg table, probe, and the joints that make its pose.
 
     An immutable value, equal and hashable by content. Lengths are in mm, angles in rad. Of joints
@@ -121,24 +121,6 @@ class Arm:
     array([[-812. ,   15. ,  914.5]])
     """
 
-    a: Floats
-    alpha: Floats
-    d: Floats
-    theta_offset: Floats = 0.0  # type: ignore[assignment]
-    _: KW_ONLY
-    probe: Floats = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    convention: str = "standard"
-    joint_signs: Floats = 1  # type: ignore[assignment]
-    pose_joints: tuple[int, int] = (3, 4)
-    pose_frames: tuple[int, int] = (2, 5)
-    name: str = ""
-    names: tuple[str, ...] = ()
-    limits: Floats | None = None
-    up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
-    couplings: tuple[tuple[int, int, int], ...] = ()
-    joint_types: str = None  # type: ignore[assignment]
-    up_frame: int = 0
-
     if TYPE_CHECKING:  # what may be given; the fields say what it has become
 
         def __init__(
@@ -162,10 +144,6 @@ class Arm:
             up_frame: int = 0,
         ) -> None: ...
 
-    def __post_init__(self) -> None:
-        for field, value in check_fields(self).items():
-            object.__setattr__(self, field, value)
-
     # -- a value: equality, copies, representation ------------------------------------------
 
     @cached_property
@@ -179,13 +157,13 @@ class Arm:
     def __hash__(self) -> int:
         return hash(self._key)
 
-    def __deepcopy__(self, memo: Any) -> Self:
+    def __deepcopy__(self, memo: object) -> Self:
         return self
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def __setstate__(self, state: Any) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         # Through the constructor: arrays restored by pickle would be writable.
         type(self).__init__(self, **state)
 
@@ -223,11 +201,6 @@ class Arm:
         lines = ("".join(f"<{tag}>{cell}</{tag}>" for cell in row) for tag, row in rows)
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<div><p>{escape(repr(self))}</p><table>{table}</table></div>"
-
-    @cached_property
-    def n_joints(self) -> int:
-        """Number of joints."""
-        return self.a.size
 
     @cached_property
     def reach_mm(self) -> float:
@@ -429,7 +402,7 @@ class Arm:
     # -- files ------------------------------------------------------------------------------
 
     @classmethod
-    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, Any]) -> "Arm":
+    def from_json(cls, source: str | PathLike[str] | bytes | dict[str, object]) -> "Arm":
         """Read an arm from a JSON file.
 
         Parameters
@@ -751,7 +724,7 @@ def check_arm(arm: object) -> None:
         raise TypeError(f"arm must be an Arm, got {type(arm).__name__}.")
 
 
-def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Any = ()) -> Arm:
+def arm_for(arm: Arm | None, owner: str, n_columns: int, extra: Sequence[str] = ()) -> Arm:
     """The arm itself; or, with a warning in the name of its `owner`, the built-in arm CMM.
 
     Refuses X without a column for each joint and each name in `extra`.
@@ -776,7 +749,7 @@ def without_first(arm: Arm) -> Arm:
     """The arm behind its first joint, in the base that this joint carries."""
     n, turn = arm.n_joints - 1, arm.frames(np.zeros((1, arm.n_joints)))[0, 1, :, :3]
     up = turn.T @ arm.up
-    fields: dict[str, Any] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
+    fields: dict[str, object] = {"up": np.where(np.abs(up) > _ROUNDING, up, 0.0)}
     if arm.up_frame:
         fields = {"up_frame": arm.up_frame - 1}
     for name in ("a", "alpha", "d", "theta_offset", "joint_signs", "names", "joint_types"):
@@ -784,7 +757,7 @@ def without_first(arm: Arm) -> Arm:
     fields["limits"] = None if arm.limits is None else arm.limits[1:]
     fields["couplings"] = [(i - 1, j - 1, factor) for i, j, factor in arm.couplings]
     joints, frames = (tuple(np.subtract(pair, 1)) for pair in (arm.pose_joints, arm.pose_frames))
-    pose: dict[str, Any] = {"pose_joints": joints, "pose_frames": frames}
+    pose: dict[str, object] = {"pose_joints": joints, "pose_frames": frames}
     if min(joints) < 1 or min(frames) < 0:
         pose = usual_pose(n, False, arm.convention)
     return arm.replace(**fields, **pose)

@@ -34,7 +34,7 @@ def _iiwa(shoulder, upper):
     }
 
 
-_UR10: Any = _ur(127.3, 612.0, 572.3, 163.941, 115.7, 92.2)
+_UR10 = _ur(127.3, 612.0, 572.3, 163.941, 115.7, 92.2)
 
 BUILT_IN: dict = {
     # Table 2 of article 1760190, Mathematical Problems in Engineering 2018: identified.
@@ -97,7 +97,7 @@ TWISTS = {
 }
 
 
-def usual_pose(n_joints: int, parallel: Any, convention: str) -> dict[str, Any]:
+def usual_pose(n_joints: int, parallel: bool, convention: str) -> dict[str, Any]:
     """The fields of `Arm` that say its pose; `parallel` if its second and third axes are."""
     if n_joints < 5:
         return {"pose_joints": (1, 2), "pose_frames": (0, n_joints)}

@@ -3,13 +3,15 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from numbers import Integral
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.utils import check_scalar
 
-from sklearn_raacmm.utils import Finding, check_option, floats
+from sklearn_raacmm.utils import Finding, Floats, Weight, check_option, floats
 
 # Two whole turns: multi-turn encoders pass, a log in degrees hardly ever does.
 _WARN_RAD = 4 * np.pi
@@ -29,45 +31,76 @@ _ROTATION = 1e-5
 MIN_LENGTH_MM = 1e-6
 
 
-def check_fields(arm: Any) -> dict[str, Any]:
-    """Fields of an `Arm` as it keeps them; each fault gets one clear sentence."""
-    a = check_numbers("a", arm.a, None, "mm", MAX_LENGTH_MM)
-    n = a.size
-    alpha = check_numbers("alpha", arm.alpha, n, "rad", 2 * np.pi)
-    types = check_types(arm.joint_types, n)
-    checked = {
-        "a": a,
-        "alpha": alpha,
-        "d": check_numbers("d", arm.d, n, "mm", MAX_LENGTH_MM),
-        "theta_offset": check_numbers("theta_offset", arm.theta_offset, n, "rad", 2 * np.pi, True),
-        "probe": check_numbers("probe", arm.probe, 3, "mm", MAX_LENGTH_MM),
-        "joint_signs": check_numbers("joint_signs", arm.joint_signs, n, "", 2, True),
-        # A table that turns in one joint has no two.
-        "pose_joints": (1, 1) if n == 1 else check_pair("pose_joints", arm.pose_joints, 1, n),
-        "pose_frames": check_pair("pose_frames", arm.pose_frames, 0, n),
-        "names": check_names(arm.names, n),
-        "limits": check_limits(arm.limits, n),
-        "up": check_direction("up", arm.up),
-        "couplings": check_couplings(arm.couplings, n, types),
-        "joint_types": types,
-        "up_frame": int(check_scalar(arm.up_frame, "up_frame", Integral, min_val=0, max_val=n)),
-    }
-    off = np.abs(np.abs(checked["joint_signs"]) - 1)
-    if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
-        raise ValueError(
-            f"joint_signs must be -1 or 1 each, or of a joint that slides within {_MOST_SCALE:.0%} "
-            f"of it, got {arm.joint_signs!r:.60}."
-        )
-    check_option("convention", arm.convention, ("standard", "modified"))
-    if not is_name(arm.name):
-        raise ValueError(f"name must be a string of whole characters, got {arm.name!r:.60}.")
-    lengths = (checked[field] for field in ("a", "d", "probe"))
-    if "P" not in types and not any(np.any(np.abs(one) > MIN_LENGTH_MM) for one in lengths):
-        raise ValueError(
-            f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
-            "length does not move its probe."
-        )
-    return checked
+@dataclass(frozen=True, eq=False, repr=False)
+class DHTable:
+    """The fields of an `Arm`, which says what they are, checked: each fault gets one sentence."""
+
+    a: Floats
+    alpha: Floats
+    d: Floats
+    theta_offset: Floats = 0.0  # type: ignore[assignment]
+    _: KW_ONLY
+    probe: Floats = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    convention: str = "standard"
+    joint_signs: Floats = 1  # type: ignore[assignment]
+    pose_joints: tuple[int, int] = (3, 4)
+    pose_frames: tuple[int, int] = (2, 5)
+    name: str = ""
+    names: tuple[str, ...] = ()
+    limits: Floats | None = None
+    up: Floats = (0.0, 0.0, 1.0)  # type: ignore[assignment]
+    couplings: tuple[tuple[int, int, int], ...] = ()
+    joint_types: str = None  # type: ignore[assignment]
+    up_frame: int = 0
+
+    def __post_init__(self) -> None:
+        a = check_numbers("a", self.a, None, "mm", MAX_LENGTH_MM)
+        n = a.size
+        alpha = check_numbers("alpha", self.alpha, n, "rad", 2 * np.pi)
+        types = check_types(self.joint_types, n)
+        checked = {
+            "a": a,
+            "alpha": alpha,
+            "d": check_numbers("d", self.d, n, "mm", MAX_LENGTH_MM),
+            "theta_offset": check_numbers(
+                "theta_offset", self.theta_offset, n, "rad", 2 * np.pi, True
+            ),
+            "probe": check_numbers("probe", self.probe, 3, "mm", MAX_LENGTH_MM),
+            "joint_signs": check_numbers("joint_signs", self.joint_signs, n, "", 2, True),
+            # A table that turns in one joint has no two.
+            "pose_joints": (1, 1) if n == 1 else check_pair("pose_joints", self.pose_joints, 1, n),
+            "pose_frames": check_pair("pose_frames", self.pose_frames, 0, n),
+            "names": check_names(self.names, n),
+            "limits": check_limits(self.limits, n),
+            "up": check_direction("up", self.up),
+            "couplings": check_couplings(self.couplings, n, types),
+            "joint_types": types,
+            "up_frame": int(
+                check_scalar(self.up_frame, "up_frame", Integral, min_val=0, max_val=n)
+            ),
+        }
+        off = np.abs(np.abs(checked["joint_signs"]) - 1)
+        if np.any(off > scale_of(types, 0.0, _MOST_SCALE)):
+            raise ValueError(
+                "joint_signs must be -1 or 1 each, or of a joint that slides within "
+                f"{_MOST_SCALE:.0%} of it, got {self.joint_signs!r:.60}."
+            )
+        check_option("convention", self.convention, ("standard", "modified"))
+        if not is_name(self.name):
+            raise ValueError(f"name must be a string of whole characters, got {self.name!r:.60}.")
+        lengths = (checked[field] for field in ("a", "d", "probe"))
+        if "P" not in types and not any(np.any(np.abs(one) > MIN_LENGTH_MM) for one in lengths):
+            raise ValueError(
+                f"a, d and probe hold no length above {MIN_LENGTH_MM:g} mm: an arm without any "
+                "length does not move its probe."
+            )
+        for field, value in checked.items():
+            object.__setattr__(self, field, value)
+
+    @cached_property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return self.a.size
 
 
 def check_types(value, n):
@@ -148,7 +181,7 @@ def is_name(value):
     return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
 
 
-def check_limits(limits: Any, n: int) -> Any:
+def check_limits(limits, n):
     """Lower and upper limit of each joint, rad or mm, read-only; None where there are none."""
     if limits is None:
         return None
@@ -170,7 +203,7 @@ def check_limits(limits: Any, n: int) -> Any:
     return limits
 
 
-def are_rotations(turns: np.ndarray) -> Any:
+def are_rotations(turns: np.ndarray) -> np.ndarray:
     """Whether matrices (..., 3, 3) are rotations, of which six digits may have been written."""
     off = np.abs(turns @ turns.swapaxes(-1, -2) - np.eye(3)).max(axis=(-1, -2))
     return (off < _ROTATION) & (np.linalg.det(turns) > 0)
@@ -187,7 +220,7 @@ def check_pair(name, value, low, high):
     return tuple(pair.astype(int).tolist())
 
 
-def check_angles(angles: Any, joints: int | str, angle_unit: str) -> np.ndarray:
+def check_angles(angles: ArrayLike, joints: int | str, angle_unit: str) -> np.ndarray:
     """Angles (n_samples, n_joints) as float64 in rad; warns where the unit is likely another.
 
     `joints` are how many there are, or the `joint_types` of an arm: what slides is in mm, whatever
@@ -230,7 +263,7 @@ def check_angles(angles: Any, joints: int | str, angle_unit: str) -> np.ndarray:
         )
     most, joint = float(largest.max()), int(largest.argmax()) + 1
     at = f"(joint {joint})"
-    weight: Any = "doubt"
+    weight: Weight = "doubt"
     if angle_unit == "rad":
         text = f"angles reach {most:g} rad {at}, more than two turns:"
         advice = 'if they are degrees, convert them or pass angle_unit="deg" (raacmm: --unit deg).'

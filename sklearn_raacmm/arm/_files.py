@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.arm._checks import DHTable
+
 _FORMAT = "sklearn_raacmm.Arm"
 _FORMAT_VERSION = 1
 _UNITS = {"a": "_mm", "alpha": "_rad", "d": "_mm", "theta_offset": "_rad", "probe": "_mm"}
@@ -21,7 +23,7 @@ _OPTIONAL = {field: field for field in ("up", "couplings", "joint_types", "up_fr
 _OPTIONAL |= {"joint_names": "names", "limits_rad": "limits", "limits_rad_mm": "limits"}
 
 
-def read_fields(source: Any) -> tuple[dict[str, Any], str]:
+def read_fields(source: object) -> tuple[dict[str, Any], str]:
     """Fields of `Arm` in a JSON file, and a name of the source: see `Arm.from_json`."""
     content, where = _content(source)
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
@@ -44,16 +46,15 @@ def read_fields(source: Any) -> tuple[dict[str, Any], str]:
     return {field: content[key] for field, key in keys.items()}, where
 
 
-def json_text(arm: Any) -> str:
+def json_text(arm: DHTable) -> str:
     """Text of an arm as JSON, with the units in the names of the fields."""
     content = {"format": _FORMAT, "format_version": _FORMAT_VERSION}
     for field, key in _JSON_KEYS.items():
         value = getattr(arm, field)
         content[key] = value.tolist() if isinstance(value, np.ndarray) else value
-    slides, limits = "P" in arm.joint_types, arm.limits
-    if limits is not None:  # JSON has no infinity
-        shown: Any = np.where(np.isfinite(limits), limits, None)
-        limits = shown.tolist()
+    slides, limits = "P" in arm.joint_types, None
+    if arm.limits is not None:  # JSON has no infinity
+        limits = np.where(np.isfinite(arm.limits), arm.limits, np.array(None)).tolist()
     # What is as usual is left out: such files are read by earlier versions, too.
     optional = {
         "joint_names": list(arm.names),
@@ -67,7 +68,7 @@ def json_text(arm: Any) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def _content(source: Any):
+def _content(source):
     """What the JSON holds, and a name of the source for error messages."""
     if isinstance(source, dict):
         return source, "the dict"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm._checks import slides_of
+from sklearn_raacmm.arm._checks import DHTable, slides_of
 from sklearn_raacmm.utils import chunks
 
 # Fields of `Arm` that are its static parameters, in the order of `parameter_jacobian`.
@@ -20,7 +20,7 @@ _BASE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 _TRAVEL_MM = 2000.0
 
 
-def own_angles(arm: Any, angles: np.ndarray) -> np.ndarray:
+def own_angles(arm: DHTable, angles: np.ndarray) -> np.ndarray:
     """Angle of each joint itself (n, n_joints), of what the encoders give: see `Arm.couplings`."""
     if not arm.couplings:
         return angles
@@ -30,14 +30,14 @@ def own_angles(arm: Any, angles: np.ndarray) -> np.ndarray:
     return own
 
 
-def joint_axes(arm: Any) -> np.ndarray:
+def joint_axes(arm: DHTable) -> np.ndarray:
     """Place of what each joint does to the probe, (n_joints,), among the `axis_vectors`."""
     n, turns = len(arm.a), 3 * (np.arange(len(arm.a)) + (arm.convention == "modified")) + 2
     turns[slides_of(arm.joint_types)] += 3 * (n + 1)
     return turns
 
 
-def phases(arm: Any, angles: np.ndarray) -> np.ndarray:
+def phases(arm: DHTable, angles: np.ndarray) -> np.ndarray:
     """What waves of each joint's error are waves of, (n, n_joints) rad: its `own_angles`.
 
     For a joint that slides a turn is twice its travel, and a multiple of 200 mm, so that whole
@@ -47,7 +47,7 @@ def phases(arm: Any, angles: np.ndarray) -> np.ndarray:
     return own * phase_factors(arm) if slides_of(arm.joint_types) else own
 
 
-def phase_factors(arm: Any) -> np.ndarray:
+def phase_factors(arm: DHTable) -> np.ndarray:
     """What makes `phases` of the `own_angles` of each joint, (n_joints,): rad for rad or mm."""
     slides = slides_of(arm.joint_types)
     factors = np.ones(len(arm.a))
@@ -55,13 +55,13 @@ def phase_factors(arm: Any) -> np.ndarray:
     return factors
 
 
-def turn_mm(arm: Any) -> np.ndarray:
+def turn_mm(arm: DHTable) -> np.ndarray:
     """Travel in mm (n_joints,) that counts as one turn in `phases`, of the joints that slide."""
     low, high = spans_of(arm)
     return 200.0 * np.maximum(np.ceil((high - low) / 100.0), 1.0)
 
 
-def spans_of(arm: Any) -> np.ndarray:
+def spans_of(arm: DHTable) -> np.ndarray:
     """From where to where joints are taken to go, (2, n_joints): a turn; the limits of a slide."""
     spans = np.array([[-np.pi], [np.pi]]) * np.ones(len(arm.a))
     if slides := slides_of(arm.joint_types):
@@ -75,13 +75,14 @@ def spans_of(arm: Any) -> np.ndarray:
     return spans
 
 
-def random_poses(arm: Any, n: int, rng: Any = None) -> np.ndarray:
+def random_poses(arm: DHTable, n: int, rng: np.random.Generator | None = None) -> np.ndarray:
     """Poses (n, n_joints) anywhere in the `spans_of` an arm, in rad and mm."""
     rng = np.random.default_rng(0) if rng is None else rng
-    return rng.uniform(*spans_of(arm), (n, len(arm.a)))
+    low, high = spans_of(arm)
+    return rng.uniform(low, high, (n, len(arm.a)))
 
 
-def by_given_angles(arm: Any, jacobian: np.ndarray) -> np.ndarray:
+def by_given_angles(arm: DHTable, jacobian: np.ndarray) -> np.ndarray:
     """Derivatives (..., n_joints) by what the encoders give, of those by theta of the table.
 
     Of joints that slide by d.
@@ -109,7 +110,7 @@ def _rows_of_table(arm, angles):
     return np.cos(theta), np.sin(theta), *links
 
 
-def carried(arm: Any, angles: np.ndarray, fixed: list[Any]) -> np.ndarray:
+def carried(arm: DHTable, angles: np.ndarray, fixed: list[Any]) -> np.ndarray:
     """Points in the base frame, (len(fixed), 3, n_samples) mm, that are fixed in frames of the arm.
 
     `fixed` has the number of each point's frame and its three coordinates in it, mm. A point
@@ -135,7 +136,7 @@ def carried(arm: Any, angles: np.ndarray, fixed: list[Any]) -> np.ndarray:
     return points
 
 
-def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
+def points_of(arm: DHTable, angles: np.ndarray, probes: np.ndarray | None = None) -> np.ndarray:
     """Probe points (n_samples, 3) at angles that have been checked, a chunk at a time.
 
     `probes` (n_samples, 3) are those of the rows in the last frame, mm; None: all have the arm's.
@@ -147,7 +148,7 @@ def points_of(arm: Any, angles: np.ndarray, probes: np.ndarray | None = None) ->
     return points
 
 
-def frame_columns(arm: Any, angles: np.ndarray) -> np.ndarray:
+def frame_columns(arm: DHTable, angles: np.ndarray) -> np.ndarray:
     """Frames as (n_joints + 1, 4, 3, n_samples): the columns x, y, z, origin of each frame."""
     cos, sin, *links = _rows_of_table(arm, angles)
     if len(angles) == 1:  # by numbers, as in `carried`: a third of the time, and equal bits
@@ -177,7 +178,7 @@ def _frames(arm, table, base):
         yield x, y, z, origin
 
 
-def frame_poses(arm: Any, angles: np.ndarray) -> np.ndarray:
+def frame_poses(arm: DHTable, angles: np.ndarray) -> np.ndarray:
     """Frames (n, n_joints + 1, 3, 4) at angles that have been checked: see `Arm.frames`."""
     frames = np.empty((len(angles), len(arm.a) + 1, 3, 4))
     for rows in chunks(len(angles), CHUNK_ROWS):
@@ -200,7 +201,7 @@ def cross(u, v):
 
 
 def axis_vectors(
-    arm: Any, angles: np.ndarray, probes: np.ndarray | None = None
+    arm: DHTable, angles: np.ndarray, probes: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """What turns and shifts by every axis of every frame do to the probe, and where things are.
 
@@ -227,7 +228,7 @@ def axis_vectors(
     return vectors, places.transpose(2, 0, 1)
 
 
-def parameter_jacobian(arm: Any, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def parameter_jacobian(arm: DHTable, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's `FIELDS`."""
     n = len(arm.a)
     points = np.empty((len(angles), 3))

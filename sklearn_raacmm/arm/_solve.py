@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._checks import are_rotations, scale_of
+from sklearn_raacmm.arm._checks import DHTable, are_rotations, scale_of
 from sklearn_raacmm.arm._kinematics import (
     axis_vectors,
     by_given_angles,
@@ -34,12 +35,15 @@ _STARTS, _TRIES, _ASIDE = 20, 4, 0.1
 
 
 def angles_for(
-    arm: Any, points: Any, start: Any, orientations: Any, correction: Callable | None = None
+    arm: Any,
+    points: ArrayLike,
+    start: np.ndarray | None,
+    orientations: ArrayLike | None,
+    correction: Callable | None = None,
 ) -> np.ndarray:
     """See `Arm.angles_for`; angles and starts (n or 1, n_joints) in rad, correction as below."""
     points = floats("points", points, 3)
-    if orientations is not None:
-        orientations = _check_orientations(orientations, len(points))
+    turns = None if orientations is None else _check_orientations(orientations, len(points))
     low, high = limits_of(arm)
     if start is not None and len(start) not in (1, len(points)):
         raise ValueError(
@@ -56,7 +60,7 @@ def angles_for(
         else:
             own = start + rng.normal(0, aside, shape) * (again > 0)
         own, rows = np.broadcast_to(own, shape)[open_], open_
-        wanted = None if orientations is None else orientations[open_]
+        wanted = None if turns is None else turns[open_]
         of_rows = correction and (lambda q, k, rows=rows: correction(q, rows[k]))
         reached, left = solve(arm, points[open_], own, wanted, of_rows)
         nearer = left[:, 0] < off[open_, 0]
@@ -113,11 +117,11 @@ def solve(
     return angles, off
 
 
-def limits_of(arm: Any) -> Any:
+def limits_of(arm: DHTable) -> np.ndarray:
     """Lowest and highest angle of each joint, rad or mm, infinite where there are no limits."""
     if arm.limits is None:
-        return np.full(arm.n_joints, -np.inf), np.full(arm.n_joints, np.inf)
-    return np.asarray(arm.limits, dtype=float).T
+        return np.full((2, arm.n_joints), [[-np.inf], [np.inf]])
+    return arm.limits.T
 
 
 def _check_orientations(orientations, n):

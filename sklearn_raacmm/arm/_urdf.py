@@ -4,11 +4,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import math
+from collections.abc import Iterable
 from functools import reduce
 from itertools import accumulate
+from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm._built_in import usual_pose
@@ -38,7 +41,7 @@ _MUCH_MM = 1e-3
 _SAME_ARM = 0.2
 
 
-def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
+def read_urdf(cls: Any, source: str | PathLike[str], base: str | None, tip: str | None) -> Any:
     """The arm of a robot's own file, see `Arm.from_urdf`, and how it stands in the file.
 
     That is the pose of its base in the file's base frame (4, 4), the chain of joints, the joints
@@ -76,7 +79,7 @@ def read_urdf(cls: Any, source: Any, base: str | None, tip: str | None) -> Any:
     return arm, placed, joints, mount, text, where
 
 
-def read_far_axes(cls: Any, table: Any, probe: Any, **fields: Any) -> Any:
+def read_far_axes(cls: Any, table: np.ndarray, probe: Iterable[float], **fields: object) -> Any:
     """Arm of a standard table whose `d` may be longer than any arm.
 
     The common normal of two axes that are all but parallel may be a hundred metres away, as in a
@@ -102,28 +105,28 @@ def _fields_of_axes(directions, points, tip, slides):
     directions, points, tip = _straighten(directions, points, tip, slides)
     table, probe, placed = _table(directions, points, tip)
     n = len(directions)
-    parallel = n > 2 and np.linalg.norm(np.cross(directions[1], directions[2])) < _PARALLEL
+    parallel = n > 2 and bool(np.linalg.norm(np.cross(*directions[1:3])) < _PARALLEL)
     own = usual_pose(n, parallel, "modified")
     return {**table, **own, "probe": probe, "convention": "modified"}, placed
 
 
-def seen_from(arm: Any, positioner: Any, base: Any) -> Any:
+def seen_from(arm: Any, positioner: Any, base: ArrayLike) -> Any:
     """The arm and the positioner that carries its part as one arm: see `Arm.seen_from`."""
-    base, m = floats("base", base, finite=True), positioner.n_joints
-    if base.shape != (4, 4) or np.any(base[3] != [0, 0, 0, 1]) or not are_rotations(base[:3, :3]):
+    pose, m = floats("base", base, finite=True), positioner.n_joints
+    if pose.shape != (4, 4) or np.any(pose[3] != [0, 0, 0, 1]) or not are_rotations(pose[:3, :3]):
         raise ValueError(
             "base must be the pose of the arm's base in that of the positioner, (4, 4): a "
-            f"rotation, a shift in mm, and the row 0, 0, 0, 1; got {base.tolist()!r:.200}."
+            f"rotation, a shift in mm, and the row 0, 0, 0, 1; got {pose.tolist()!r:.200}."
         )
     if arm.up_frame or positioner.up_frame:
         raise ValueError("An arm that is seen from a positioner cannot be seen from another one.")
     table = _frames_at_zero(positioner)[-1] @ rigid(np.eye(3), positioner.probe)
     foot = np.linalg.inv(table)  # as the arm's base seen from the table
-    base = foot @ rigid(Rotation.from_matrix(base[:3, :3]).as_matrix(), base[:3, 3])
+    pose = foot @ rigid(Rotation.from_matrix(pose[:3, :3]).as_matrix(), pose[:3, 3])
     # What turns back about an axis turns about the opposite axis.
     back = foot @ _axis_frames(positioner)[::-1] @ np.diag([1.0, -1.0, -1.0, 1.0])
-    frames = np.concatenate([back, base @ _axis_frames(arm)])
-    tip = base @ _frames_at_zero(arm)[-1] @ [*arm.probe, 1.0]
+    frames = np.concatenate([back, pose @ _axis_frames(arm)])
+    tip = pose @ _frames_at_zero(arm)[-1] @ [*arm.probe, 1.0]
     types = positioner.joint_types[::-1] + arm.joint_types
     slides = [kind == "P" for kind in types]
     fields, placed = _fields_of_axes(frames[:, :3, 2], frames[:, :3, 3], tip[:3], slides)
@@ -144,11 +147,13 @@ def seen_from(arm: Any, positioner: Any, base: Any) -> Any:
     }
     fields["limits"][:m] = fields["limits"][:m][::-1]
     chain = type(arm)(**fields)
-    upright = _axis_frames(chain)[m - 1, :3, :3].T @ placed[:3, :3].T @ base[:3, :3] @ arm.up
+    upright = _axis_frames(chain)[m - 1, :3, :3].T @ placed[:3, :3].T @ pose[:3, :3] @ arm.up
     return chain.replace(up=np.where(np.abs(upright) > _PARALLEL, upright, 0.0))
 
 
-def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) -> str:
+def write_into_urdf(
+    arm: Any, original: str | PathLike[str], base: str | None, tip: str | None
+) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
     nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
     same = (nominal.convention, nominal.joint_types) == (arm.convention, arm.joint_types)
@@ -164,7 +169,7 @@ def write_into_urdf(arm: Any, original: Any, base: str | None, tip: str | None) 
     point = (new[-1] @ [*arm.probe, 1.0])[:3]
     # Right angles of fixed joints as the arm has them: other programs read what is written.
     fixed = [joint for joint in (*mount, *joints) if joint.axis is None]
-    origins: Any = {joint.name: joint.origin for joint in fixed if joint.rounded}
+    origins = {joint.name: joint.origin for joint in fixed if joint.rounded}
     before = np.eye(4)
     for joint, file in zip(joints, _frames(joints), strict=True):
         if joint.axis is None:

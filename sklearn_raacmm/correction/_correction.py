@@ -32,6 +32,7 @@ from sklearn_raacmm.utils import (
     Finding,
     Floats,
     align,
+    check_accepted,
     check_option,
     encode_groups,
     ignored_findings,
@@ -127,7 +128,7 @@ class Correction:
         return self._scale_beside(linear_in_use(self.model))
 
     @property
-    def causes(self) -> dict[str, Any]:
+    def causes(self) -> dict[str, float]:
         """The causes that the model takes after the angles, and what counts where one is not known.
 
         The mean, no direction, and of time the last value.
@@ -157,7 +158,7 @@ class Correction:
         *,
         angle_unit: str = "rad",
         std_of: str = "coordinate",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
     ) -> tuple[Floats, Floats]:
         """Corrected points, and how far to trust them.
 
@@ -247,7 +248,7 @@ class Correction:
         random_state: int | np.random.RandomState | None = None,
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         with_noise: bool = False,
     ) -> Floats:
         """Draw corrected points of all poses together, with all that is not known of the arm.
@@ -333,15 +334,15 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         new_base: bool = False,
         false_alarm_rate: float = 0.01,
         date: str | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> CorrectionCheck:
         """Say from a few poses of today whether the correction still holds.
@@ -349,7 +350,7 @@ class Correction:
         Parameters
         ----------
         angles, positions, points, lengths, angle_unit, accept, features, tip_diameter
-            As in :meth:`register`, by which a new base is found.
+            As in :meth:`register`.
         extra : dict of str to array-like of shape (n_samples,), default=None
             As in :meth:`correct`.
         new_base : bool, default=False
@@ -369,6 +370,7 @@ class Correction:
         """
         given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
+        check_accepted(accept)  # a registration alone looks at them
         measured: Any = self._measured(angles, positions, **given)
         new_base = measured.points is not None and (new_base or self.base is None)
         known = self.register(measured, free=(), accept=accept) if new_base else self
@@ -386,12 +388,12 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
         free: Sequence[str] = ("probe",),
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
@@ -482,13 +484,13 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         date: str | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> Self:
         """Bring the model up to date with new poses; a tracker's base is found by them, too.
@@ -533,7 +535,10 @@ class Correction:
         return replace(new, model=model)
 
     def move(self, probe: ArrayLike) -> Self:
-        """The same with another probe, whose vector is known.
+        """The same with another probe, whose vector is stated, by a drawing or an instrument.
+
+        Poses with one probe do not show how the last frame is turned. With another probe standard
+        deviations contain what that may do; a registration of it takes it out again.
 
         Parameters
         ----------
@@ -545,13 +550,17 @@ class Correction:
         ValueError
             If the model knows no causes, so that only a registration helps.
         """
+        return self._at_probe(probe, stated=True)
+
+    def _at_probe(self, probe, stated=False):
+        """The same with a probe whose vector is stated, or known in the frames of the table."""
         model: Any = self.model
         if not hasattr(model, "with_arm"):
             raise ValueError(
                 "this correction has no model of causes: register the new probe instead."
             )
         arm = self.arm.replace(probe=probe)
-        return replace(self, arm=arm, model=model.with_arm(arm))
+        return replace(self, arm=arm, model=model.with_arm(arm, stated=stated))
 
     def with_tool(self, tool: str) -> Self:
         """The same with another of the probes that it was learnt with.
@@ -566,7 +575,7 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        return self.move(_labelled("tool", tool, self.tools, "with"))
+        return self._at_probe(_labelled("tool", tool, self.tools, "with"))
 
     def at_station(self, station: str) -> Self:
         """The same with the base of another of the stations that it was learnt at.
@@ -646,7 +655,7 @@ class Correction:
             base = tuple(np.array(base[name]) for name in _BASE)
         return cls(Arm.from_json(arm), model, base, facts)
 
-    def inputs(self, angles: Floats, extra: dict[str, Any] | None = None) -> Floats:
+    def inputs(self, angles: Floats, extra: Mapping[str, ArrayLike] | None = None) -> Floats:
         """What the model takes: angles in rad, (n, n_joints), then its causes."""
         given = given_causes(extra, len(angles))
         unknown = [name for name in given if name not in self.causes]

@@ -11,7 +11,6 @@ from io import StringIO
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +23,7 @@ from sklearn_raacmm.correction._condition import UNSEEN, Whitened, score_tests
 from sklearn_raacmm.correction._rows import Expected, new_rows, place_columns
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.utils import (
+    Finding,
     listed,
     one_blas_thread,
     one_warning,
@@ -99,6 +99,9 @@ class CorrectionCheck:
         One line for a control chart: `date`, `n_poses`, `mean_mm` and `range_mm` of the corrected
         distances with the limits `mean_low_mm`, `mean_high_mm`, `range_low_mm` and `range_high_mm`
         of the test itself, `p_value`, `suspect`.
+    findings : tuple of Finding
+        What was found in the poses: "little-known" if most lie where the model knows little, and
+        the check says next to nothing of them.
     """
 
     holds: bool
@@ -109,8 +112,9 @@ class CorrectionCheck:
     usual_mm: float
     matters: bool
     tests: np.ndarray = field(repr=False)
-    slipped: tuple[Any, ...]
-    record: dict[str, Any] = field(repr=False)
+    slipped: tuple[int, ...]
+    record: dict[str, object] = field(repr=False)
+    findings: tuple[Finding, ...] = field(default=(), repr=False)
 
     def append_to(self, path: str | PathLike[str]) -> None:
         """Append the record to a CSV file, a line for each check: the data of a control chart.
@@ -158,11 +162,11 @@ def check_correction(
     y: ArrayLike,
     *,
     groups: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
+    lengths: Iterable[Sequence[object]] = (),
     refitted: str | Sequence[str] = (),
     false_alarm_rate: float = 0.01,
     date: str | None = None,
-    features: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[object]] = (),
 ) -> CorrectionCheck:
     """Say from a few poses of today whether a fitted correction still holds.
 

@@ -5,7 +5,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from sklearn.utils import Bunch
@@ -27,9 +26,13 @@ _TIP_MM = 6.0
 # Places, articulations or repeats, and points of each.
 _OF_SPHERES = {"probing": (2, 1, 25), "articulation": (2, 5, 5), "diameter": (1, 3, 9)}
 # A room, a steel bar and a ceramic sphere, with certificates and uncertainties as these are usual.
-_ROOM: Any = {"expansion_per_k": 11.5e-6, "temperature_degc": 21.0, "fixture_mm": 0.001}
-_BAR: Any = {"expanded_mm": 0.004, **_ROOM}
-_SPHERE: Any = {"size_mm": 25.0, "expanded_mm": 0.002, "form_mm": 0.002, **_ROOM}
+_ROOM = {
+    "expansion_per_k": 11.5e-6,
+    "temperature_degc": 21.0,
+    "fixture_mm": 0.001,
+}
+_BAR = {"expanded_mm": 0.004, **_ROOM}
+_SPHERE = {"size_mm": 25.0, "expanded_mm": 0.002, "form_mm": 0.002, **_ROOM}
 _GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
 
 
@@ -39,7 +42,7 @@ def make_acceptance(
     machine: SimulatedArm | ArmErrors | str = "typical",
     exact: bool = False,
     random_state: int | np.random.RandomState | None = 0,
-) -> Any:
+) -> Bunch:
     """Simulate a run of acceptance tests with one arm and artefacts that have errors.
 
     Parameters
@@ -90,7 +93,7 @@ def make_acceptance(
     labels, points, near = zip(*drawn.rows, strict=True)
     poses, warming = [pose[None] for pose in near], simulated.errors.warming_k
     angles, _, true_points = take_readings(simulated, np.array(points), poses, rng, warming)
-    columns: dict[str, Any] = dict(zip(LABELS, zip(*labels, strict=True), strict=True))
+    columns = dict(zip(LABELS, zip(*labels, strict=True), strict=True))
     stated = tuple(drawn.artefacts.values())
     return Bunch(
         run=AcceptanceRun(**columns, angles=angles, artefacts=stated, tip_mm=_TIP_MM),

@@ -4,12 +4,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from sklearn.utils import check_random_state, check_scalar
+from sklearn.utils import Bunch, check_random_state, check_scalar
 
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._generators import draw_cones, machine_and_stream, measure
@@ -33,7 +32,7 @@ def make_features(
     tip_diameter: float = 0.0,
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
-) -> Any:
+) -> Bunch:
     """Simulate touches of balls and of plates, as a user without cones has them.
 
     Parameters
@@ -92,9 +91,9 @@ def make_features(
     # Places, poses and noise are the same whatever is touched there.
     touched = check_random_state(rng.randint(2**31 - 1))
     places, poses = draw_cones(simulated, n, 2 * n_touches, rng)
-    kinds: list[Any] = ["sphere"] * n_spheres + ["plane"] * n_planes + ["cone"] * n_cones
+    kinds = ["sphere"] * n_spheres + ["plane"] * n_planes + ["cone"] * n_cones
     groups: list[int] = []
-    features: list[tuple[Any, ...]] = []
+    features: list[tuple[int, str] | tuple[int, str, float, float]] = []
     points, near, lengths = [], [], []
     for kind, place, own in zip([*kinds, *blocks], places, poses, strict=True):
         label = groups[-1] + 1 if groups else 0
@@ -106,7 +105,7 @@ def make_features(
         elif kind == "plane":
             one = [_square(n_touches, _PLATE_MM, touched) @ _turn(touched)]
             features.append((label, kind))
-        elif kind != "cone":
+        elif not isinstance(kind, str):
             turn, half = _turn(touched), (kind + tip_diameter) / 2
             one = [
                 (_square(n_touches, _FACE_MM, touched) + np.array([0, 0, at])) @ turn

@@ -48,7 +48,7 @@ def fetch_panda_ball_socket(
     *,
     data_home: str | PathLike[str] | None = None,
     download_if_missing: bool = True,
-) -> Any:
+) -> Bunch:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
     Downloads up to 100 kB the first time: data of the MUKCa project, arXiv:2503.12584 (MIT
@@ -109,8 +109,9 @@ def fetch_panda_ball_socket(
     pairs = zip(labels[::2], labels[1::2], strict=True)
     lengths = [(a, b, HOLES_MM, HOLES_SD_MM) for a, b in pairs]
     nominal = Arm.from_name("panda", probe=(0, 0, 241))
-    moved: dict[str, Any] = {"accept": "moved-position"}  # two sockets of panda_2
-    calibrated = calibrate(nominal, angles, groups, lengths=lengths, **moved).arm
+    # Two sockets of panda_2 have moved.
+    accept = "moved-position"
+    calibrated = calibrate(nominal, angles, groups, lengths=lengths, accept=accept).arm
     points = calibrated.forward(angles)
     return Bunch(
         data=angles,
@@ -132,7 +133,7 @@ def fetch_ur10_tracker(
     *,
     data_home: str | PathLike[str] | None = None,
     download_if_missing: bool = True,
-) -> Any:
+) -> Bunch:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
 
     Downloads 2.4 MB the first time: data of C. Landgraf et al., IEEE CASE 2021 (MIT licence).

@@ -30,7 +30,7 @@ _CONSTRAINTS = {"machine": [SimulatedArm, ArmErrors, str], "random_state": ["ran
 
 if TYPE_CHECKING:  # scikit-learn's Bunch has no types
 
-    class SimulatedTest(dict[str, Any]):
+    class SimulatedTest(dict[str, object]):
         data: Floats
         target: Floats
         groups: NDArray[np.int_]
@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # scikit-learn's Bunch has no types
         directions: Floats
         temperature: Floats
         payload: Floats
-        simulation: Any
+        simulation: Bunch
 
 
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
@@ -133,7 +133,7 @@ def make_single_point(
         given = (bars + _LENGTH_SD_MM * rng.normal(size=len(bars))).tolist()
         first = range(n_positions, n_positions + len(ends), 2)
         known = [(i, i + 1, size, _LENGTH_SD_MM) for i, size in zip(first, given, strict=True)]
-    data: Any = measure(machine, positions, poses, rng)
+    data = measure(machine, positions, poses, rng)
     data.update(lengths=known)
     return data
 
@@ -146,7 +146,7 @@ def make_gauge(
     *,
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
-) -> Any:
+) -> Bunch:
     """Simulate measurements of gauges: two cones at a known distance, in many placements.
 
     Parameters
@@ -223,7 +223,7 @@ def calibrated_arm(machine):
 
 
 def take_readings(
-    machine, cones, poses, rng, warming_k=0.0, slipped: Any = 0.0, payload_n: Any = 0.0
+    machine, cones, poses, rng, warming_k=0.0, slipped: ArrayLike = 0.0, payload_n: ArrayLike = 0.0
 ):
     """Read the encoders in all poses at all cones: angles, each row's cone, and true points."""
     groups = np.repeat(np.arange(len(cones)), [len(p) for p in poses])
@@ -339,7 +339,7 @@ def _in_direction(machine, share, rng):
 _individual = lru_cache(maxsize=64)(SimulatedArm)
 
 
-def machine_and_stream(machine, random_state, stream) -> tuple[SimulatedArm, Any]:
+def machine_and_stream(machine, random_state, stream) -> tuple[SimulatedArm, np.random.RandomState]:
     # An instance of RandomState gives the next int, so that both uses below agree on it.
     if isinstance(random_state, int | np.integer):
         seed = int(random_state)

@@ -3,9 +3,9 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from functools import partial
 from numbers import Integral
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,7 +123,7 @@ class SimulatedArm:
         warming_k: ArrayLike | None = None,
         directions: ArrayLike | None = None,
         payload_n: ArrayLike = 0.0,
-    ) -> dict[str, Any]:
+    ) -> dict[str, np.ndarray]:
         """How far each source moves the probe from where the true geometry alone would have it.
 
         Parameters
@@ -210,7 +210,7 @@ class SimulatedArm:
             torques[:, :k] += (axes[:, :k] * moments).sum(axis=2)
         return torques
 
-    def _bending(self, origin, probe, own_weight=1, payload: Any = 0.0):
+    def _bending(self, origin, probe, own_weight=1, payload: float | np.ndarray = 0.0):
         """How far the tubes bend under their own weight (0 or 1 times) and a payload in N."""
         upper, elbow, forearm, wrist = self._loads()
         moved, up = np.zeros_like(probe), self.true_arm.up
@@ -229,7 +229,7 @@ class SimulatedArm:
             moved += np.cross(slope * np.cross(along, across), probe - origin[:, end])
         return moved
 
-    def forward(self, angles: ArrayLike, **state: Any) -> np.ndarray:
+    def forward(self, angles: ArrayLike, **state: ArrayLike) -> np.ndarray:
         """Where the probe really is.
 
         Parameters
@@ -316,7 +316,7 @@ class SimulatedArm:
             f"it is {np.linalg.norm(point - self.shoulder) / self.reach:.0%} of the reach away."
         )
 
-    def solve(self, angles: np.ndarray, points: np.ndarray, **state: Any) -> np.ndarray:
+    def solve(self, angles: np.ndarray, points: np.ndarray, **state: ArrayLike) -> np.ndarray:
         """Move poses a little until the true probe is at the points.
 
         Parameters
@@ -340,7 +340,7 @@ class SimulatedArm:
         """
         angles = check_angles(angles, 6, "rad")
         points = _points("points", points, (len(angles), 3))
-        forward: Any = partial(self.forward, **state)
+        forward: Callable[..., np.ndarray] = partial(self.forward, **state)
         angles = _reach(forward, self.true_arm, angles, points)
         missed = np.linalg.norm(forward(angles) - points, axis=1) > 1e-6
         if missed.any():

@@ -8,7 +8,6 @@ from typing import Any, Self
 import numpy as np
 
 from sklearn_raacmm.display._drawing import AFTER, axes_grid, check_model
-from sklearn_raacmm.error_model import ArmResidualRegressor
 
 _DOTS = {"color": AFTER["color"], "linestyle": "", "marker": "o", "markersize": 4, "capsize": 2}
 
@@ -64,7 +63,7 @@ class HarmonicDisplay:
     >>> plt.close(display.figure_)
     """
 
-    axes_: Any
+    axes_: np.ndarray
     figure_: Any
 
     def __init__(self, *, harmonics: np.ndarray, n_joints: int) -> None:
@@ -80,7 +79,7 @@ class HarmonicDisplay:
         self.phase_sd: np.ndarray = np.rad2deg(np.hypot(sin * cos_sd, cos * sin_sd) / size**2)
 
     @classmethod
-    def from_estimator(cls, estimator: ArmResidualRegressor, *, axes: Any = None) -> Self:
+    def from_estimator(cls, estimator: Any, *, axes: Any = None) -> Self:
         """Draw the harmonics that a fitted model found.
 
         Parameters
@@ -102,7 +101,7 @@ class HarmonicDisplay:
             If it is a model of another kind.
         """
         check_model(estimator)
-        if not isinstance(estimator, ArmResidualRegressor):
+        if not hasattr(estimator, "harmonics_"):
             raise TypeError(
                 f"Harmonics are drawn of an ArmResidualRegressor, got {type(estimator).__name__}."
             )

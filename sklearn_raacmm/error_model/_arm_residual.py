@@ -37,6 +37,7 @@ from sklearn_raacmm.utils import (
     Floats,
     Pair,
     check_flags,
+    is_dask,
     many_without_weight,
     one_blas_thread,
     param_checks,
@@ -190,7 +191,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         angle_unit: str = "rad",
         extra: Sequence[str] = (),
         orders: ArrayLike = 400,
-        causes: Sequence[str | Callable[..., Any]] = CAUSES,
+        causes: Sequence[str | Callable[..., object]] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
     ) -> None:
@@ -211,18 +212,19 @@ class ArmResidualRegressor(PointCorrectionMixin):
         *,
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | bool | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         probes: ArrayLike | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-        y : array-like of shape (n_samples, 3)
+        X : array-like or dask array of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names. Of dask
+            arrays the sums over rows are made by the workers.
+        y : array-like or dask array of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
         sample_weight : array-like of shape (n_samples,), default=None
             Weights; an integer weight is worth that many repeats of the row. Rows of weight 0
@@ -268,7 +270,14 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
             Rows in which the arm stood still are merged to one pose.
         """
+        arrays = X, y, sample_weight, groups, probes
+        if by_dask := any(map(is_dask, arrays)):
+            from dask import compute
+
+            arrays = compute(*arrays, traverse=False)
+        X, y, sample_weight, groups, probes = arrays
         rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes, features)
+        rows = rows._replace(by_dask=by_dask)
         positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
         dwells, rows = poses_of(rows.at(used), self.extra)
@@ -314,15 +323,15 @@ class ArmResidualRegressor(PointCorrectionMixin):
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
     @property
-    def harmonics_(self) -> Any:
+    def harmonics_(self) -> np.ndarray:
         return self.linear_model_.harmonic_table()
 
     @property
-    def terms_(self) -> Any:
+    def terms_(self) -> np.ndarray:
         return self.linear_model_.term_table()
 
     @property
-    def column_harmonics_(self) -> Any:
+    def column_harmonics_(self) -> np.ndarray:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
     coef_: Any = property(attrgetter("linear_model_.coef"))
@@ -451,7 +460,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def with_arm(self, arm: Arm) -> Self:
+    def with_arm(self, arm: Arm, *, stated: bool = False) -> Self:
         """Move the fitted model to another probe.
 
         Each cause is multiplied by the Jacobian of the new probe. A registration through the
@@ -462,6 +471,9 @@ class ArmResidualRegressor(PointCorrectionMixin):
         arm : Arm
             The table that the model was fitted with, and the new probe; where the arm is mounted
             anew, another `up`, too.
+        stated : bool, default=False
+            Whether the vector is that of a drawing or of another instrument, and not found by
+            poses: how the table has the last frame turned is then in doubt, and so in `std`.
 
         Returns
         -------
@@ -495,7 +507,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         check_arm(arm)
         old = self.linear_model_
         moved = copy(self)
-        moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
+        moved.arm, moved.linear_model_ = arm, moved_model(old, arm, stated)
         moved.fading_ = moved_fading(self.fading_, old.arm, arm)
         return moved
 

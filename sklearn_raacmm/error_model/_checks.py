@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     return Rows(arm, X, y, weights, codes, tuple(lengths), **touched), positions
 
 
-def touched_rows(features, labels, codes, points, y, weights) -> Any:
+def touched_rows(features, labels, codes, points, y, weights):
     """Residuals (n, 3), those of touches from the arm's own points, and what `Rows` need of these.
 
     And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.
@@ -130,9 +131,8 @@ def touched_rows(features, labels, codes, points, y, weights) -> Any:
     shown = np.where(value[:, :, None] > 0.5, axes.swapaxes(1, 2), 0.0)
     y = np.where(held[codes][:, None], y, rows.residual)
     of_surfaces = tuple(None if one else form for one, form in zip(held, forms, strict=True))
-    sizes = [(code, code, size, sd) for code, _, size, sd, _ in sizes]
     of_rows = {"root": shown, "shown": shown, "unknowns": rows.unknowns, "forms": of_surfaces}
-    return y, of_rows | {"held": held[codes], "sizes": sizes}
+    return y, of_rows | {"held": held[codes], "sizes": [entry[:4] for entry in sizes]}
 
 
 def _check_repeats(weights):
@@ -215,7 +215,7 @@ def poses_of(rows, extra):
     return dwells, rows
 
 
-def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
+def check_extra(extra: str | Iterable[str], n_joints: int = _MOST_JOINTS) -> Any:
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
         raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")

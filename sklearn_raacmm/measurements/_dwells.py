@@ -3,10 +3,12 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import scale_of, slides_of
 from sklearn_raacmm.utils import Finding, group_means
@@ -29,10 +31,10 @@ class Dwells(NamedTuple):
     n_copies: int = 0  # rows that are equal to another pose
 
     @property
-    def merges(self) -> Any:
+    def merges(self) -> bool:
         return len(self.first) < len(self.pose)
 
-    def mean(self, values: Any) -> Any:
+    def mean(self, values: ArrayLike | None) -> Any:
         """Mean over the rows of each pose; of what are no numbers, the first."""
         if values is None or not self.merges:
             return values
@@ -48,7 +50,7 @@ class Dwells(NamedTuple):
         origin = angles[self.first]
         return origin + group_means(within_turn(angles - origin[self.pose]), self.pose)
 
-    def findings(self) -> Any:
+    def findings(self) -> Iterator[Finding]:
         """Findings on copies and dwells."""
         n, n_poses = len(self.pose), len(self.first)
         if self.n_copies:

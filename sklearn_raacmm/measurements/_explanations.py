@@ -8,14 +8,24 @@ single-point test are those of the arm's own points to the last digit, and compa
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations_with_replacement, permutations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
-from sklearn_raacmm.utils import Finding, align, centred, row_numbers, tukey_weights
+from sklearn_raacmm.utils import (
+    Finding,
+    Weight,
+    align,
+    centred,
+    medians_of,
+    row_numbers,
+    tukey_weights,
+)
+
+What = TypeVar("What")
 
 # Nats by which an explanation has to be better than the data as given, beside the logarithm of how
 # many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
@@ -98,7 +108,7 @@ class Explanation(NamedTuple):
     n_tried: int = 1  # explanations of this kind
     factor: float = 1.0  # of each coordinate
     first: int = 0  # the first row that it is about
-    of: Any = None  # (n,) rows of the residuals, where they are others
+    of: np.ndarray | None = None  # (n,) rows of the residuals, where they are others
 
     def said(self, numbers: np.ndarray) -> str:
         """The words, with the row from which on it is so; `numbers` are what rows are called."""
@@ -107,14 +117,14 @@ class Explanation(NamedTuple):
         return WORDS[self.code][0].format(what)
 
     def finding(
-        self, text: str, numbers: np.ndarray, size_mm: float, weight: Any = "repair"
+        self, text: str, numbers: np.ndarray, size_mm: float, weight: Weight = "repair"
     ) -> Finding:
         """That it is so; `text` says how it was found."""
         rows = row_numbers(numbers[[self.first]]) if self.first else ()
         return Finding(self.code, text, WORDS[self.code][1], weight, rows=rows, size_mm=size_mm)
 
 
-def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> list[Any]:
+def likeliest(explained: Iterable[tuple[float, What]], given: float = PRICE) -> list[What]:
     """The best of (nats, explanation) and all that are as likely, the best first.
 
     None where the data as given are likelier than the best, or its gain is less than its price.
@@ -125,14 +135,14 @@ def likeliest(explained: Iterable[tuple[float, Any]], given: float = PRICE) -> l
 
 
 def explanations(
-    y: Any,
-    expected: Any,
-    angles: Any,
+    y: np.ndarray,
+    expected: np.ndarray,
+    angles: np.ndarray,
     n_joints: int,
-    codes: Any,
-    predict: Any,
-    correction: Any,
-    motions: Any = None,
+    codes: np.ndarray | None,
+    predict: Callable[[np.ndarray], np.ndarray],
+    correction: np.ndarray | None,
+    motions: np.ndarray | None = None,
 ) -> Iterator[Explanation]:
     """Yield what may have been done to residuals (n, 3), in mm, that they are of another arm first.
 
@@ -210,21 +220,14 @@ def _late(y, expected, codes):
         yield Explanation("shifted-rows", word, left, rows, n_tried, first=row, of=of)
 
 
-def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
-    """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
-    if codes is None:
-        return np.zeros_like(values)
-    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
-    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
-    for i, column in enumerate(values.T):
-        column = column[np.lexsort((column, of))]  # by position, and there by size
-        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
-        middle[:, i] = median[of]
-    return middle
-
-
 def of_own_points(
-    y: Any, codes: Any, arm: Arm, angles: Any, numbers: Any, probes: Any = None, known: Any = None
+    y: np.ndarray,
+    codes: np.ndarray,
+    arm: Arm,
+    angles: np.ndarray,
+    numbers: np.ndarray,
+    probes: np.ndarray | None = None,
+    known: np.ndarray | None = None,
 ) -> tuple[bool, list[Finding]]:
     """Whether deviations (n, 3) of a single-point test are of the arm's points, and what was done.
 
@@ -281,7 +284,7 @@ def of_own_points(
         found = Explanation("rows-unrelated", "", y, every)
     maybe_meant = known is None and found.code in _MAYBE_MEANT
     size = float(np.sqrt(np.square(y).sum(axis=1).mean()))
-    weight = "doubt" if maybe_meant else "repair"
+    weight: Weight = "doubt" if maybe_meant else "repair"
     return False, [found.finding(f"{text} {found.said(numbers)}.", numbers, size, weight)]
 
 

@@ -7,10 +7,11 @@ it, along its normal; a probe in a cone shows where it is in all three direction
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM
 from sklearn_raacmm.utils import Finding, listed, slip_factors, tukey_weights
@@ -45,6 +46,9 @@ _NO_GROWTH = (_REFERENCE_C, _STEEL)  # of an entry without temperature
 _LABELS_SHOWN = 12
 
 
+Features = Sequence[tuple[str, float | None]]  # kind and size of each, None where it is unknown
+
+
 class Linearised(NamedTuple):
     """Touches of a feature about its fitted form, (n, ...), or of several features, (g, n, ...)."""
 
@@ -70,7 +74,7 @@ class Kind(NamedTuple):
     explains them as well; they leave it in the `flat` directions in which they spread least.
     """
 
-    fit: Callable[..., Any]
+    fit: Callable[..., Form]
     rows: Callable[..., Linearised]
     n_unknowns: int
     n_shown: int  # coordinates that a touch shows
@@ -81,8 +85,8 @@ class Kind(NamedTuple):
 
 
 def check_features(
-    features: Iterable[Sequence[Any]], labels: Sequence[Any]
-) -> tuple[list[tuple[str, None]], list[tuple[Any, ...]]]:
+    features: Iterable[Sequence[Any]], labels: Sequence[Hashable]
+) -> tuple[list[tuple[str, None]], list[tuple[int, int, float, float, int]]]:
     """What was touched under each of the labels, and the sizes that are stated.
 
     `features` are (label, kind), (label, kind, size, standard deviation) or with "outside" or
@@ -120,7 +124,7 @@ def check_features(
     return [(kind, None) for kind in found.values()], sizes
 
 
-def check_length(entry: Any, labels: Any) -> Any:
+def check_length(entry: Sequence[Any], labels: Sequence[Hashable]) -> tuple[int, int, float, float]:
     """A known length as (position, position, length, sd), positions by their index.
 
     The length is that at the temperature of the entry, if it has one.
@@ -158,7 +162,7 @@ def check_length(entry: Any, labels: Any) -> Any:
 
 
 def linearise(
-    kind: str, points: np.ndarray, size: Any = None, weights: np.ndarray | None = None
+    kind: str, points: np.ndarray, size: ArrayLike | None = None, weights: np.ndarray | None = None
 ) -> Linearised:
     """Touches of a feature about the form that is fitted to them.
 
@@ -187,7 +191,7 @@ def linearise(
 
 
 def linearised(
-    features: Sequence[Any], codes: np.ndarray, points: np.ndarray, weights: Any = None
+    features: Features, codes: np.ndarray, points: np.ndarray, weights: np.ndarray | None = None
 ) -> Linearised:
     """Rows (n, 3) of several features, (kind, size) each, by the feature of each row, `codes` (n,).
 
@@ -198,13 +202,13 @@ def linearised(
 
 
 def with_forms(
-    features: Sequence[Any], codes: np.ndarray, points: np.ndarray, weights: Any = None
+    features: Features, codes: np.ndarray, points: np.ndarray, weights: np.ndarray | None = None
 ) -> tuple[Linearised, list[Form]]:
     """Rows as `linearised` has them, and the form of each feature."""
     n, q = len(points), max((KINDS[kind].n_unknowns for kind, _ in features), default=0)
     whole = Linearised(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, q)))
     weights = touch_weights(features, codes, points) if weights is None else weights
-    alike: dict[Any, list[int]] = {}
+    alike: dict[tuple[str, bool], list[int]] = {}
     for code, (kind, size) in enumerate(features):
         alike.setdefault((kind, size is None), []).append(code)
     order, forms = np.argsort(codes, kind="stable"), [Form(np.zeros(3))] * len(features)
@@ -216,8 +220,8 @@ def with_forms(
         used = place < counts[:, None]
         # Features of fewer rows are filled up with their first one, without weight.
         rows = order[ends[of][:, None] + np.where(used, place, 0)]
-        size = None if is_open else np.array([features[code][1] for code in members])
-        form = KINDS[kind].fit(points[rows], size, weights[rows] * used)
+        sizes = None if is_open else np.array([features[code][1] for code in members])
+        form = KINDS[kind].fit(points[rows], sizes, weights[rows] * used)
         part, own = KINDS[kind].rows(points[rows], form), rows[used]
         whole.residual[own], whole.directions[own] = part.residual[used], part.directions[used]
         whole.unknowns[own, :, : part.unknowns.shape[-1]] = part.unknowns[used]
@@ -227,7 +231,7 @@ def with_forms(
     return whole, forms
 
 
-def touch_weights(features: Sequence[Any], codes: np.ndarray, points: np.ndarray) -> np.ndarray:
+def touch_weights(features: Features, codes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Weights (n,) of the touches of several features, 0 for slips, without any model of the arm.
 
     Parameters as in `linearised`. Points of cones are weighed by `slip_factors`, touches of a
@@ -280,8 +284,7 @@ def known_length(one: Form, other: Form) -> tuple[float, np.ndarray, np.ndarray]
         return float(one.size), np.eye(4)[3], np.zeros(4)
     gap, slopes = one.centre - other.centre, np.zeros((2, 4))
     normals = [form.axes[:, 0] for form in (one, other) if form.axes is not None]
-    mean: Any = sum((n * np.sign(n @ normals[0]) for n in normals), np.zeros(3))
-    mean = mean if normals else gap
+    mean = np.sum([n * np.sign(n @ normals[0]) for n in normals], axis=0) if normals else gap
     along = mean / max(np.linalg.norm(mean), 1e-12)
     along = along if along @ gap >= 0 else -along
     for form, sign, slope in zip((one, other), (1, -1), slopes, strict=True):
@@ -305,11 +308,11 @@ def probe_offsets(kinds: Sequence[str], tip_diameter: float, sign: int = 0) -> n
 
 
 def touch_findings(
-    features: Sequence[Any],
+    features: Features,
     codes: np.ndarray,
-    points: Any,
-    labels: Sequence[Any],
-    lengths: Sequence[Any] = (),
+    points: np.ndarray | None,
+    labels: Sequence[Hashable],
+    lengths: Sequence[tuple[int, int, float, float]] = (),
 ) -> Iterator[Finding]:
     """Yield features whose touches do not show what they are: a ball on a cap, a plane on a line.
 

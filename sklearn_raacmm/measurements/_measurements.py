@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -64,23 +64,25 @@ class Measurements:
     angles: np.ndarray
     index: Any = None
     points: np.ndarray | None = None
-    lengths: list[Any] = field(default_factory=list)
-    tools: Any = None
-    stations: Any = None
+    lengths: list[tuple[int, int, float, float]] = field(default_factory=list)
+    tools: np.ndarray | None = None
+    stations: np.ndarray | None = None
     labels: Any = None
-    tool_labels: tuple[Any, ...] = ()
-    station_labels: tuple[Any, ...] = ()
-    features: Any = None
+    tool_labels: tuple[Hashable, ...] = ()
+    station_labels: tuple[Hashable, ...] = ()
+    features: list[tuple[str, None]] | None = None
     offsets: Any = None
-    extra: dict[str, Any] = field(default_factory=dict)
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
     poses: Any = None
     stated: tuple[Any, ...] = ()
     joint_types: str = ""
     # What follows from these, of use to a calibration.
     n_tools: int = field(init=False)
     n_stations: int = field(init=False)
-    n_shown: Any = field(init=False)  # coordinates that a row shows, one for all or (n,)
-    informative: Any = field(init=False)  # (n,) whether a row can scatter
+    n_shown: int | np.ndarray = field(
+        init=False
+    )  # coordinates that a row shows, one for all or (n,)
+    informative: np.ndarray = field(init=False)  # (n,) whether a row can scatter
     n_informative: int = field(init=False)
     n_coordinates: int = field(init=False)  # less those that the unknowns of what was touched take
 
@@ -96,7 +98,7 @@ class Measurements:
         tip_diameter: float = 0.0,
         tools: ArrayLike | None = None,
         stations: ArrayLike | None = None,
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         angle_unit: str = "rad",
         n_joints: int | None = None,
         joint_types: str | None = None,
@@ -162,7 +164,11 @@ class Measurements:
         parts = (whole.index, whole.tools, whole.stations)
         columns = [np.zeros(n), *(part for part in parts if part is not None)]
         codes = np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
-        return whole._of_poses(find_poses(angles, codes, points, types))
+        poses = find_poses(angles, codes, points, types)
+        values = {name: poses.mean(getattr(whole, name)) for name in _ROWS}
+        causes = {name: column[poses.first] for name, column in whole.extra.items()}
+        angles = poses.mean_angles(angles)
+        return replace(whole, angles=angles, extra=causes, poses=poses, **values)
 
     def check_joints(self, arm: Arm) -> None:
         """Refuse measurements of another number of joints, or whose mm are taken for angles."""
@@ -175,9 +181,11 @@ class Measurements:
             )
 
     @classmethod
-    def taken(cls, angles: Any, groups: Any = None, **given: Any) -> "Measurements":
+    def taken(
+        cls, angles: ArrayLike | "Measurements", groups: ArrayLike | None = None, **given: Any
+    ) -> "Measurements":
         """What a function was given: measurements, or all that :meth:`of` makes them of."""
-        if not isinstance(angles, cls):
+        if not isinstance(angles, Measurements):
             return cls.of(angles, groups, **given)
         doubled = [n for n in _PARTS if (v := given.get(n)) is not None and np.shape(v) != (0,)]
         doubled += ["tip_diameter"] * bool(given.get("tip_diameter"))
@@ -188,20 +196,13 @@ class Measurements:
             )
         return angles
 
-    def _of_poses(self, poses):
-        """One row for each pose."""
-        values = {name: poses.mean(getattr(self, name)) for name in _ROWS}
-        extra = {name: column[poses.first] for name, column in self.extra.items()}
-        angles = poses.mean_angles(self.angles)
-        return replace(self, angles=angles, extra=extra, poses=poses, **values)
-
-    def without_lengths(self, out: Any) -> "Measurements":
+    def without_lengths(self, out: Iterable[bool]) -> "Measurements":
         """The same without the lengths that are `out`, (n_lengths,) of bool."""
         kept = [k for k, is_out in enumerate(out) if not is_out]
         lengths, offsets = ([of[k] for k in kept] for of in (self.lengths, self.offsets))
         return replace(self, lengths=lengths, offsets=offsets)
 
-    def at(self, rows: Any) -> "Measurements":
+    def at(self, rows: np.ndarray | slice) -> "Measurements":
         """Some of the rows, and the lengths whose ends are both among them."""
         some: dict[str, Any] = {
             name: None if (v := getattr(self, name)) is None else v[rows] for name in _ROWS
@@ -279,7 +280,7 @@ def _touched(features, named, lengths, tip_diameter):
     return {"features": kinds, "lengths": every, "offsets": offsets, "stated": tuple(features)}
 
 
-def given_causes(extra: Any, n_rows: int) -> dict[str, np.ndarray]:
+def given_causes(extra: Mapping[str, ArrayLike] | None, n_rows: int) -> dict[str, np.ndarray]:
     """Causes that somebody gave by their names, (n_rows,) each; one number counts for all rows."""
     if extra is not None and not isinstance(extra, Mapping):
         raise ValueError(f"extra must be a dict of names and values, got {extra!r:.60}.")

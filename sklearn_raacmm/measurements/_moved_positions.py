@@ -57,7 +57,11 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
     whole: Any = [one for one in _sorted_poses(left, angles, codes) if len(one) >= 2 * _LEAST]
     if not whole:
         return []
-    away = [_from_those_about(one.left) for one in whole]
+    away = []
+    for one in whole:  # from the median of the five poses about each: a step of three is kept
+        middle = np.clip(np.arange(len(one)), 2, len(one) - 3)
+        about = np.median(one.left[middle[:, None] + np.arange(-2, 3)], axis=1)
+        away.append(np.linalg.norm(one.left - about, axis=1))
     limit = _OUTLIER * max(np.median(np.concatenate(away)), _LEAST_NOISE_MM)
     pairs = [(one, one[far <= limit]) for one, far in zip(whole, away, strict=True)]
     looked_at = [(*pair, _squares(pair[1])) for pair in pairs if len(pair[1]) >= 2 * _LEAST]
@@ -89,7 +93,9 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
     return found
 
 
-def moved_positions(left: Any, angles: Any, groups: ArrayLike, numbers: Any) -> Iterator[Finding]:
+def moved_positions(
+    left: np.ndarray, angles: np.ndarray, groups: ArrayLike, numbers: np.ndarray
+) -> Iterator[Finding]:
     """Positions that have moved during the test, in one finding.
 
     As `find_steps`; `numbers` (n,) are what the rows are called.
@@ -175,13 +181,6 @@ def _nats(squares, usual, n_tried):
     behind, n_free, rest, taken = squares
     nats = (n_free + _USUAL) / 2 * np.log1p(taken / (rest + _USUAL * usual)) - np.log(n_tried)
     return zip(nats.min(axis=0).tolist(), behind.tolist(), strict=True)
-
-
-def _from_those_about(left):
-    """Distance (n,) of each pose from the median of the five about it: a step of three is kept."""
-    middle = np.clip(np.arange(len(left)), 2, len(left) - 3)
-    about = np.median(left[middle[:, None] + np.arange(-2, 3)], axis=1)
-    return np.linalg.norm(left - about, axis=1)
 
 
 def _in_order(poses, row, size):

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from itertools import chain, islice
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -75,14 +75,12 @@ def check_targets(
                 checks.append(one for one in found if not faults or one.code != "rows-unrelated")
         constants = (codes, weights) if offsets else None
         checks.append(_are_what_calibration_takes(y, arm, angles, points, constants))
-    return [*faults, *islice(chain(*checks, _are_zero(y)), 1)]
-
-
-def _are_zero(y):
-    if y.size and not y.any():
+    first = next(chain(*checks), None)
+    if first is None and y.size and not y.any():
         text = "All residuals are 0: there is nothing to learn."
         advice = "Are the measured points the arm's own, arm.forward(angles)?"
-        yield Finding("residuals-all-zero", text, advice, "note")
+        first = Finding("residuals-all-zero", text, advice, "note")
+    return [*faults, first] if first else faults
 
 
 def base_motions(points: np.ndarray, reach: float) -> np.ndarray:

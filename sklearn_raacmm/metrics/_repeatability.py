@@ -3,9 +3,10 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from functools import partial
 from numbers import Real
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,7 +39,7 @@ def single_point_repeatability(
     *,
     statistic: str = "2s",
     aggregate: str | None = "mean",
-) -> Any:
+) -> float | Floats:
     r"""Single-point articulation repeatability: how far points of one place lie apart.
 
     Parameters
@@ -250,7 +251,7 @@ def repeatability_scorer(
     *,
     statistic: str = "2s",
     aggregate: str = "mean",
-) -> Any:
+) -> Callable[..., float]:
     """Scorer for model selection: minus the scatter within positions after the correction.
 
     Parameters

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,7 +97,7 @@ def minimum_enclosing_sphere(points):
 
 def _smallest_sphere(few):
     """Smallest enclosing sphere of at most n_dims + 2 points, by trying every subset."""
-    best: Any = None
+    found = []
     for size in range(1, min(len(few), few.shape[1] + 1) + 1):
         for subset in combinations(range(len(few)), size):
             edges = few[list(subset[1:])] - few[subset[0]]
@@ -106,6 +105,5 @@ def _smallest_sphere(few):
             step = np.linalg.lstsq(2 * edges, (edges**2).sum(axis=1), rcond=None)[0]
             center = few[subset[0]] + step
             radius = np.linalg.norm(few - center, axis=1).max()
-            if best is None or radius < best[1]:
-                best = center, radius, few[list(subset)]
-    return best
+            found.append((center, radius, few[list(subset)]))
+    return min(found, key=lambda one: one[1])

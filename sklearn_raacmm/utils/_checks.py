@@ -23,7 +23,7 @@ LARGEST = 1e50
 _MAY_BE_ARRAYS = (Sequence, Real, NoneType, dict)
 
 
-def refuse_disguised(name: str, value: Any) -> None:
+def refuse_disguised(name: str, value: object) -> None:
     """Refuse masked values, dates, mappings, and arrays that are to stay another library's.
 
     NumPy would use the values under a mask and convert dates to numbers of days; scikit-learn would
@@ -31,7 +31,7 @@ def refuse_disguised(name: str, value: Any) -> None:
     """
     if type(value) is np.ndarray and value.dtype.kind == "f":
         return
-    if np.ma.is_masked(value):
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise ValueError(
             f"{name} has {np.ma.count_masked(value)} of {value.size} values masked: leave their "
             "rows out, or fill them."
@@ -81,8 +81,13 @@ def _largest(array):
     return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
 
 
+def is_dask(X: Any) -> bool:
+    """Whether X is a dask array, which is not imported for the question."""
+    return type(X).__module__.startswith("dask.array") and hasattr(X, "to_delayed")
+
+
 def floats(
-    name: str, value: Any, columns: int | None = None, *, finite: bool = False
+    name: str, value: object, columns: int | None = None, *, finite: bool = False
 ) -> np.ndarray:
     """Numbers as float64.
 
@@ -121,22 +126,22 @@ def _converted(name, value):
     raise ValueError(f"{name} must hold numbers, got {value!r:.60}.")
 
 
-def check_features(estimator: Any, X: Any, **options: Any) -> np.ndarray:
+def check_features(estimator: object, X: object, **options: object) -> np.ndarray:
     """scikit-learn's check of X, and ours; with ``reset=False`` of a fitted estimator."""
     if options.get("reset") is False:
         # scikit-learn's `check_is_fitted` collects the tags of all steps first, which takes longer
         # than the prediction of one row.
         if "n_features_in_" not in vars(estimator):
             check_is_fitted(estimator)
-        if is_plain(estimator, X) and _largest(X) <= LARGEST:
+        if isinstance(X, np.ndarray) and is_plain(estimator, X) and _largest(X) <= LARGEST:
             return X
     refuse_disguised("X", X)
-    X = validate_data(estimator, X, **options)
-    _refuse_huge("X", X)
-    return X
+    checked = validate_data(estimator, X, **options)
+    _refuse_huge("X", checked)
+    return checked
 
 
-def is_plain(estimator: Any, X: Any) -> bool:
+def is_plain(estimator: object, X: object) -> bool:
     """Whether X is an array as in `fit`, of which only the values remain to be checked.
 
     scikit-learn's own checks take several times as long as the prediction of one row.
@@ -147,26 +152,26 @@ def is_plain(estimator: Any, X: Any) -> bool:
         and "feature_names_in_" not in vars(estimator)
         and X.ndim == 2
         and len(X) > 0
-        and X.shape[1] == estimator.n_features_in_
+        and X.shape[1] == getattr(estimator, "n_features_in_", None)
     )
 
 
-def check_data(estimator: Any, X: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
+def check_data(estimator: object, X: object, y: object) -> tuple[np.ndarray, np.ndarray]:
     """X and y as float64, checked by scikit-learn and by us; y of any number of columns."""
     for name, value in (("X", X), ("y", y)):
         refuse_disguised(name, value)
     if issparse(y):
         raise TypeError("y is sparse, but dense targets are needed.")
-    X, y = validate_data(estimator, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
-    y = y.astype(np.float64, copy=False)
+    both = validate_data(estimator, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+    inputs, targets = both[0], both[1].astype(np.float64, copy=False)
     # Of y, too: scikit-learn looks for NaN before it turns None into it.
-    _refuse_huge("X", X)
-    _refuse_huge("y", y)
-    return X, y
+    _refuse_huge("X", inputs)
+    _refuse_huge("y", targets)
+    return inputs, targets
 
 
 def check_weights(
-    sample_weight: ArrayLike | None, X: Any, name: str = "sample_weight"
+    sample_weight: ArrayLike | None, X: object, name: str = "sample_weight"
 ) -> np.ndarray:
     """Weights (n,) as float64, not negative and not all zero."""
     refuse_disguised(name, sample_weight)
@@ -197,7 +202,7 @@ def check_flags(**flags: object) -> None:
             raise TypeError(f"{name} must be True or False, got {value!r:.60}.")
 
 
-def listed(name: str, value: Any) -> list[Any]:
+def listed(name: str, value: str | Iterable[Any]) -> list[Any]:
     """Several, as a list; one text is not several letters, and an array is its rows."""
     try:
         return [value] if isinstance(value, str) else list(value)
@@ -207,8 +212,8 @@ def listed(name: str, value: Any) -> list[Any]:
 
 def check_shapes(
     owner: str,
-    values: Mapping[str, Any],
-    shapes: Mapping[str, tuple[Any, ...]],
+    values: Mapping[str, ArrayLike | None],
+    shapes: Mapping[str, tuple[int | str, ...]],
     sizes: Mapping[str, int],
     may_be_infinite: tuple[str, ...] = (),
 ) -> None:

@@ -7,17 +7,16 @@ import contextlib
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import joblib
 import numpy as np
 import sklearn
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from sklearn import base
-from sklearn.base import _fit_context
 from sklearn.exceptions import InconsistentVersionWarning
-from sklearn.utils import _param_validation
+from sklearn.utils import Tags, _param_validation
 from sklearn.utils.parallel import _threadpool_controller_decorator
 
 from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
@@ -40,17 +39,17 @@ if TYPE_CHECKING:  # scikit-learn has no types: what our estimators have from it
 
     class BaseEstimator:
         def get_params(self, deep: bool = True) -> dict[str, Any]: ...
-        def set_params(self, **params: Any) -> Self: ...
-        def __getstate__(self) -> dict[str, Any]: ...
-        def __setstate__(self, state: dict[str, Any]) -> None: ...
-        def __sklearn_tags__(self) -> Any: ...
-        def get_metadata_routing(self) -> Any: ...
+        def set_params(self, **params: object) -> Self: ...
+        def __getstate__(self) -> dict[str, object]: ...
+        def __setstate__(self, state: dict[str, object]) -> None: ...
+        def __sklearn_tags__(self) -> Tags: ...
+        def get_metadata_routing(self) -> object: ...
 
     class RegressorMixin:
-        def score(self, X: Any, y: Any, *args: Any, **kwargs: Any) -> float: ...
+        def score(self, X: ArrayLike, y: ArrayLike, *args: Any, **kwargs: Any) -> float: ...
 
     class TransformerMixin:
-        def fit_transform(self, X: Any, y: Any = None, **fit_params: Any) -> Floats: ...
+        def fit_transform(self, X: ArrayLike, y: object = None, **params: object) -> Floats: ...
         def set_output(self, *, transform: str | None = None) -> Self: ...
 
     class MultiOutputMixin: ...
@@ -60,14 +59,13 @@ else:
     RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
 
 param_checks: Any = _param_validation
-fit_context: Any = _fit_context
 
 
 def validate_params(
-    constraints: dict[str, Any], *, prefer_skip_nested_validation: bool
+    constraints: Mapping[str, object], *, prefer_skip_nested_validation: bool
 ) -> Callable[[Function], Function]:
     """Make a function that checks its parameters, as scikit-learn's, which has no types."""
-    return _param_validation.validate_params(
+    return param_checks.validate_params(
         constraints, prefer_skip_nested_validation=prefer_skip_nested_validation
     )
 
@@ -128,10 +126,10 @@ class VersionedEstimator(BaseEstimator):
     _doc_link_module = "sklearn_raacmm"
     _doc_link_template = link_template(documentation_of(REPOSITORY))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         return {**super().__getstate__(), _KEY: __version__}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         state = dict(state)
         version = state.pop(_KEY, "before 0.1.0")
         if version != __version__:

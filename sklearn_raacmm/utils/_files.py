@@ -8,8 +8,9 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Mapping
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import IO, TypeVar
 from zipfile import ZipFile
 
 import numpy as np
@@ -18,8 +19,12 @@ import numpy as np
 # numbers come to 50 times, an attack to 1000. A choice.
 _MOST_BYTES, _MOST_TIMES = 10_000_000, 100
 
+Place = TypeVar("Place", bound=str | PathLike[str])
 
-def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
+
+def check_places(
+    outputs: Iterable[str | PathLike[str]], inputs: Iterable[str | PathLike[str]] = ()
+) -> None:
     """Refuse files that could not be written, or that are read: before the work, not after it.
 
     Folders on the way to the outputs may still be made.
@@ -49,7 +54,7 @@ def check_places(outputs: Iterable[Any], inputs: Iterable[Any] = ()) -> None:
             raise PermissionError(f"Nothing can be written into the folder {folder}.")
 
 
-def check_unpacked(name: Any, file: Any) -> None:
+def check_unpacked(name: object, file: str | PathLike[str] | IO[bytes]) -> None:
     """Refuse a zip file, open or a path, that would unpack to far more than it takes itself."""
     with ZipFile(file) as archive:
         sizes = [(entry.compress_size, entry.file_size) for entry in archive.infolist()]
@@ -66,7 +71,7 @@ def digest_of(content: str | bytes) -> str:
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
 
 
-def write_whole(contents: Mapping[Any, str | bytes]) -> None:
+def write_whole(contents: Mapping[Place, str | bytes]) -> None:
     """Write files beside their places, and rename them when all are complete.
 
     What goes wrong while writing, such as a full disk, leaves files of these names as they were. If

@@ -8,19 +8,21 @@ A finding is made once, and is the same in every place that shows it.
 
 import logging
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
+from difflib import get_close_matches
 from functools import partial, wraps
 from inspect import signature
 from time import perf_counter
 from types import MappingProxyType
-from typing import Any, Literal, cast
+from typing import Any, Literal, SupportsIndex, TypeVar, cast
 
 import numpy as np
+from sklearn.base import _fit_context as fit_context
 
-from sklearn_raacmm.utils._estimators import Function, fit_context, warn_user
+from sklearn_raacmm.utils._estimators import Function, warn_user
 
 _LOGGER = logging.getLogger("sklearn_raacmm")
 
@@ -31,6 +33,40 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 _STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
+# Codes of findings that end a call unless they are accepted: of weight "repair", and the question
+# whether an arm is its own mirror image.
+TO_ACCEPT = (
+    "angle-unit",
+    "another-arm",
+    "another-frame",
+    "axes-of-residuals",
+    "corrected-already",
+    "joints",
+    "mirror-image",
+    "moved-position",
+    "moved-station",
+    "moved-tool",
+    "no-such-arm",
+    "other-table",
+    "places-found",
+    "planes-not-parallel",
+    "points-of-the-arm",
+    "poses-alike",
+    "rows-unrelated",
+    "shifted-rows",
+    "sign-of-residuals",
+    "strange-poses",
+    "table-off",
+    "unit-of-lengths",
+    "unit-of-residuals",
+    "unit-of-table",
+    "weight-of-one-pose",
+    "wrong-label",
+    "wrong-length",
+)
+
+Result = TypeVar("Result")
+Weight = Literal["note", "doubt", "repair", "refuse"]
 
 
 @dataclass(frozen=True)
@@ -63,8 +99,8 @@ class Finding:
     code: str
     text: str
     advice: str = ""
-    weight: Literal["note", "doubt", "repair", "refuse"] = "doubt"
-    positions: tuple[Any, ...] = ()
+    weight: Weight = "doubt"
+    positions: tuple[Hashable, ...] = ()
     rows: tuple[int, ...] = ()
     joints: tuple[int, ...] = ()
     size_mm: float | None = None
@@ -80,7 +116,7 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.text} {self.advice}".rstrip()
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, object]:
         """The same as a dictionary that JSON can hold."""
         values = asdict(self)
         return {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
@@ -112,15 +148,15 @@ class _Within:
     def __init__(self, **changes: Any) -> None:
         self._changes = changes
 
-    def __enter__(self) -> Any:
+    def __enter__(self) -> list[Finding]:
         self._token = _STATE.set({**_STATE.get(), **self._changes})
-        return self._changes.get("collected")
+        return self._changes.get("collected", [])
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(self, *error: object) -> None:
         _STATE.reset(self._token)
 
 
-def numbered_rows(numbers: Any) -> AbstractContextManager[None]:
+def numbered_rows(numbers: Sequence[int] | np.ndarray) -> AbstractContextManager[object]:
     """Let findings that are made within name their rows by these numbers (n,).
 
     Those of the lines of a file, by which whoever reads the findings knows the rows.
@@ -128,7 +164,7 @@ def numbered_rows(numbers: Any) -> AbstractContextManager[None]:
     return _Within(row_numbers=numbers)
 
 
-def row_numbers(rows: Iterable[Any]) -> tuple[int, ...]:
+def row_numbers(rows: Iterable[SupportsIndex]) -> tuple[int, ...]:
     """Numbers by which findings name some rows: counted from 0, or as `numbered_rows` says."""
     numbers = _STATE.get().get("row_numbers")
     return tuple(int(row if numbers is None else numbers[row]) for row in rows)
@@ -159,15 +195,15 @@ def collected_findings() -> AbstractContextManager[list[Finding]]:
 
 
 def call_collecting(
-    function: Callable[[], Any], accept: str | Sequence[str] | None = None
-) -> tuple[Any, list[Finding]]:
+    function: Callable[[], Result], accept: str | Sequence[str] | None = None
+) -> tuple[Result, list[Finding]]:
     """Call a function: its result, and what was found within, each warned of once at the end.
 
     A finding of weight "repair" whose code is in `accept` becomes a doubt; any other ends the call,
     unless this is a part of another one, or `accept` is None.
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
-    codes = [accept] if isinstance(accept, str) else accept or ()
+    codes = check_accepted(accept)
     before = {**_STATE.get()}
     refuses = accept is not None and before.get("collected") is None
     own = before | {"accepted": (*before.get("accepted", ()), *codes), "refuses": refuses}
@@ -190,6 +226,20 @@ def call_collecting(
         return result, found
 
     return copy_context().run(inside)
+
+
+def check_accepted(accept: str | Iterable[Any] | None) -> tuple[Any, ...]:
+    """Codes to accept; one that no finding has which could be accepted is a slip, and refused."""
+    codes = (accept,) if isinstance(accept, str) else tuple([] if accept is None else accept)
+    for code in codes:
+        if code not in TO_ACCEPT:
+            near = get_close_matches(str(code), TO_ACCEPT, 3)
+            which, those = ("nearest", near) if near else ("codes", TO_ACCEPT)
+            raise ValueError(
+                f"accept: {code!r} is no code of a finding that can be accepted. The {which} are: "
+                f"{', '.join(those)}."
+            )
+    return codes
 
 
 def one_warning(function: Function) -> Function:
@@ -276,7 +326,7 @@ def stage(name: str) -> Callable[[Function], Function]:
     return decorate
 
 
-def _numbers_in(value: Any, depth: int = 4) -> Iterator[Any]:
+def _numbers_in(value: object, depth: int = 4) -> Iterator[np.ndarray]:
     """Yield the numbers of a result, (n,) at a time, those of its parts to some depth."""
     if isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind in "fi":
         yield np.ravel(value).astype(float)

@@ -13,7 +13,6 @@ References
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,7 +60,7 @@ def chunks(n_rows: int, size: int) -> list[slice]:
 
 
 def encode_groups(
-    groups: Any, n_samples: int | None = None, name: str = "groups"
+    groups: ArrayLike | None, n_samples: int | None = None, name: str = "groups"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Different labels, sorted (n_groups,), and the index of each row's label (n_samples,).
 
@@ -72,19 +71,19 @@ def encode_groups(
         raise ValueError(f"{name} must give the position of each point, got None.")
     if np.ma.is_masked(groups):
         raise ValueError(f"{name} has {np.ma.count_masked(groups)} masked labels.")
-    groups = _labels(groups, name)
-    if n_samples is not None and len(groups) != n_samples:
-        raise ValueError(f"{name} names {len(groups)} samples, but there are {n_samples}.")
-    missing = _missing(groups)
+    labels = _labels(groups, name)
+    if n_samples is not None and len(labels) != n_samples:
+        raise ValueError(f"{name} names {len(labels)} samples, but there are {n_samples}.")
+    missing = _missing(labels)
     if missing.any():
         raise ValueError(
-            f"{name} has {missing.sum()} missing labels among {groups.size} "
+            f"{name} has {missing.sum()} missing labels among {labels.size} "
             f"(the first in row {np.flatnonzero(missing)[0]})."
         )
     try:
-        return np.unique(groups, return_inverse=True)
+        return np.unique(labels, return_inverse=True)
     except TypeError:
-        kinds = sorted({type(label).__name__ for label in groups})
+        kinds = sorted({type(label).__name__ for label in labels})
         raise ValueError(
             f"{name} must be labels of one kind, got {' and '.join(kinds)} mixed."
         ) from None
@@ -155,7 +154,7 @@ def group_sums(
 
 def summing(
     codes: np.ndarray, weights: np.ndarray | None = None, n_groups: int | None = None
-) -> Any:
+) -> np.ndarray | csc_array:
     """Matrix (n_groups, n) whose product with rows is their sums, sparse unless it is small."""
     n = len(codes)
     n_groups = int(codes.max()) + 1 if n_groups is None else n_groups
@@ -240,7 +239,7 @@ def deviations_by_group(
     return centred(points, codes), codes, counts, labels
 
 
-def natural_order(labels: Iterable[Any]) -> list[int]:
+def natural_order(labels: Iterable[object]) -> list[int]:
     """Indices of labels in the order in which cone 2 comes before cone 10."""
     parts = [re.split(r"(\d+)", str(label)) for label in labels]
     keys = [[int(part) if i % 2 else part for i, part in enumerate(each)] for each in parts]
@@ -248,7 +247,7 @@ def natural_order(labels: Iterable[Any]) -> list[int]:
 
 
 def robust_scale(
-    distances: np.ndarray, n_coordinates: Any, weights: np.ndarray | None = None
+    distances: np.ndarray, n_coordinates: ArrayLike, weights: np.ndarray | None = None
 ) -> float:
     """Standard deviation of a coordinate, from the median distance over that of chi.
 
@@ -274,7 +273,7 @@ def tukey_weights(
     *,
     least_scale: float = 0.0,
     weighed: bool = False,
-    n_coordinates: Any = None,
+    n_coordinates: ArrayLike | None = None,
 ) -> np.ndarray:
     """Factors (n,) of the rows' weights by Tukey's biweight, (1 - (r / c)^2)^2 below c [1]_.
 
@@ -286,14 +285,27 @@ def tukey_weights(
     how many of the q coordinates each row has, where the others are 0.
     """
     distances = np.linalg.norm(residuals, axis=1)
-    n_coordinates = residuals.shape[1] if n_coordinates is None else n_coordinates
-    scale = max(robust_scale(distances, n_coordinates, weights), least_scale)
+    n = residuals.shape[1] if n_coordinates is None else n_coordinates
+    scale = max(robust_scale(distances, n, weights), least_scale)
     counted = slice(None) if weights is None else weights > 0
     cut = TUKEY_CUT * scale
     if not (cut > 0 and (weighed or np.any(distances[counted] >= cut))):
         return np.ones(len(distances))
     # Cut off before it is squared: of next to nothing, no overflow.
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
+
+
+def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
+    """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
+    if codes is None:
+        return np.zeros_like(values)
+    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
+    for i, column in enumerate(values.T):
+        column = column[np.lexsort((column, of))]  # by position, and there by size
+        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
+        middle[:, i] = median[of]
+    return middle
 
 
 def slip_factors(
@@ -308,18 +320,22 @@ def slip_factors(
     """
     factor = np.ones(len(values))
     used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
-    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
+    used = used[np.argsort(codes[used], kind="stable")]
+    rows = np.split(used, np.flatnonzero(np.diff(codes[used])) + 1)
     rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
     if not rows:
         return factor
-    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
-    usual = robust_scale(np.concatenate(far), values.shape[1])
-    for of, away in zip(rows, far, strict=True):
-        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
-        centre = np.median(values[of], axis=0)
-        off = np.linalg.norm(values[of].mean(axis=0) - centre)
-        if away.max() + off < TUKEY_CUT * scale:
-            continue  # no row is far from the median, nor from the mean, the next centre
+    counts, used = np.array([len(of) for of in rows]), np.concatenate(rows)
+    group, first = np.repeat(np.arange(len(rows)), counts), np.cumsum(counts) - counts
+    centres, n_coordinates = medians_of(values[used], group), values.shape[1]
+    far = np.linalg.norm(values[used] - centres, axis=1)
+    own = medians_of(far[:, None] / np.sqrt(chdtri(n_coordinates, 0.5)), group)[first, 0]
+    scales = _SLIP * np.maximum(robust_scale(far, n_coordinates), own)
+    # No row is far from the median, nor from the mean, the next centre, in most groups.
+    off = np.linalg.norm(group_means(values[used], group) - centres[first], axis=1)
+    is_near = np.maximum.reduceat(far, first) + off < TUKEY_CUT * scales
+    for i in np.flatnonzero(~is_near):
+        of, scale, centre = rows[i], scales[i], centres[first[i]]
         for _ in range(_ROUNDS):
             left = values[of] - centre
             factor[of] = tukey_weights(left, least_scale=scale)

@@ -23,6 +23,7 @@ from sklearn_raacmm.app._life import highest_mean, save_step
 from sklearn_raacmm.app._tables import Layout
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.export import describe
+from sklearn_raacmm.utils import FindingWarning
 
 MACHINE = SimulatedArm("typical", random_state=1)
 TURN, SHIFT = Rotation.from_rotvec([0.1, 0.2, 1]).as_matrix(), np.array([1500.0, 300.0, -100.0])
@@ -125,11 +126,49 @@ def test_a_new_probe_is_registered_by_either(folder, tmp_path, capsys, learnt, t
     assert corrected < 0.6 * bare
 
 
+def test_a_check_elsewhere_does_not_say_that_it_holds(tmp_path, capsys):
+    # Learnt in a narrow range of the joints, checked in all: next to nothing is corrected there.
+    rng = np.random.default_rng(0)
+    middle = np.array([0.3, 0.2, 1.0, 0.3, 0.8, 0.1])
+    near = middle + rng.uniform(-0.4, 0.4, (160, 6))
+    far = rng.uniform(-2.5, 2.5, (40, 6))
+    seen_there = [
+        MACHINE.forward(q) @ TURN.T + SHIFT + rng.normal(0, 0.005, (len(q), 3)) for q in (near, far)
+    ]
+    model = ArmResidualRegressor(orders=4)
+    names = np.arange(160) // 8
+    learn_correction(MACHINE.nominal_arm, near, names, seen_there[0], model=model, cv=2).save(
+        tmp_path / "near"
+    )
+    header = ",".join([*(f"q{i} [deg]" for i in range(1, 7)), *"xyz"])
+    np.savetxt(
+        table := tmp_path / "far.csv", np.c_[np.rad2deg(far), seen_there[1]], delimiter=",",
+        header=header, comments="",
+    )  # fmt: skip
+    code, printed = run(capsys, "check", table, "--model", tmp_path / "near", *POINTS)
+    saved = Correction.load(tmp_path / "near")
+    off = saved.residuals(far, seen_there[1])
+    with pytest.warns(FindingWarning, match="the model knows little"):
+        mean = [np.linalg.norm(y, axis=1).mean() for y in (off, off - saved.model.predict(far))]
+    assert code == 3
+    assert "Whether it holds does not show" in printed
+    assert f"mean distance {mean[0]:.3f} -> {mean[1]:.3f} mm" in printed
+    step = saved.facts["history"][-1]
+    assert not step["holds"]
+    assert_allclose([step["before_mm"], step["after_mm"]], mean, rtol=1e-9)
+
+
+def test_a_slip_in_a_code_is_refused_by_a_check_that_registers_nothing(folder):
+    saved, more = Correction.load(folder / "cones"), make_single_point(2, 4, machine=MACHINE)
+    with pytest.raises(ValueError, match=r"'moved-postion' is no code .* are: moved-position"):
+        saved.check(more.data, more.groups, accept="moved-postion")
+
+
 def test_points_of_a_longer_probe_may_scatter_more(folder, tmp_path, capsys):
     saved = Correction.load(folder / "cones")
     step = {"what": "learn", "date": "2026-01-05", "probe_mm": saved.arm.probe.tolist()}
     replace(saved, facts=saved.facts | {"history": [step]}).save(tmp_path)
-    plain = highest_mean(saved.facts["positions"]["after"], 5, 0.005)
+    plain = highest_mean(saved.facts["positions"], np.full(5, 8), 0.005)
     for word, table in (("register", "new.csv"), ("check", "more.csv")):
         code, printed = run(capsys, word, folder / table, "--model", tmp_path)
     checked = Correction.load(tmp_path).facts["history"][-1]

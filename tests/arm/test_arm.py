@@ -133,8 +133,9 @@ def test_arm_is_a_value():
     assert built.a[0] == 1
     # -0.0 and 0.0 are the same length
     assert arm.replace(theta_offset=-0.0) == arm
-    with pytest.raises(AttributeError):
-        arm.name = "mine"
+    for field in ("name", "naem"):  # a misspelt one would have no effect
+        with pytest.raises(AttributeError):
+            setattr(arm, field, "mine")
     for restored in (arm, pickle.loads(pickle.dumps(arm))):
         with pytest.raises(ValueError, match="read-only"):
             restored.a[0] = 1.0

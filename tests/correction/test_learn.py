@@ -1,5 +1,6 @@
 """The one call against the same steps written out, planted slips, and arms it cannot help."""
 
+import gc
 import json
 import pickle
 import warnings
@@ -389,6 +390,22 @@ def test_progress_and_processes_change_nothing(test_data, learned):
     ).scores  # fmt: skip
     assert seen == [(i, 3) for i in range(1, 4)]
     assert_allclose(scores.table["after"], learned.scores.table["after"], atol=1e-7)
+
+
+@pytest.mark.exhaustive
+def test_what_progress_raises_ends_the_call_and_nothing_else_is_said(test_data):
+    def cancel(*done):
+        raise KeyboardInterrupt
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with pytest.raises(KeyboardInterrupt):
+            learn_correction(
+                test_data.nominal_arm, test_data.data, test_data.groups, model=MODEL, cv=6,
+                progress=cancel, n_jobs=2,
+            )  # fmt: skip
+        gc.collect()  # joblib speaks when its generator is closed
+    assert [str(one.message) for one in said if "joblib" in one.filename] == []
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # said beside the refusal
