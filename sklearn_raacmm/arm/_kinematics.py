@@ -14,6 +14,8 @@ from sklearn_raacmm.utils import chunks
 FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 # Rows computed at once: the working set of a chunk (about 30 rows of float64) stays in the cache.
 CHUNK_ROWS = 4096
+# Along x, y and z of the base: its own axes and its origin.
+_BASE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 # What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
 _TRAVEL_MM = 2000.0
 
@@ -151,7 +153,7 @@ def frame_columns(arm: DHTable, angles: np.ndarray) -> np.ndarray:
     cos, sin, *links = _rows_of_table(arm, angles)
     if len(angles) == 1:  # by numbers, as in `carried`: a third of the time, and equal bits
         table = cos[:, 0].tolist(), sin[:, 0].tolist(), *links
-        of_axes = [[*_frames(arm, table, axis)] for axis in np.eye(3, 4).tolist()]
+        of_axes = [[*_frames(arm, table, axis)] for axis in _BASE]
         return np.array(of_axes).transpose(1, 2, 0)[..., None]
     out = np.zeros((len(cos) + 1, 4, 3, len(angles)))
     out[0, [0, 1, 2], [0, 1, 2]] = 1.0
@@ -186,9 +188,8 @@ def frame_poses(arm: DHTable, angles: np.ndarray) -> np.ndarray:
 
 def probe_from_frames(arm, frames, probes=None):
     """Probe points (3, n_samples) from `frame_columns`; `probes` as of `points_of`."""
-    x, y, z, origin = frames[-1]
-    own = arm.probe if probes is None else probes.T
-    return origin + (own[0] * x + own[1] * y + own[2] * z)
+    own = arm.probe[:, None] if probes is None else probes.T
+    return (own[:, None] * frames[-1, :3]).sum(axis=0) + frames[-1, 3]
 
 
 def cross(u, v):
@@ -209,16 +210,22 @@ def axis_vectors(
     the frames' origins and the probe, (n, 3, n_frames + 1) mm.
     """
     frames = frame_columns(arm, angles)
-    probe = probe_from_frames(arm, frames, probes)
-    # Not `np.moveaxis`: of one row its checks cost as much as the arrays.
-    axes = frames[:, :3].transpose(2, 0, 1, 3)  # (3, n_frames, 3, n)
-    lever = (probe - frames[:, 3]).swapaxes(0, 1)[:, :, None]
-    n_axes = 3 * len(frames)
-    vectors = np.empty((len(angles), 3, 2 * n_axes))
-    vectors[:, :, :n_axes] = cross(axes, lever).reshape(3, n_axes, -1).transpose(2, 0, 1)
-    vectors[:, :, n_axes:] = axes.reshape(3, n_axes, -1).transpose(2, 0, 1)
-    places = np.concatenate([frames[:, 3], probe[None]]).transpose(2, 1, 0)
-    return vectors, places
+    k, n = len(frames), len(angles)
+    # Components first, then what there is, then rows: of one row, views are free.
+    places = np.empty((3, k + 1, n))
+    places[:, :k] = frames[:, 3].swapaxes(0, 1)
+    places[:, k] = probe_from_frames(arm, frames, probes)
+    # x, y, z, x, y: a cross product is two products of runs of three.
+    lever, axes = np.empty((5, k, 1, n)), np.empty((5, k, 3, n))
+    np.subtract(places[:, k:], places[:, :k], out=lever[:3, :, 0])
+    axes[:3] = frames[:, :3].transpose(2, 0, 1, 3)
+    lever[3:], axes[3:] = lever[:2], axes[:2]
+    vectors = np.empty((3, 2, k, 3, n))
+    np.multiply(axes[1:4], lever[2:], out=vectors[:, 0])
+    vectors[:, 0] -= axes[2:] * lever[1:4]
+    vectors[:, 1] = axes[:3]
+    vectors = np.ascontiguousarray(vectors.reshape(3, 6 * k, n).transpose(2, 0, 1))
+    return vectors, places.transpose(2, 0, 1)
 
 
 def parameter_jacobian(arm: DHTable, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

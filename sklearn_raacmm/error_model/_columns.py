@@ -19,6 +19,7 @@ from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dtrmm
 
 from sklearn_raacmm.arm import (
     FIELDS,
@@ -434,6 +435,11 @@ class Columns:
     def _plan(self):
         return _Plan(self)
 
+    @property
+    def spans(self) -> list[Any]:
+        """First and last column of each run of waves: see `FactoredColumns`."""
+        return self._plan.spans
+
     def _parts(self, rows):
         """Angles, extra columns, and the probes (n, 3) of rows that end with them, or None."""
         n, end = self.arm.n_joints, self.arm.n_joints + len(self.terms.extra)
@@ -464,8 +470,10 @@ class Columns:
         """Columns at rows, (n, 3, n_columns)."""
         plan = self._plan
         out = np.empty((len(rows), 3, plan.rest + len(plan.which)))
-        for start, end, vector, waves in self.factored(rows, out[:, :, plan.rest :]).runs:
-            np.multiply(vector[:, :, None], waves[:, None], out=out[:, :, start:end])
+        found = self.factored(rows, out[:, :, plan.rest :])
+        for i, (start, end) in enumerate(found.spans):
+            vector, waves = found.vectors[:, :, i, None], found.waves[:, None, start:end]
+            np.multiply(vector, waves, out=out[:, :, start:end])
         return out
 
     def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> "FactoredColumns":
@@ -477,12 +485,8 @@ class Columns:
         wave = np.empty((len(angles), 2 * phase.shape[1]))
         np.cos(phase, out=wave[:, 0::2])
         np.sin(phase, out=wave[:, 1::2])
-        runs = [
-            (start, end, vectors[:, :, which] * unit, wave[:, start:end])
-            for start, end, which, unit in plan.runs
-        ]
         factor = plan.unit[None].repeat(len(angles), axis=0)
-        if len(plan.loads):
+        if len(plan.load_at):
             up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
             factor[:, plan.loads] *= _torques(plan, up, vectors, places)
         if len(plan.grows):
@@ -497,8 +501,11 @@ class Columns:
             force = (values - plan.means) @ self.forces
             factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
             factor[:, plan.given] *= values[:, plan.by] - plan.means[plan.by]
-        rest = np.multiply(np.take(vectors, plan.which, axis=2), factor[:, None], out=out)
-        return FactoredColumns(runs, rest)
+        rest = np.multiply(vectors.take(plan.which, axis=2), factor[:, None], out=out)
+        if not plan.spans:
+            return FactoredColumns([], None, None, rest)
+        along = vectors.take(plan.run_which, axis=2) * plan.run_unit
+        return FactoredColumns(plan.spans, along, wave[:, : plan.rest], rest)
 
 
 def torque_axis(table: np.ndarray) -> np.ndarray:
@@ -515,20 +522,21 @@ class _Plan:
         axis = 3 * table["frame"] + table["axis"]
         shifts = np.isin(table["kind"], (SHIFT, LEAN, GROW))
         which = axis + n_axes * shifts  # into the `axis_vectors`
-        # Runs of columns (first, last, vector, unit): many waves that share one vector.
-        self.runs, self.rest = [], 0
+        # Runs of columns (first, last): many waves that share one vector.
+        self.spans, self.rest = [], 0
         n_joints = len(np.unique(columns.terms.harmonics[:, 0]))
         if n_waves and n_waves >= _LONG_RUN * n_joints:
             ends = np.flatnonzero(np.diff(which[:n_waves], append=-1)) + 1
-            for start, end in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
-                self.runs.append((start, end, int(which[start]), float(table["unit"][start])))
+            self.spans = list(zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True))
             self.rest = n_waves  # columns from here on are selected by `which`
+        firsts = [start for start, _ in self.spans]
+        self.run_which, self.run_unit = which[firsts], table["unit"][firsts]
         cosines = table[table["order"] > 0]  # of all waves: those of the runs, then the others
         self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
         rest, axis = table[self.rest :], axis[self.rest :]
         self.which, self.unit = which[self.rest :], rest["unit"]
-        self.waves = np.flatnonzero(rest["order"])
-        self.loads = np.flatnonzero(np.isin(rest["kind"], OF_LOADS))
+        self.waves = _places(rest["order"])
+        self.loads = _places(np.isin(rest["kind"], OF_LOADS))
         self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors
         self.load_at, self.load_frame = rest["load"][self.loads], rest["frame"][self.loads]
         self.grows = np.flatnonzero(rest["kind"] == GROW)
@@ -546,15 +554,22 @@ class _Plan:
 
 def _torques(plan, up, vectors, places):
     """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
-    torques = 0.0
+    torques, u = 0.0, vectors.take(plan.load_x, axis=2)
+    lever = places.take(plan.load_at, axis=2)
+    lever -= places.take(plan.load_frame, axis=2)
     for k in (0, 1, 2):
         if up.ndim == 1 and up[k] == 0:
             continue
-        pair = (k + 1) % 3, (k + 2) % 3
-        x, y = (places[:, i, plan.load_at] - places[:, i, plan.load_frame] for i in pair)
-        ux, uy = (vectors[:, i, plan.load_x] for i in pair)
-        torques = torques + up[k] * (uy * x - ux * y)
+        i, j = (k + 1) % 3, (k + 2) % 3
+        torques = torques + up[k] * (u[:, j] * lever[:, i] - u[:, i] * lever[:, j])
     return torques
+
+
+def _places(wanted):
+    """Places of what is not 0, as a slice where they follow each other: that takes no copies."""
+    found = np.flatnonzero(wanted)
+    whole = len(found) and found[-1] - found[0] == len(found) - 1
+    return slice(found[0], found[-1] + 1) if whole else found
 
 
 class FactoredColumns:
@@ -562,43 +577,72 @@ class FactoredColumns:
 
     The waves of a joint share the vector by which a turn about its axis moves the probe. Products
     with the columns are therefore taken with the waves first: one number for each pose, not three.
-    The `runs` are of (first, last column, vector (n, 3), waves (n, k)), `rest` (n, 3, m) are the
-    columns after them.
+    The waves (n, n_waves) come in runs, of which `spans` are the first and last columns and
+    `vectors` (n, 3, n_runs) what they share; `rest` (n, 3, m) are the columns after them.
     """
 
-    def __init__(self, runs: list[Any], rest: np.ndarray) -> None:
-        self.runs: list[Any] = runs
+    def __init__(self, spans: list[Any], vectors: Any, waves: Any, rest: np.ndarray) -> None:
+        self.spans: list[Any] = spans
+        self.vectors: Any = vectors
+        self.waves: Any = waves
         self.rest: np.ndarray = rest
 
     def dot(self, coef: np.ndarray) -> np.ndarray:
         """``columns @ coef``, (n, 3)."""
         n, _, m = self.rest.shape
         out = (self.rest.reshape(3 * n, m) @ coef[len(coef) - m :]).reshape(n, 3)
-        for start, end, vector, waves in self.runs:
-            out += vector * (waves @ coef[start:end])[:, None]
+        for i, (start, end) in enumerate(self.spans):
+            out += self.vectors[:, :, i] * (self.waves[:, start:end] @ coef[start:end])[:, None]
         return out
 
-    def squares(self, root: np.ndarray) -> np.ndarray:
-        """Squared lengths (n, 3) of ``columns @ root`` for a root (n_columns, r)."""
+    def squares(self, root: "Root") -> np.ndarray:
+        """Squared lengths (n, 3) of ``columns @ half``, of which `root` is made."""
         n, _, m = self.rest.shape
         # One product of all rows takes a quarter of the time of one for each pose.
-        rest = self.rest.reshape(3 * n, m)
-        if not self.runs:
-            dots = rest @ root
-            return np.einsum("nr,nr->n", dots, dots).reshape(n, 3)
-        vectors = np.stack([vector for *_, vector, _ in self.runs], axis=2)
-        shared = np.zeros((n, len(self.runs), root.shape[1]), dtype=root.dtype)
-        for i, (start, end, _, waves) in enumerate(self.runs):
-            used = _filled(root[start:end])
-            shared[:, i, used] = waves @ root[start:end, used]
-        dots = vectors @ shared
-        own = root[len(root) - m :]
-        used = _filled(own)
-        dots[:, :, used] += (rest @ own[:, used]).reshape(n, 3, -1)
-        return np.einsum("ncr,ncr->nc", dots, dots)
+        dots = root.product(self.rest.reshape(3 * n, m)).reshape(n, 3, -1)
+        if not self.spans:
+            return np.einsum("ncr,ncr->nc", dots, dots)
+        runs = [slice(*span) for span in self.spans]
+        shared = np.stack([self.waves[:, run] @ root.shared[run] for run in runs], axis=1)
+        dots += self.vectors @ shared
+        squares = np.einsum("ncr,ncr->nc", dots, dots)
+        for i, (run, covariance) in enumerate(zip(runs, root.beside, strict=True)):
+            products = self.waves[:, run] @ covariance
+            products *= self.waves[:, run.start :]
+            starts = [start - run.start for start, _ in self.spans[i:]]
+            of_pairs = np.add.reduceat(products, starts, axis=1)
+            both = self.vectors[:, :, i:] @ of_pairs[:, :, None]
+            squares += self.vectors[:, :, i] * both[:, :, 0]
+        return np.maximum(squares, 0.0, out=squares)
 
 
-def _filled(rows):
-    """Columns from the first to the last one that is not all zeros."""
-    some = np.flatnonzero(rows.any(axis=0))
-    return slice(some[0], some[-1] + 1) if len(some) else slice(0, 0)
+class Root:
+    """A root (n_columns, r) of a covariance, arranged for `FactoredColumns.squares`.
+
+    Any root gives the same squares, and a triangle takes half of the products. Where waves come in
+    runs, the first columns of the triangle are those that the other columns of the model have:
+    `own` and, of the waves, `shared`. What the waves have beside that is taken by its covariance:
+    products of two waves are one number for each pose, not three. `beside` has a part for each run,
+    its rows and the columns from its first on: what stands behind the run counts twice.
+    """
+
+    def __init__(self, half: np.ndarray, columns: Columns) -> None:
+        spans, m = columns.spans, len(half)
+        n_waves = spans[-1][1] if spans else 0
+        order = np.roll(np.arange(m), -n_waves)
+        root = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
+        n_own = m - n_waves
+        self.own: np.ndarray = np.ascontiguousarray(root[:n_own, :n_own])
+        self.shared: np.ndarray = np.ascontiguousarray(root[n_own:, :n_own])
+        alone = root[n_own:, n_own:]
+        self.beside: list[np.ndarray] = []
+        for start, end in spans:
+            part = alone[start:end] @ alone[start:].T
+            part[:, end - start :] *= 2.0
+            self.beside.append(part)
+
+    def product(self, rows: np.ndarray) -> np.ndarray:
+        """``rows @ own``: of a triangle, half of the products are none."""
+        if self.own.shape[0] != self.own.shape[1]:
+            return rows @ self.own
+        return np.asarray(dtrmm(1.0, self.own.T, rows.T)).T

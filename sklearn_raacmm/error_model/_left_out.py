@@ -98,12 +98,14 @@ class Fading:
         """Share from 0 to 1 of each correction by its doubt in mm; both have any shape."""
         if not (self.factor > 0 and self.size_mm > 0):
             return np.full(np.shape(doubt), self.most)
-        size = self.size_mm**2
+        size = max(self.size_mm**2, 1e-300)
         beyond = np.maximum(np.square(doubt) - self.known_mm**2, 0.0)
-        return self.found(doubt) * size / np.maximum(size + self.factor**2 * beyond, 1e-300)
+        return self.found(doubt) * (size / (size + self.factor**2 * beyond))
 
     def found(self, doubt: np.ndarray) -> np.ndarray:
         """What positions left out have said of it, (n,): Wiener's factor is not in it."""
+        if self.far == 1:
+            return np.full(np.shape(doubt), self.most)
         near = self.near_mm**4
         nearness = near / np.maximum(near + doubt**4, 1e-300)
         return self.most * (self.far + (1 - self.far) * nearness)

@@ -22,6 +22,7 @@ from sklearn_raacmm.error_model._columns import (
     LOAD,
     OF_LOADS,
     Columns,
+    Root,
     Terms,
     columns_of,
 )
@@ -30,8 +31,6 @@ from sklearn_raacmm.utils import check_shapes, chunks, group_means
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
 # 2^18 with 177 and 769 columns.
 _CHUNK = 2**17
-# A root of which more than this share is not zero is worth being made a triangle.
-_FULL = 0.6
 # Poses at which fields are compared with columns: three equations each, for some 200 columns.
 _POSES = 150
 # Poses in the range of those of a fit at which fields are told from columns: a number for speed.
@@ -238,14 +237,14 @@ class LinearModel:
         if return_std and return_doubt and roots[0] is roots[1]:
             roots = roots[:1]
         mean = np.empty((len(angles), 3))
-        found = [np.empty((len(angles), 3)) for _ in roots]
+        squares = [np.empty((len(angles), 3)) for _ in roots]
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
             columns = self.layout.factored(angles[rows])
             mean[rows] = columns.dot(self.coef)
-            for std, root in zip(found, roots, strict=True):
-                std[rows] = np.sqrt(columns.squares(root))
-        doubt = np.linalg.norm(found[-1], axis=1) if return_doubt else None
-        return mean, found[0] if return_std else None, doubt
+            for found, root in zip(squares, roots, strict=True):
+                found[rows] = columns.squares(root)
+        doubt = np.sqrt(squares[-1].sum(axis=1)) if return_doubt else None
+        return mean, np.sqrt(squares[0]) if return_std else None, doubt
 
     @cached_property
     def gauge_free_half(self) -> np.ndarray:
@@ -268,13 +267,13 @@ class LinearModel:
 
     @cached_property
     def _std_root(self):
-        return _triangle(self.gauge_free_half, len(self.terms.harmonics))
+        return Root(self.gauge_free_half, self.layout)
 
     @cached_property
     def _fading_root(self):
         if self.informed_half is None:
             return self._std_root
-        return _triangle(self.informed_half, len(self.terms.harmonics))
+        return Root(self.informed_half, self.layout)
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
@@ -482,20 +481,6 @@ def _as_now(values, layout):
     ranges = np.array([[turn] * arm.n_joints + usual for turn in (-np.pi, np.pi)])
     informed = None if np.array_equal(fading, shown) else fading
     return values | {"half": half, "seen": seen, "ranges": ranges, "informed_half": informed}
-
-
-def _triangle(half, n_pairs):
-    """Root of the same covariance with many zeros.
-
-    The columns that are multiplied for x, y and z each, those after the harmonics, have the
-    shortest rows of a triangle.
-    """
-    if np.count_nonzero(half) <= _FULL * half.size:
-        return half
-    order = np.roll(np.arange(len(half)), -2 * n_pairs)
-    root = np.empty((len(half), min(half.shape)))
-    root[order] = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
-    return root
 
 
 def place_fields(columns):

@@ -9,14 +9,18 @@ One function for each kind of step: it adds the step's operations to those befor
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles, phase_factors, scale_of, slides_of
 from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
-from sklearn_raacmm.export._small_doubt import axis_numbers, poses_from_far_to_near, small_doubt
+from sklearn_raacmm.export._small_doubt import (
+    axis_numbers,
+    of_many_waves,
+    poses_from_far_to_near,
+    small_doubt,
+)
 from sklearn_raacmm.export._steps import (
     KNOWN,
     REGRESSORS,
@@ -295,12 +299,18 @@ def linear_model(chain, linear, fading):
     m, n_axes = len(table), 3 * (arm.n_joints + 1)
     if not m:
         return p.constant(np.zeros(3)), p.constant(np.zeros(3)), p.constant(0.0)
-    # Columns that share a vector stand together; large groups last, where rows of a triangle are
-    # long anyway.
+    # Columns that share a vector stand together; large groups and those of many waves last, where
+    # rows of a triangle are long anyway.
     vector = axis_numbers(table, arm.n_joints)
-    order = np.lexsort([vector, np.bincount(vector)[vector]])
+    waves = of_many_waves(table, vector)
+    order = np.lexsort([vector, np.bincount(vector)[vector], waves])
+    n_others = m - np.count_nonzero(waves)
     vectors = _vectors(chain)
-    vector, sizes = vector[order], _sizes(chain, linear, table[order], vectors)
+    vector, sizes = vector[order], _sizes(chain, linear, table[order[:n_others]], vectors)
+    if n_others < m:
+        own = table[order[n_others:]]
+        waves = p("waves", chain.phases(), joint=own["joint"], order=own["order"])
+        sizes = p("join", sizes, p("mul", waves, own["unit"]))
     matrix = np.zeros((2 * n_axes, m))
     matrix[vector, np.arange(m)] = linear.coef[order]
     y = p("dots", vectors, p.affine(sizes, matrix))
@@ -356,6 +366,7 @@ def _in_16_bits(root, columns, others):
     `columns` (n, m) at other poses judge.
     """
     m, unit = len(root), np.abs(root).max(axis=1) / _INT16
+    others = others / np.linalg.norm(others @ root, axis=1)[:, None]  # shares of deviations count
     size = np.linalg.norm(others, axis=0)
     held = np.diag(np.where(size > 0, _UNSEEN * size, 1.0))
     plane = np.asarray(np.linalg.qr(np.vstack([others, held])[:, ::-1], mode="r"))
@@ -396,19 +407,21 @@ def compare_shares(model, exact, program):
 
 def _of_joints(chain, vectors, joints, about, series, means):
     """What the waves of joints add to the squared doubt, by the series of each."""
-    p, (n, q) = chain.p, series.shape
+    p, n = chain.p, len(series)
     axes = p.size(vectors) // 3
     at = about[:, None] + axes * np.arange(3)
     turns = p.take(vectors, at.ravel())
     squares = p.affine(p("mul", turns, turns), np.kron(np.eye(n), np.ones((1, 3))))
-    orders, joints = np.arange(1, q // 2 + 1), np.repeat(joints, q // 2)
+    of, place = np.nonzero(series)
+    if not len(of):
+        return p("dots", squares, means)
+    half = series.shape[1] // 2  # cosines, then sines
+    order = place % half + 1
     waves = p(
-        "waves",
-        chain.phases(),
-        joint=np.tile(joints, 2),  # all cosines, then all sines
-        order=np.concatenate([np.tile(orders, n), np.tile(-orders, n)]),
+        "waves", chain.phases(), joint=joints[of], order=np.where(place < half, order, -order)
     )
-    matrix = np.hstack([block_diag(*half) for half in np.split(series, 2, axis=1)])
+    matrix = np.zeros((n, len(of)))
+    matrix[of, np.arange(len(of))] = series[of, place]
     return p("dots", squares, p.affine(waves, matrix, means))
 
 
@@ -441,9 +454,11 @@ def _sizes(chain, linear, table, vectors):
     p, arm, m = chain.p, linear.arm, len(table)
     n_axes, extra = 3 * (arm.n_joints + 1), linear.terms.extra
     sizes = p.constant(table["unit"])
-    if np.any(table["order"]):
-        waves = p("waves", chain.phases(), joint=table["joint"], order=table["order"])
-        sizes = p("mul", sizes, waves)
+    waved = np.flatnonzero(table["order"])
+    if len(waved):
+        joint, orders = (table[name][waved] for name in ("joint", "order"))
+        waves = p("waves", chain.phases(), joint=joint, order=orders)
+        sizes = p("mul", sizes, _at_columns(p, m, waved, waves))
     loaded = np.flatnonzero(np.isin(table["kind"], OF_LOADS))
     if len(loaded):
         # The torque of a load, as `error_model` has it.

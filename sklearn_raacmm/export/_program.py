@@ -215,12 +215,11 @@ def _frames(theta, table, convention):
 
 def _waves(angles, joint, order):
     """Cosine of a multiple of an angle, sine where the order is negative, 1 where it is 0."""
-    (of, multiple), place = np.unique([joint, np.abs(order)], axis=1, return_inverse=True)
-    times = np.zeros((angles.shape[1], len(of)))
-    times[of, np.arange(len(of))] = multiple
-    phase = angles @ times  # ONNX Runtime takes columns one by one slower than it multiplies
-    both = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-    return both[:, place.ravel() + len(of) * (order < 0)]
+    times = np.zeros((angles.shape[1], len(joint)))
+    times[joint, np.arange(len(joint))] = np.abs(order)
+    # A cosine is a sine a quarter of a turn further on: so one operation makes all of them in their
+    # order, of columns that ONNX Runtime would take one by one.
+    return np.sin(angles @ times + np.where(order < 0, 0.0, np.pi / 2))
 
 
 def _distances(x, centers, shift, inverse_width):
@@ -239,25 +238,39 @@ def _variances(vectors, sizes, vector, root, less=0):
 
     Column c is its size times one of the vectors. Those of x come first: (3, number of vectors).
     """
-    n, parts = vectors.shape[1] // 3, []
-    # Many columns share the vector of a joint's waves: one product for them, not one for each of x,
-    # y and z.
-    many = np.bincount(vector)[vector] >= _MANY
-    for own in [~many, *(vector == one for one in np.unique(vector[many]))]:
-        columns = np.flatnonzero(own)
-        if not len(columns):
-            continue
-        size = sizes[:, columns]
-        if many[columns[0]]:
-            along = vectors[:, vector[columns[0]] + n * np.arange(3)].reshape(-1, 3, 1)
-            parts.append(along * (size @ root[own]).reshape(-1, 1, root.shape[1]))
-        else:
-            along = vectors[:, np.add.outer(n * np.arange(3), vector[own]).ravel()]
-            every = along.reshape(-1, 3, len(columns)) * size.reshape(-1, 1, len(columns))
-            parts.append(every @ root[own])
-    dots = sum(parts[1:], parts[0])
-    signs = np.where(np.arange(root.shape[1]) < root.shape[1] - less, 1.0, -1.0)
-    return (dots * dots * signs).sum(axis=2)
+    n, r = vectors.shape[1] // 3, root.shape[1]
+    signs = np.where(np.arange(r) < r - less, 1.0, -1.0)
+    # Runs of many columns share the vector of a joint's waves.
+    ends = np.flatnonzero(np.append(np.diff(vector), 1)) + 1
+    spans = zip([0, *ends[:-1]], ends, strict=True)
+    runs = [np.arange(start, end) for start, end in spans if end - start >= _MANY]
+    alongs = [vectors[:, vector[run[0]] + n * np.arange(3)] for run in runs]
+    alone = np.setdiff1d(np.arange(len(vector)), np.concatenate([[], *runs]).astype(int))
+    # Columns of the root that columns beside these runs have; of a triangle, the first few.
+    used = np.flatnonzero(root[alone].any(axis=0))
+    own = used[-1] + 1 if len(used) else 0
+    squares = []
+    if own:
+        places = np.add.outer(n * np.arange(3), vector[alone]).ravel()
+        every = vectors[:, places].reshape(-1, 3, len(alone))
+        parts = [(every * sizes[:, alone].reshape(-1, 1, len(alone))) @ root[alone, :own]]
+        for run, along in zip(runs, alongs, strict=True):
+            # One product, not one for each of x, y and z.
+            shared = sizes[:, run] @ root[run, :own]
+            parts.append(along.reshape(-1, 3, 1) * shared.reshape(-1, 1, own))
+        dots = sum(parts[1:], parts[0])
+        squares.append((dots * dots * signs[:own]).sum(axis=2))
+    # What waves have beside that, by its covariance: one number for two runs.
+    for i, run in enumerate(runs if own < r else ()):
+        later = np.concatenate(runs[i:])
+        covariance = (root[run, own:] * signs[own:]) @ root[later, own:].T.astype(float)
+        if root.dtype != float:  # nor was the root better than that
+            covariance = covariance.astype(np.float32)
+        of_run = np.repeat(np.arange(i, len(runs)), [len(one) for one in runs[i:]])
+        twice = (1.0 + (of_run > i)) * (of_run == np.arange(len(runs))[:, None])
+        pairs = (sizes[:, run] @ covariance * sizes[:, later]) @ twice.T
+        squares += [alongs[i] * alongs[j] * pairs[:, [j]] for j in range(i, len(runs))]
+    return sum(squares[1:], squares[0])
 
 
 # Values (n, size) go in, constants by their names, (n, size) comes out.

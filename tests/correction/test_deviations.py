@@ -185,7 +185,8 @@ def test_an_update_keeps_the_probe_that_was_registered():
     machine = SimulatedArm("typical", random_state=0)
     test = make_single_point(9, 15, machine=machine, random_state=0)
     learnt, new = test.groups < 6, test.groups >= 6
-    correction = learn_correction(test.nominal_arm, test.data[learnt], test.groups[learnt], cv=3)
+    known = test.nominal_arm, test.data[learnt], test.groups[learnt]
+    correction = learn_correction(*known, model=ArmResidualRegressor(orders=4), cv=2)
     knocked = test.data[new] + np.deg2rad([0, 0, 0, 0.02, 0, 0])
     updated = correction.update(knocked, test.groups[new])
     assert updated.arm == correction.arm

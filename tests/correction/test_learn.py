@@ -411,7 +411,10 @@ def test_what_progress_raises_ends_the_call_and_nothing_else_is_said(test_data):
 @pytest.mark.filterwarnings("ignore::UserWarning")  # said beside the refusal
 @pytest.mark.parametrize(
     ("signs", "unit", "change"),
-    [([1, 1, 1, -1, 1, 1], "rad", "joint 4 reversed"), (None, "deg", "the angles in radians")],
+    [
+        pytest.param([1, 1, 1, -1, 1, 1], "rad", "joint 4 reversed", marks=pytest.mark.exhaustive),
+        (None, "deg", "the angles in radians"),
+    ],
 )
 def test_an_arm_of_another_table_is_refused_and_named(test_data, signs, unit, change):
     """Radians read as degrees, too: an arm that hardly moves scatters by little of its reach."""

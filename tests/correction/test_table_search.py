@@ -38,7 +38,7 @@ def more(*values):
     ("signs", "columns", "factor", "change"),
     [
         more([1, -1, 1, 1, 1, 1], None, 1, "joint 2 reversed"),
-        ([1, 1, -1, -1, 1, 1], None, 1, "joints 3 and 4 reversed"),
+        more([1, 1, -1, -1, 1, 1], None, 1, "joints 3 and 4 reversed"),
         (1, EXCHANGED, 1, "joints 3 and 5 exchanged"),
         more(1, [5, 4, 3, 2, 1, 0], 1, "the joints in reverse order"),
         more(1, None, 180 / np.pi, "the angles in degrees"),
@@ -132,7 +132,7 @@ def test_what_was_taken_asks_for_its_hand(data):
     """Until the question is answered, and not where the data tell."""
     wrong = data.nominal_arm.replace(joint_signs=[1, -1, 1, 1, 1, 1])
     given = wrong, data.data, data.groups
-    small = {"model": ArmResidualRegressor(orders=2), "cv": 2}
+    small = {"model": ArmResidualRegressor(orders=1, causes=["kinematics"]), "cv": 2}
     with pytest.warns(UserWarning, match="its mirror image alike, .* joint 2 reversed") as caught:
         learned = learn_correction(*given, take="reversed-1-2-3-5", **small)
     assert "does its angle grow? If the answer is no, accept" in str(caught[0].message)
@@ -145,7 +145,7 @@ def test_what_was_taken_asks_for_its_hand(data):
 @pytest.mark.parametrize(
     ("own", "change", "options"),
     [
-        (lambda q: q[:, 2] - q[:, 1], "joint 3 at J3 + J2", "--take coupled-2-3"),
+        more(lambda q: q[:, 2] - q[:, 1], "joint 3 at J3 + J2", "--take coupled-2-3"),
         more(lambda q: q[:, 2] + q[:, 1], "joint 3 at J3 - J2", "--take uncoupled-2-3"),
         (
             lambda q: q[:, 1] - q[:, 2],
@@ -216,10 +216,10 @@ def test_small_swings_are_not_taken_for_degrees(data):
 def test_nothing_is_proposed_for_a_right_table_or_no_arm_at_all(data):
     assert search_table(data.nominal_arm, data.data, data.groups) is None
     rng = np.random.default_rng(1)
-    assert search_table(data.nominal_arm, rng.uniform(-2, 2, (60, 6)), np.arange(60) // 10) is None
+    assert search_table(data.nominal_arm, rng.uniform(-2, 2, (30, 6)), np.arange(30) // 10) is None
 
 
-@pytest.mark.parametrize("kind", ["cones", "tracker"])
+@pytest.mark.parametrize("kind", ["cones", more("tracker")])
 def test_zeros_anywhere(data, kind):
     """As of encoders that were built in as they came: as good as with the right table."""
     rng = np.random.default_rng(4)
@@ -311,17 +311,18 @@ def test_an_arm_of_which_only_the_layout_is_known(seed):
 
 
 def test_a_layout_that_points_contradict(data):
-    rows = np.random.default_rng(1).permutation(len(data.data))
+    few = data.groups < 4
+    angles = np.random.default_rng(1).permutation(data.data[few])
     bar = [(0, 1, 500, 0.01)]
     with pytest.raises(ValueError, match="points of no 2-2-2 arm coincide: within a position they"):
-        arm_from_data("2-2-2", data.data[rows], data.groups, bar)
+        arm_from_data("2-2-2", angles, data.groups[few], bar)
     with pytest.raises(ValueError, match="without a known distance nothing shows the scale"):
         arm_from_data("2-2-2", data.data, data.groups, [])
 
 
 def test_what_leaves_centimetres_is_no_proposal():
     """Lengths of another arm, and zeros anywhere: what is better, and wrong, is not proposed."""
-    test = make_single_point(n_positions=6, n_poses=15, random_state=3)
+    test = make_single_point(n_positions=6, n_poses=8, random_state=3)
     angles = test.data - np.random.default_rng(4).uniform(-np.pi, np.pi, 6)
     other = test.nominal_arm.replace(a=test.nominal_arm.a + np.array([0, 0, 300, 0, 200, 0]))
     assert search_table(other, angles, test.groups) is None

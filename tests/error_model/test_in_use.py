@@ -176,7 +176,7 @@ def test_what_positions_do_not_show_is_the_rest_of_the_covariance(cones, std_sca
     assert found.max() > 0.1 * both.max()
 
 
-@pytest.mark.parametrize("unit", ["rad", "deg"])
+@pytest.mark.parametrize("unit", [pytest.param("rad", marks=pytest.mark.exhaustive), "deg"])
 def test_angles_for_points_are_those_of_the_corrected_probe(unit):
     rng = np.random.default_rng(7)
     X = rng.uniform(-2, 2, (300, 6))

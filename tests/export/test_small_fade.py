@@ -67,8 +67,9 @@ def test_the_share_is_nearly_that_of_predict(models, monkeypatch, name, many):
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.02)
     assert np.ptp(expected) > 0.2
     assert numbers(small) < 0.5 * numbers(exact)
-    sizes = [op.size for op in small.ops if op.name == "waves"]
-    assert sum(size % 200 == 0 for size in sizes) == (many == 4)
+    # A series has the squares of its waves, of twice their order.
+    most = max(np.abs(op.given["order"]).max() for op in small.ops if op.name == "waves")
+    assert (most > linear.layout.table["order"].max()) == (many == 4)
 
 
 def test_16_bits_a_number_are_taken_where_deviations_do_not_feel_it(models):
