@@ -69,6 +69,15 @@ def run_part(doc, parts, **options):
     parts[given.part](given)
 
 
+def show(title, columns, rows):
+    """Print a line for each row: its name, and a number for each column; return them by names."""
+    print(f"{title}: {', '.join(columns)}")
+    for name, values in rows.items():
+        print(f"  {name}: {', '.join(f'{value:.4g}' for value in values)}", flush=True)
+    named = {str(n): dict(zip(columns, map(float, v), strict=True)) for n, v in rows.items()}
+    return {title: named}
+
+
 def learn(arm, X, y, groups, train, **params):
     """The arm's model of the training rows, and what it leaves of the others."""
     model = ArmResidualRegressor(arm, **params).fit(X[train], y[train], groups=groups[train])

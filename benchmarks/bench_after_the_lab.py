@@ -36,6 +36,7 @@ from _arm_folds import (
     read_ur10,
     run_part,
     scatter,
+    show,
 )
 from scipy.spatial.transform import Rotation
 
@@ -67,13 +68,6 @@ PROBES_MM = (100, 150, 250, 400)
 # Of registrations: how far the probe is from the one learnt with, and cones and poses in each.
 OTHER_PROBES_MM = (0.0, 0.02, 0.05, 0.1, 40.0)
 FEW_POSES = ((1, 3), (1, 5), (2, 5))
-
-
-def show(title, columns, rows):
-    """Print a line for each row: its name, and a number for each column."""
-    print(f"{title}: {', '.join(columns)}")
-    for name, values in rows.items():
-        print(f"  {name}: {', '.join(f'{value:.4g}' for value in values)}", flush=True)
 
 
 def left_another_day(model, arm, known, others):
@@ -108,7 +102,7 @@ def series(options):
     seeds, counts = range(options.seeds or 5), (10, 20, 60, 200)
     rows = {n: known_of_series_b(first.arm, model, n, seeds) for n in counts}
     ways = ("no correction", "registered without it", "registered through it", "updated")
-    show("poses of B known; mm", ways, rows)
+    return show("poses of B known; mm", ways, rows)
 
 
 class WornRobot:
@@ -161,7 +155,7 @@ def months(options):
     names = ("no correction", "registered", "updated", "new fit, a fifth", "new fit, all")
     robots = range(options.seeds or 2)
     rows = {n: np.mean([one_robot(seed, n) for seed in robots], axis=0) for n in (100, 300, 500)}
-    show("poses of a new fit; mm", names, rows)
+    return show("poses of a new fit; mm", names, rows)
 
 
 def with_probe(machine, length):
@@ -236,7 +230,7 @@ def with_longer_probes(seed):
 def probes(options):
     table = np.mean([with_longer_probes(seed) for seed in range(options.seeds or 4)], axis=0)
     ways = ("uncorrected", "not moved", "moved", "learnt with two, moved", "new fit")
-    show("probe, mm; 2S in um", ways, dict(zip(PROBES_MM, table, strict=True)))
+    return show("probe, mm; 2S in um", ways, dict(zip(PROBES_MM, table, strict=True)))
 
 
 def registers(options):
@@ -291,7 +285,7 @@ def plan(options):
             learned = fitted(machine.nominal_arm, *test)
             found.setdefault(name, []).append([left_um(*learned, *rows) for rows in judged])
     rows = {name: np.mean(values, axis=0) for name, values in found.items()}
-    show("first test; 2S in um", ("poses by chance", "of another plan"), rows)
+    return show("first test; 2S in um", ("poses by chance", "of another plan"), rows)
 
 
 class Robot:
@@ -358,7 +352,7 @@ def compare_starts(starts, arm, near, far):
 def show_starts(title, table):
     columns = next(iter(table.values()))[0]
     rows = {n: [np.mean([row[c] for row in rows]) for c in columns] for n, rows in table.items()}
-    show(title, columns, rows)
+    return show(title, columns, rows)
 
 
 def transfer_robots(seeds):
@@ -376,7 +370,7 @@ def transfer_robots(seeds):
             judged = far, found.residuals(far, far_points), None
             near = new[:n], found.residuals_mm, None
             table[n].append(compare_starts(starts, found.arm, near, judged))
-    show_starts("robots: poses; mm", table)
+    return show_starts("robots: poses; mm", table)
 
 
 def transfer_measuring_arms(seeds):
@@ -396,7 +390,7 @@ def transfer_measuring_arms(seeds):
                 for some in (test.groups < n, test.groups >= 10)
             ]
             rows.append(compare_starts(starts, test.arm, *parts))
-    show_starts("arms: positions; mm", table)
+    return show_starts("arms: positions; mm", table)
 
 
 def transfer_pandas(draws):
@@ -419,10 +413,11 @@ def transfer_pandas(draws):
 
 
 def transfer(options):
-    transfer_robots(options.seeds or 5)
-    transfer_measuring_arms(options.seeds or 5)
+    found = transfer_robots(options.seeds or 5)
+    found |= transfer_measuring_arms(options.seeds or 5)
     if options.panda:
         transfer_pandas(2)
+    return found
 
 
 MOUNTS = {"upright": (0, 0, 1), "ceiling": (0, 0, -1), "45 degrees": (1, 0, 1), "wall": (1, 0, 0)}

@@ -21,6 +21,7 @@ the probe. "noise": the same arm without that cause, and a column that has nothi
 
 import argparse
 import warnings
+from itertools import product
 
 import numpy as np
 from _arm_folds import (
@@ -31,6 +32,7 @@ from _arm_folds import (
     mean_deviation,
     panda_folds,
     read_ur10,
+    show,
     sides,
     simulated_folds,
     ur10_folds,
@@ -323,13 +325,12 @@ def of_directions(n_rows):
 def extra(options):
     if options.real:
         return of_directions(options.rows or 1500)
-    for case in CASES:
-        for how in ("single-point", "tracker"):
-            for what in ("cause", "noise"):
-                given = what == "cause", how == "tracker"
-                ratios = [with_columns(case, seed, *given) for seed in range(options.seeds)]
-                spread = f"median {np.median(ratios):.3f}, worst {max(ratios):.3f}"
-                print(f"{case}, {how}, as {what}: {spread}", flush=True)
+    rows = {}
+    for case, how, what in product(CASES, ("single-point", "tracker"), ("cause", "noise")):
+        given = what == "cause", how == "tracker"
+        ratios = [with_columns(case, seed, *given) for seed in range(options.seeds)]
+        rows[f"{case}, {how}, as {what}"] = np.median(ratios), max(ratios)
+    return show("deviation with the columns over without", ("median", "worst"), rows)
 
 
 def main():

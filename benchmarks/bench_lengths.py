@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import _one_thread  # noqa: F401
 import numpy as np
-from _arm_folds import MIXES, MOVED, rms, run_part
+from _arm_folds import MIXES, MOVED, rms, run_part, show
 from scipy.stats import chi2
 
 from sklearn_raacmm import ArmResidualRegressor, calibrate, learn_correction
@@ -90,9 +90,9 @@ def scale(options):
         for name, arm in descriptions(test, seed).items():
             result = calibrate(arm, test.data, test.groups)
             rows.setdefault(name, []).append((scale_error(result.arm, test), result.scale_sd))
-    for name, found in rows.items():
-        error, sd = np.array(found).T
-        print(f"{name}: {1000 * rms(error):.2f} mm in 1 m, {rms(error / sd):.2f} over scale_sd")
+    found = {name: np.array(one).T for name, one in rows.items()}
+    rows = {name: (1000 * rms(e), rms(e / sd)) for name, (e, sd) in found.items()}
+    return show("error in 1 m, mm", ("rms", "over scale_sd"), rows)
 
 
 # Known lengths: bars of these lengths, mm, each at so many places.
@@ -118,6 +118,7 @@ def with_bars(seed, lengths, n_places, mix="typical"):
 
 
 def lengths(options):
+    rows = {}
     for name, (sizes, places) in KNOWN.items():
         found = []
         for seed in range(options.arms):
@@ -130,7 +131,8 @@ def lengths(options):
             )
             points = result.arm.forward(bars.data) - model.predict(bars.data)
             found.append(1000 * rms(gauge_lengths(points, bars.groups, bars.pairs) - 1000))
-        print(f"{name}: rms {rms(found):.0f} um, worst arm {max(found):.0f}", flush=True)
+        rows[name] = rms(found), max(found)
+    return show("error in 1 m, um", ("rms", "worst arm"), rows)
 
 
 def mistakes(options):

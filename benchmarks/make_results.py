@@ -1,7 +1,8 @@
 """Regressors side by side: make the file of results again, or print a part of it.
 
 ``doc/results.json`` holds every measured number of the README and of the pages "Evidence",
-"Which estimator?" and "The paper's experiment and ours". This command measures them again, writes
+"Which estimator?" and "The paper's experiment and ours", and the tables of "After the lab",
+"Lengths" and "Other causes". This command measures them again, writes
 the file and the README's tables, and says which numbers have moved: without options what the README
 shows, in about ten CPU minutes, ``--all`` all of it over night, ``--all --missing`` only what the
 file lacks, ``--only panda --models ridge trees`` a part. Numbers that are not made again stay as
@@ -22,8 +23,12 @@ import os
 import sys
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import _data_sets
+import bench_after_the_lab
+import bench_beyond_the_paper
+import bench_lengths
 import numpy as np
 from _arm_folds import MIXES
 from _data_sets import COSTS, fetched
@@ -52,6 +57,17 @@ INDIVIDUALS = [
     (ANGLES, "ArmResidualRegressor"),
 ]
 SHOWN = [*INDIVIDUALS, (PAPER, "kernel ridge"), (PAPER, "extra trees")]
+# Parts of other scripts whose tables pages show, with what their commands take; quick ones first.
+PARTS = {
+    "scale": (bench_lengths.scale, {"arms": 10}),
+    "plan": (bench_after_the_lab.plan, {"seeds": None}),
+    "lengths": (bench_lengths.lengths, {"arms": 12}),
+    "extra": (bench_beyond_the_paper.extra, {"seeds": 8, "real": False}),
+    "series": (bench_after_the_lab.series, {"seeds": None}),
+    "probes": (bench_after_the_lab.probes, {"seeds": None}),
+    "transfer": (bench_after_the_lab.transfer, {"seeds": None, "panda": False}),
+    "months": (bench_after_the_lab.months, {"seeds": None}),
+}
 SEEDS = 3
 # Positions, poses at each, and outer folds of the simulated arms: the paper's ten positions.
 SIMULATED = (10, 60, 5)
@@ -99,6 +115,18 @@ def rounded(record):
         if value is not None and name not in ("data", "inputs", "regressor"):
             kept[name] = float(f"{value:.{2 if name in COSTS else 5}g}")
     return kept
+
+
+def tables_of(name):
+    """Tables of a part: of each title, row and column a number of five digits."""
+    part, options = PARTS[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of few poses, and of what has faded
+        tables = part(SimpleNamespace(**options))
+    return {
+        title: {row: rounded(values) for row, values in rows.items()}
+        for title, rows in tables.items()
+    }
 
 
 def few_poses(data_home, n_draws=5):
@@ -224,6 +252,11 @@ def measure(args, results, save):
             name = f"{record['inputs']}: {record['regressor']}"
             entry["models"][name] = rounded(record) | {"made": stamp}
         save()
+    for name in PARTS:
+        there = args.missing and name in results.setdefault("parts", {})
+        if (args.all or args.only) and wanted(name, args.only) and not there and not args.models:
+            results.setdefault("parts", {})[name] = {"tables": tables_of(name), "made": stamp}
+            save()
     asked = wanted("few poses", args.only) and wanted("ArmResidualRegressor", args.models)
     if asked and not (args.missing and "few_poses" in results):
         results["few_poses"] = few_poses(args.data_home) | {"made": stamp}

@@ -46,6 +46,7 @@ class Results:
         self.few_poses = contents["few_poses"]
         self.authors = contents["authors"]
         self.comparisons = contents["comparisons"]
+        self.parts = contents.get("parts", {})
 
     def of(self, data, model):
         """Measures of one model on one data set."""
@@ -296,6 +297,103 @@ def choice_table(results):
     return markdown(["estimator", *(data.removeprefix("real, ") for data in REAL)], rows)
 
 
+# Tables of parts of the benchmarks: part, title of its table there, head, columns there, how their
+# numbers are written, and by the first cells of each row its name there.
+_REGISTERED = ("no correction", "updated", "registered through it", "registered without it")
+_PROBES = ("uncorrected", "not moved", "moved", "learnt with two, moved", "new fit")
+_STARTS = ("calibrated", "new fit", "of 1", "of 4")
+PART_TABLES = {
+    "series": (
+        ["known poses", *_REGISTERED],
+        _REGISTERED,
+        ".3f",
+        {("10",): ("poses of B known; mm", "10"), ("200",): ("poses of B known; mm", "200")},
+    ),
+    "probes": (
+        [
+            "probe",
+            "uncorrected",
+            "registered, model not moved",
+            "moved",
+            "learned with 100 and 250 mm, moved",
+            "new fit on 14 cones",
+        ],
+        _PROBES,
+        ".1f",
+        {(f"{mm} mm",): ("probe, mm; 2S in um", f"{mm}") for mm in (150, 250, 400)},
+    ),
+    "plan": (
+        ["first test", "at poses by chance", "at poses of another plan"],
+        ("poses by chance", "of another plan"),
+        ".0f",
+        {(name,): ("first test; 2S in um", name) for name in ("by chance", "planned")},
+    ),
+    "transfer": (
+        ["new arm", "poses", "calibrated only", "new fit", "from one earlier arm", "from four"],
+        _STARTS,
+        ".3f",
+        {
+            ("simulated robot, tracker", "20"): ("robots: poses; mm", "20"),
+            ("simulated arm, single points", "4 positions"): ("arms: positions; mm", "4"),
+        },
+    ),
+    "lengths": (
+        ["known", "rms", "worst arm"],
+        ("rms", "worst arm"),
+        ".0f",
+        {("nothing",): ("error in 1 m, um", "none")}
+        | {
+            (f"a bar of {mm} mm at {at}",): ("error in 1 m, um", f"{mm} mm at {at}")
+            for at in ("one place", "three places")
+            for mm in (300, 500, 1000)
+        },
+    ),
+    "scale": (
+        ["lengths in the table", "error in mm", "error over `scale_sd`"],
+        ("rms", "over scale_sd"),
+        ".2f",
+        {
+            (said,): ("error in 1 m, mm", name)
+            for said, name in {
+                "good to tenths of a millimetre": "within tenths of a millimetre",
+                "of a drawing, off by 0.1 to 0.7 mm at random": "the drawing",
+                "750 and 500 for 750.7 and 500.6: both 0.1 % short": (
+                    "750 and 500 for 750.7 and 500.6"
+                ),
+                "by tape, within 3 mm": "lengths by tape, +-3 mm",
+            }.items()
+        },
+    ),
+}
+
+
+def part_table(results, part):
+    """A table of a part of the benchmarks."""
+    head, columns, form, rows = PART_TABLES[part]
+    tables = results.parts[part]["tables"]
+    lines = [
+        [*cells, *(format(tables[title][name][column], form) for column in columns)]
+        for cells, (title, name) in rows.items()
+    ]
+    return f"{markdown(head, lines)}\n\n{_measured(results, part)}"
+
+
+def _measured(results, part):
+    return f"*Measured on {results.parts[part]['made']['date']}.*"
+
+
+def extra_table(results):
+    """What columns of other causes are worth, median and worst, with over without them."""
+    (found,) = results.parts["extra"]["tables"].values()
+    rows = []
+    for case in ("direction", "temperature", "payload"):
+        ways = (found[f"{case}, {how}, as cause"] for how in ("single-point", "tracker"))
+        cells = (f"{way['median']:.3f}, {way['worst']:.3f}" for way in ways)
+        rows.append([case if case != "direction" else "direction, six joints", *cells])
+    table = markdown(["column", "single-point test", "tracker"], rows)
+    return f"{table}\n\n{_measured(results, 'extra')}"
+
+
 def _few(record):
     return [
         f"{record['uncorrected_mean_mm']:.3f}",
@@ -348,6 +446,14 @@ def sentences(results):
             if results.has(data, model):
                 values[f"{key}_{name}"] = f"{results.of(data, model)['mean_mm']:.3f}"
                 values[f"less_{key}_{name}"] = f"{results.less(data, model):.0f}"
+    keys = {"updated": "updated", "few": "new fit, a fifth", "new": "new fit, all"}
+    robots = results.parts["months"]["tables"]["poses of a new fit; mm"]
+    for key, column in keys.items():
+        values[f"months_{key}"] = f"{robots['300'][column]:.3f}"
+    values["sentence_months"] = " ".join(
+        f"{int(n) // 5} of {n} poses: {', '.join(f'{row[c]:.3f}' for c in keys.values())}."
+        for n, row in robots.items()
+    )
     return values
 
 
@@ -386,5 +492,7 @@ def substitutions():
         "table_published": published_table(results),
         "table_authors": authors_table(results),
         "sentence_300": _three_hundred(results),
+        **{f"table_{part}": part_table(results, part) for part in PART_TABLES},
+        "table_extra": extra_table(results),
         **sentences(results),
     }

@@ -1,5 +1,6 @@
 """The pages of doc/: what they name is there, what is written is what was measured."""
 
+import ast
 import importlib
 import json
 import re
@@ -13,7 +14,9 @@ import pytest
 import sklearn_raacmm
 from sklearn_raacmm import RBFNetRegressor, __version__
 from sklearn_raacmm._version import documentation_of
+from sklearn_raacmm.measurements._explanations import WORDS
 from sklearn_raacmm.utils._estimators import VersionedEstimator, link_template
+from sklearn_raacmm.utils._findings import TO_ACCEPT
 
 ROOT = Path(__file__).resolve().parent.parent
 DOC = ROOT / "doc"
@@ -183,6 +186,14 @@ def test_numbers_of_the_readme_are_those_of_the_results(results):
     assert results.filled(text, results.Results(contents)) != text
 
 
+def test_numbers_that_pages_take_from_the_results_are_there(results):
+    made = results.substitutions()
+    used = {name for page in PAGES for name in re.findall(r"\{\{ (\w+) \}\}", read(page))}
+    assert len(used) > 40
+    assert used - set(made) == set()
+    assert {name for name in made if name.startswith("table_")} - used == set()
+
+
 def test_what_the_pages_say_of_the_results_is_true(results):
     """Sentences without a number of their own that the next measurement could make false."""
     found, better = results.read(), []
@@ -217,3 +228,24 @@ def test_codes_in_the_glossary_are_those_of_findings():
     codes = re.findall(r"`([a-z-]+)`", table)
     assert [code for code in codes if f'"{code}"' not in source] == []
     assert set(re.findall(r'Finding\(\s*"([a-z]+(?:-[a-z]+)+)"', source)) - {*codes} == set()
+
+
+def test_codes_that_may_be_accepted_are_those_of_findings_to_repair():
+    """The glossary has them all."""
+    # Of weights that a caller gives, of codes that are named by a variable, and of a question.
+    found = {*WORDS, "strange-poses", "moved-station", "moved-tool", "mirror-image"}
+    found |= {"wrong-length", "unit-of-lengths"}
+    for path in (ROOT / "sklearn_raacmm").rglob("*.py"):
+        if path.parent.name in ("acceptance", "utils"):  # its tests have no `accept`
+            continue
+        functions = [one for one in ast.walk(ast.parse(read(path)))
+                     if isinstance(one, ast.FunctionDef)]  # fmt: skip
+        for function in functions:
+            calls = [one for one in ast.walk(function) if isinstance(one, ast.Call) and one.args]
+            for call in calls if "'repair'" in ast.unparse(function) else ():
+                code, *rest = map(ast.unparse, call.args)
+                is_fixed = {"'note'", "'doubt'", "'refuse'"} & {*rest} or len(rest) < 3
+                if ast.unparse(call.func) == "Finding" and code[0] == "'" and not is_fixed:
+                    found.add(code.strip("'"))
+    assert sorted(found) == sorted(TO_ACCEPT)
+    assert {*TO_ACCEPT} <= {*re.findall(r"`([a-z-]+)`", read(DOC / "glossary.md"))}

@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,10 @@ NUMBER = r"(-?\d+(?:\.\d+)?)"
 
 def numbers(page, pattern):
     """Numbers of a page where the pattern has an @, which has to be there once."""
-    text = re.sub(r"\s+", " ", (DOC / page).read_text(encoding="utf-8"))
+    text = (DOC / page).read_text(encoding="utf-8")
+    made = runpy.run_path(str(DOC / "_results.py"))["substitutions"]()
+    text = re.sub(r"\{\{ (\w+) \}\}", lambda found: made[found[1]], text)
+    text = re.sub(r"\s+", " ", text)
     (found,) = re.findall(re.escape(pattern).replace("@", NUMBER), text)
     return [float(number) for number in ([found] if isinstance(found, str) else found)]
 

@@ -192,16 +192,17 @@ def export(options):
     print_notes([saved.verdict] * (not saved.helps))
     if unnamed := find_unnamed_probe(saved):
         print_notes([f"{unnamed}: what is written is for this one."])
-    paths = []
+    paths, fade = [], False if options.fade == "no" else options.fade
     if options.c:
         folder.mkdir(parents=True, exist_ok=True)
         card = describe(saved.model)
         names = ("noise_mm", "std_factor", "scale_sd")
         card["standard_deviation"] = {name: saved.facts[name] for name in names}
-        paths += export_c(saved.model, source, std=options.std, card=card, poses="random")
+        kinds: Any = {"std": options.std, "fade": fade}
+        paths += export_c(saved.model, source, card=card, poses="random", **kinds)
         paths.append(folder / f"{options.name}_test.c")  # which comes with poses
     if options.onnx:
-        to_onnx(saved.model, options.onnx)
+        to_onnx(saved.model, options.onnx, fade=fade)
         paths.append(options.onnx)
     print("Written:", *paths)
     return OK, {"files": [str(path) for path in paths]}

@@ -10,6 +10,7 @@ import numpy as np
 
 from sklearn_raacmm.app._columns import OF_TIMES
 from sklearn_raacmm.app._sources import TableError
+from sklearn_raacmm.arm import UR_NAMES
 
 # Series of other quantities than angles, of commanded angles, of joints, and of measured ones. UR
 # writes target_q, actual_q, actual_qd and actual_current; JointState has position, velocity and
@@ -61,10 +62,13 @@ def find_joints(table, wanted, joint_names, taken=(), slides=()):
 
 def _joints(table, n, joint_names, taken, slides):
     """Columns of n joints that nobody has named."""
-    joints = _by_names_of_joints(table, n, joint_names) or _by_names_in_cells(table, n, joint_names)
+    # Of a table by hand, whose joints have no names, the order is known where a maker gives names.
+    every = [names for names in (joint_names or (), UR_NAMES) if len(names) == n]
+    tried = (_by_names_of_joints(table, names) for names in every)
+    joints = next(filter(None, tried), None) or _by_names_in_cells(table, n, every)
     if joints:
         shown = ", ".join(table.header[i] for i in joints)
-        table.notes.append(f"Joint angles, by the names of the arm's joints: {shown}.")
+        table.notes.append(f"Joint angles, by the names of joints: {shown}.")
         return joints
     beside, ways = _axes_beside(table, joint_names, taken, slides)
     if ways:
@@ -175,10 +179,10 @@ def external_axes(table, used):
     return column_of
 
 
-def _by_names_of_joints(table, n, joint_names):
-    """One column for each joint of the arm whose name holds that of the joint."""
+def _by_names_of_joints(table, joint_names):
+    """One column for each joint whose name holds that of the joint."""
     columns = []
-    for joint in joint_names or ():
+    for joint in joint_names:
         word = re.escape(joint.lower().removesuffix("_joint"))
         pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
         fitting = [i for i, name in enumerate(table.names) if pattern.search(name)]
@@ -186,10 +190,10 @@ def _by_names_of_joints(table, n, joint_names):
         if len(fitting) != 1:
             return None
         columns += fitting
-    return columns if len(set(columns)) == n else None
+    return columns if len(set(columns)) == len(joint_names) else None
 
 
-def _by_names_in_cells(table, n, joint_names):
+def _by_names_in_cells(table, n, every):
     """Positions of JointState messages, whose names stand in cells of each row."""
     names, positions = table.fields("name"), table.fields("position")
     names = {k: table.cells(i) for k, i in names.items() if k in positions}
@@ -199,9 +203,9 @@ def _by_names_in_cells(table, n, joint_names):
     if any(len(set(cells)) != 1 for cells in names.values()):
         raise TableError(f"{table.path}: the names of the joints differ from row to row.")
     in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
-    joint_names = [name.lower() for name in joint_names or ()]
-    if joint_names and in_file.keys() >= set(joint_names):
-        return [in_file[name] for name in joint_names]
+    for joint_names in every:
+        if joint_names and in_file.keys() >= {name.lower() for name in joint_names}:
+            return [in_file[name.lower()] for name in joint_names]
     numbered = [(re.findall(r"\d+", name), i) for name, i in in_file.items()]
     if len(in_file) == n and all(digits for digits, _ in numbered):
         return [i for _, i in sorted(numbered, key=lambda one: int(one[0][0]))]

@@ -40,6 +40,8 @@ _FALSE_ALARM = 0.01
 # Scatter through the correction over what it left when it was learnt, from which on a registration
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
+# 2S, mm, below which a position counts as one of this 2S: simulated ones may have none.
+_LEAST_2S_MM = 1e-6
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
 # Share of the reach that a probe is at least: in metres none is. A choice.
 _LEAST_PROBE = 1e-3
@@ -287,7 +289,8 @@ def _check_spread(saved, today, rate, advice):
     labels = np.unique(today.positions)
     for i in natural_order(labels):
         print(f"{labels[i]}: 2S {before[i]:.4f} -> {after[i]:.4f} mm")
-    expected = highest_mean(saved.facts["positions"]["after"], len(after), rate)
+    n_poses = np.unique(today.positions, return_counts=True)[1]
+    expected = highest_mean(saved.facts["positions"], n_poses, rate)
     expected *= _wider_than_learnt(saved, today)
     was, now = float(before.mean()), float(after.mean())
     facts = {"before_mm": was, "after_mm": now, "expected_below_mm": expected}
@@ -319,13 +322,22 @@ def _why_so_far(saved, today, limit):
     return _OTHER_ARM
 
 
-def highest_mean(learnt, n, rate):
-    """Mean 2S, mm, that n new positions like those learnt exceed at this rate.
+def highest_mean(learnt, n_poses, rate):
+    """Mean 2S, mm, that new positions of so many poses (n,) exceed at this rate at most.
 
-    The one-sided prediction limit of a mean of normal values.
+    `learnt` is the table of the positions of the first test. The one-sided prediction limit of
+    values whose logarithms are normal, as those of standard deviations nearly are; the logarithm of
+    one of n poses has a variance of 1 / (6 (n - 1)) for that few, which new positions have too.
     """
-    spread = np.std(learnt, ddof=1) * np.sqrt(1 / n + 1 / len(learnt))
-    return float(stats.t.ppf(1 - rate, len(learnt) - 1, np.mean(learnt), spread))
+    logs = np.log(np.maximum(learnt["after"], _LEAST_2S_MM))
+    of_few = [
+        np.mean(1 / np.maximum(np.asarray(n) - 1.0, 1)) / 6 for n in (learnt["n_points"], n_poses)
+    ]
+    m, n, variance = len(logs), len(n_poses), np.var(logs, ddof=1)
+    of_new = variance + max(of_few[1] - of_few[0], 0.0)
+    spread = stats.t.ppf(1 - rate, m - 1) * np.sqrt(variance / m + of_new / n)
+    # The mean of n such values lies above the exponential of the mean logarithm.
+    return float(np.exp(np.mean(logs) + of_new / 2 * (1 - 1 / n) + spread))
 
 
 def _wider_than_learnt(saved, today):

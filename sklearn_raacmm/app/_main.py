@@ -89,6 +89,10 @@ def _run(options):
     if getattr(options, "out", None) == "-" and options.word not in _TO_STANDARD_OUTPUT:
         raise ValueError("--out is a folder here, and - is none: give its name.")
     module = importlib.import_module(f"sklearn_raacmm.app.{options.module}")
+    if getattr(options, "accept", None):  # before anything is read, and in a dry run, too
+        from sklearn_raacmm.utils import check_accepted
+
+        check_accepted(options.accept)
     with contextlib.ExitStack() as stack:
         if getattr(options, "table", None) == "-":
             folder = stack.enter_context(tempfile.TemporaryDirectory())

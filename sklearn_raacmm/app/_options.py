@@ -70,7 +70,7 @@ WORDS = {
     "export": (
         "_commands", "write a correction for other software",
         "raacmm export --model my_arm --c c_source --onnx my_arm.onnx",
-        "--model --c --onnx --name --std",
+        "--model --c --onnx --name --std --fade",
     ),
     "arm": (
         "_arms", "show an arm and write its file; without an arm it asks",
@@ -210,6 +210,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "--onnx": _value("FILE", "ONNX file to write"),
     "--name": _value("NAME", "name of the C functions (arm_correction)", default="arm_correction"),
     "--std": _flag("write standard deviations in C, too"),
+    "--fade": _choice(
+        ("small", "exact", "no"),
+        "how a correction fades where the model knows little: nearly as in Python from small "
+        "tables, exactly so, or not at all (small)",
+        "small",
+    ),
     # -- acceptance
     "run": {"help": "spreadsheet or folder of CSV: readings, artefacts, limits and sheet"},
     "accept --model": _number("FOLDER", "folder written by raacmm learn: the arm as left", Path),

@@ -11,7 +11,7 @@ from sklearn_raacmm.arm._arm import (
     check_arm,
     without_first,
 )
-from sklearn_raacmm.arm._built_in import usual_pose
+from sklearn_raacmm.arm._built_in import UR_NAMES, usual_pose
 from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,

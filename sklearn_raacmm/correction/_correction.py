@@ -349,7 +349,7 @@ class Correction:
         Parameters
         ----------
         angles, positions, points, lengths, angle_unit, accept, features, tip_diameter
-            As in :meth:`register`, by which a new base is found.
+            As in :meth:`register`.
         extra : dict of str to array-like of shape (n_samples,), default=None
             As in :meth:`correct`.
         new_base : bool, default=False

@@ -309,7 +309,12 @@ def _calibrated(data, angles, angle_unit, accept):
             f"{reach:.4g} mm: labels, the table of the arm, the order or sense of its joints, or "
             "the unit of the angles are wrong."
         )
-        advice = str(change or "No single change of these helps.")
+        advice = str(
+            change
+            or "Other senses and zeros of joints, two joints exchanged or all reversed, the other "
+            "convention of the table and the other unit do not explain it. Not tried: more columns "
+            "of angles out of order; they must be those of the joints from the base on."
+        )
         advice = "Cones, or a tracker, would show which." if data.kinds else advice
         raise FindingError(Finding("another-table", said, advice, "refuse", size_mm=scatter))
     said = f"The points scatter by {scatter:.1f} mm after calibration."

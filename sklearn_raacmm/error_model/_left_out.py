@@ -243,7 +243,9 @@ def warn_where_unknown(share, most):
             f"{faded} of {len(share)} poses lie where the model knows little: their corrections "
             "are reduced to less than a tenth."
         )
-        advice = "Measure there before you correct, or see `fading`."
+        advice = (
+            "Measure there and update it; large standard deviations show which poses these are."
+        )
         Finding("little-known", said, advice).report()
 
 

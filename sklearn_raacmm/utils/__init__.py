@@ -38,6 +38,7 @@ from sklearn_raacmm.utils._findings import (
     Weight,
     are_findings_ignored,
     call_collecting,
+    check_accepted,
     collected_findings,
     ignored_findings,
     numbered_rows,

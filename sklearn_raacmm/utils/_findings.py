@@ -12,6 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from dataclasses import asdict, dataclass, replace
+from difflib import get_close_matches
 from functools import partial, wraps
 from inspect import signature
 from time import perf_counter
@@ -32,6 +33,37 @@ _LOGGER = logging.getLogger("sklearn_raacmm")
 _STATE: ContextVar[Mapping[str, Any]] = ContextVar("state", default=MappingProxyType({}))
 # Rows that a finding lists.
 _LISTED = 100
+# Codes of findings that end a call unless they are accepted: of weight "repair", and the question
+# whether an arm is its own mirror image.
+TO_ACCEPT = (
+    "angle-unit",
+    "another-arm",
+    "another-frame",
+    "axes-of-residuals",
+    "corrected-already",
+    "joints",
+    "mirror-image",
+    "moved-position",
+    "moved-station",
+    "moved-tool",
+    "no-such-arm",
+    "other-table",
+    "places-found",
+    "planes-not-parallel",
+    "points-of-the-arm",
+    "poses-alike",
+    "rows-unrelated",
+    "shifted-rows",
+    "sign-of-residuals",
+    "strange-poses",
+    "table-off",
+    "unit-of-lengths",
+    "unit-of-residuals",
+    "unit-of-table",
+    "weight-of-one-pose",
+    "wrong-label",
+    "wrong-length",
+)
 
 Result = TypeVar("Result")
 Weight = Literal["note", "doubt", "repair", "refuse"]
@@ -171,7 +203,8 @@ def call_collecting(
     unless this is a part of another one, or `accept` is None.
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
-    codes = [accept] if isinstance(accept, str) else accept or ()
+    codes = () if accept is None else (accept,) if isinstance(accept, str) else tuple(accept)
+    check_accepted(codes)
     before = {**_STATE.get()}
     refuses = accept is not None and before.get("collected") is None
     own = before | {"accepted": (*before.get("accepted", ()), *codes), "refuses": refuses}
@@ -194,6 +227,18 @@ def call_collecting(
         return result, found
 
     return copy_context().run(inside)
+
+
+def check_accepted(codes: Iterable[Any]) -> None:
+    """Refuse a code that no finding has which could be accepted: a slip of the keyboard."""
+    for code in codes:
+        if code not in TO_ACCEPT:
+            near = get_close_matches(str(code), TO_ACCEPT, 3)
+            which, those = ("nearest", near) if near else ("codes", TO_ACCEPT)
+            raise ValueError(
+                f"accept: {code!r} is no code of a finding that can be accepted. The {which} are: "
+                f"{', '.join(those)}."
+            )
 
 
 def one_warning(function: Function) -> Function:

@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm import Arm, ArmResidualRegressor, learn_correction
+from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, learn_correction
 from sklearn_raacmm.app import _arms, _commands, _correct, _files, _life, main
 from sklearn_raacmm.app._files import parse_length, read_places
 from sklearn_raacmm.app._sources import TableError
@@ -233,13 +233,29 @@ def test_check_holds_today_and_not_after_a_knock(learned, machine, tmp_path, cap
     assert records["said"].str.startswith("It ").all()
 
 
-def test_checks_raise_a_false_alarm_once_in_a_hundred():
-    rng = np.random.default_rng(0)
-    alarms = 0
+@pytest.mark.parametrize("word", ["learn", "check", "register", "update"])
+def test_a_code_that_no_finding_has_is_refused_before_anything_is_read(word, capsys):
+    needed = ("--arm", "none.json", "--out", "none") if word == "learn" else ("--model", "none")
+    assert main([word, "none.csv", *needed, "--accept", "corected-already"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "'corected-already' is no code of a finding that can be accepted." in said
+    assert "nearest are: corrected-already" in said
+    arm = Arm.from_name("aacmm6")
+    with pytest.raises(ValueError, match=r"'few-poses' is no code .* nearest are: strange-poses"):
+        calibrate(arm, np.zeros((8, 6)), np.arange(8) // 4, accept=["table-off", "few-poses"])
+
+
+@pytest.mark.parametrize(("n_cones", "n_poses"), [(1, 20), (5, 20), (2, 10), (6, 10)])
+def test_checks_raise_a_false_alarm_once_in_a_hundred(n_cones, n_poses):
+    """At most, and not much less often: of 2S as readings have it, at cones that differ."""
+    rng, alarms = np.random.default_rng(0), 0
+    poses = np.r_[np.full(12, 20), np.full(n_cones, n_poses)]
     for _ in range(4000):
-        learnt, today = rng.normal(0.02, 0.004, 10), rng.normal(0.02, 0.004, 5)
-        alarms += today.mean() > _life.highest_mean(learnt, 5, 0.01)
-    assert 0.006 < alarms / 4000 < 0.014
+        own = 0.02 * np.exp(0.2 * rng.normal(size=len(poses)))
+        two_s = own * np.sqrt(rng.chisquare(3 * (poses - 1)) / (3 * (poses - 1)))
+        learnt = {"after": two_s[:12], "n_points": poses[:12]}
+        alarms += two_s[12:].mean() > _life.highest_mean(learnt, poses[12:], 0.01)
+    assert 0.004 < alarms / 4000 < 0.014
 
 
 def test_export_writes_what_it_names(learned, tmp_path, capsys):
@@ -250,7 +266,14 @@ def test_export_writes_what_it_names(learned, tmp_path, capsys):
     assert sorted(printed) == sorted(map(str, tmp_path.iterdir()))
     facts = json.loads((folder / "correction.json").read_text(encoding="utf-8"))
     line = f"#define ARM_CORRECTION_SCALE_SD {facts['scale_sd']!r}\n"
-    assert line in (tmp_path / "arm_correction.h").read_text()
+    small = (tmp_path / "arm_correction.h").read_text()
+    assert line in small
+    assert "fade small" in small
+    assert main(["export", "--model", str(folder), "--c", str(tmp_path), "--fade", "exact"]) == 0
+    exact = (tmp_path / "arm_correction.h").read_text()
+    assert "fade small" not in exact
+    sizes = [int(re.search(r"TABLE_BYTES (\d+)", text)[1]) for text in (small, exact)]
+    assert sizes[0] < 0.8 * sizes[1]
 
 
 @pytest.mark.exhaustive

@@ -717,15 +717,28 @@ def test_a_line_for_each_joint(tmp_path):
 
 
 def test_the_order_of_strange_names_is_not_guessed(tmp_path):
-    """Alphabetical names of an arm whose joints have none: elbow first would be wrong silently."""
-    (tmp_path / "log.csv").write_text(KINDS["ros 2 echo --csv"]["text"])
+    """Alphabetical names of an arm whose joints have none: elbow first would be wrong silently.
+
+    Those of a UR are known: they have one order from the base on, in cells and in the header.
+    """
+    text = KINDS["ros 2 echo --csv"]["text"]
+    (tmp_path / "log.csv").write_text(text)
     options = {"points": write_points(tmp_path / "points.txt")}
-    with pytest.raises(TableError, match=r"order from the base on with --angles.*\(elbow_joint\)"):
+    table = read_table(tmp_path / "log.csv", 6, angle_unit="rad", **options)
+    np.testing.assert_array_equal(table.angles, RAD)
+    header, rows = [*ALPHABETICAL, "p"], RAD[:, [NAMES.index(name) for name in ALPHABETICAL]]
+    in_header = [header, *([*row, label] for row, label in zip(rows, LABELS, strict=True))]
+    (tmp_path / "header.csv").write_text(joined(in_header, ";"))
+    np.testing.assert_array_equal(
+        read_table(tmp_path / "header.csv", 6, angle_unit="rad").angles, RAD
+    )
+    (tmp_path / "log.csv").write_text(text.replace("elbow_joint", "bend_joint"))
+    with pytest.raises(TableError, match=r"order from the base on with --angles.*\(bend_joint\)"):
         read_table(tmp_path / "log.csv", 6, **options)
     named = [f"position{ALPHABETICAL.index(name)}" for name in NAMES]
     table = read_table(tmp_path / "log.csv", 6, angles=named, angle_unit="rad", **options)
     np.testing.assert_array_equal(table.angles, RAD)
-    numbered = KINDS["ros 2 echo --csv"]["text"]
+    numbered = text
     for i, k in enumerate(ORDER):
         numbered = numbered.replace(ALPHABETICAL[i], f"joint_{k + 1}")
     (tmp_path / "log.csv").write_text(numbered)

@@ -162,7 +162,7 @@ def test_points_of_a_longer_probe_may_scatter_more(folder, tmp_path, capsys):
     saved = Correction.load(folder / "cones")
     step = {"what": "learn", "date": "2026-01-05", "probe_mm": saved.arm.probe.tolist()}
     replace(saved, facts=saved.facts | {"history": [step]}).save(tmp_path)
-    plain = highest_mean(saved.facts["positions"]["after"], 5, 0.005)
+    plain = highest_mean(saved.facts["positions"], np.full(5, 8), 0.005)
     for word, table in (("register", "new.csv"), ("check", "more.csv")):
         code, printed = run(capsys, word, folder / table, "--model", tmp_path)
     checked = Correction.load(tmp_path).facts["history"][-1]

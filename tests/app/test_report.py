@@ -63,6 +63,7 @@ def numbers_of(result):
     found += (sds / np.hypot(c, s)).tolist()
     counts = [*scores.table["n_points"], *range(12), 144, 12, scores.n_folds, 0]
     counts += (result.outliers["row"] + 500).tolist()
+    counts.append(np.nanargmax(np.linalg.norm(scores.left_after, axis=1)) + 500)
     shown = [100 * scores.coverage, scores.std_factor, *scores.summary["ratio"], 40.0, 400, 0.01]
     shown += [len(result.calibration.length_errors_mm) - 3]  # lengths that are not named
     return np.concatenate([um, *table, found, counts, shown])
@@ -132,6 +133,9 @@ def test_a_tracker_and_a_model_without_harmonics(read_page, tmp_path):
     assert "mean deviation before" in text
     # Nobody has stated where the base stands; and zero has no sign.
     assert text.count("not stated") == 6
+    # The base's rotation vector is in degrees, its translation in mm.
+    units = [re.search(rf"<td>base_{n}</td>.*?<td>(°|mm)</td>", page)[1] for n in ("rz", "z")]
+    assert units == ["°", "mm"]
     assert not re.search(r"\bnan\b|-0\.0+\b", text)
     with_labels = max(map(len, str(result.scores).split("\n")[1:7]))
     assert with_labels <= 80
