@@ -121,7 +121,7 @@ def write_report(
         parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
         harmonics=harmonics,
         outliers=list_outliers(learnt, row_numbers),
-        farthest=(row if row_numbers is None else row_numbers[row], off[row]),
+        farthest=(row if row_numbers is None else np.asarray(row_numbers)[row], off[row]),
         row_numbers=row_numbers,
         figures={
             "positions": draw_svg("positions", draw_positions, scores),
