@@ -97,7 +97,7 @@ def update(options):
     day = date.today().isoformat()
     new = saved.update(*measured, date=day, accept=options.accept or ())
     X = saved.inputs(today.angles)
-    was, now = saved.move(new.arm.probe).model.predict(X), new.model.predict(X)
+    was, now = saved.model.with_arm(new.arm).predict(X), new.model.predict(X)
     before, after, _, facts = _compare("Updated", saved, new, today, was, now)
     updates = vars(new.model).get("updates_", ())
     if len(updates) == len(vars(saved.model).get("updates_", ())):
@@ -350,8 +350,9 @@ def _wider_than_learnt(saved, today):
     learnt = steps[-1].get("probe_mm") if steps else None
     if learnt is None or not hasattr(saved.model, "with_arm"):
         return 1.0
-    both = saved, saved.move(learnt)
-    now, then = (_rms(one.correct(today.angles, std_of="position")[1]) for one in both)
+    as_learnt = saved.arm.replace(probe=learnt)
+    then = replace(saved, arm=as_learnt, model=saved.model.with_arm(as_learnt))
+    now, then = (_rms(one.correct(today.angles, std_of="position")[1]) for one in (saved, then))
     return now / then
 
 

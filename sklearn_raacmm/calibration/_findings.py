@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
-
 import numpy as np
 
 from sklearn_raacmm.arm import phases, random_poses
@@ -182,8 +180,14 @@ def _wrong_table(fit, sd, scatter):
         )
     text = f"The arm is not that of the table: {'; '.join(parts[:_MOST_NAMED])}."
     size = max((departure[i] for i in wrong if not names[i].startswith(ANGLES)), default=0)
-    weight: Any = "repair" if off[wrong].any() else "doubt"
-    yield Finding("table-off", text, advice, weight, joints=tuple(sorted({*joints})), size_mm=size)
+    yield Finding(
+        "table-off",
+        text,
+        advice,
+        "repair" if off[wrong].any() else "doubt",
+        joints=tuple(sorted({*joints})),
+        size_mm=size,
+    )
 
 
 def _harm(corrected, bare):
@@ -232,8 +236,13 @@ def _poses_alike(fit):
         advice = "Swing every joint through its range, at places all over the volume."
         # The square of what it moves is, in the mean, that of what the table was wrong by and its
         # own variance together: below twice the variance the table was nearer than calibration.
-        weight: Any = "repair" if moved**2 < 2 * known**2 else "note"
-        yield Finding("poses-alike", text, advice, weight, size_mm=known)
+        yield Finding(
+            "poses-alike",
+            text,
+            advice,
+            "repair" if moved**2 < 2 * known**2 else "note",
+            size_mm=known,
+        )
 
 
 def outliers(result):
@@ -247,5 +256,11 @@ def outliers(result):
             f"they belong, up to {far:.3g} mm."
         )
         advice = "They are not learnt from. " + "Look at their labels and at the cone." * many
-        weight: Any = "doubt" if many else "note"
-        yield Finding("outliers", text, advice, weight, rows=row_numbers(rows), size_mm=far)
+        yield Finding(
+            "outliers",
+            text,
+            advice,
+            "doubt" if many else "note",
+            rows=row_numbers(rows),
+            size_mm=far,
+        )

@@ -348,7 +348,7 @@ class Fit:
         self.evaluated = x.copy(), points, jac
         return points, jac
 
-    def data_residuals(self, x, mask) -> Any:
+    def data_residuals(self, x, mask):
         """Residuals (n, 3) in mm of the data, their Jacobian, and what was touched with its own.
 
         Of cones these are the fixed points; of other features, the forms, what the parameters move

@@ -80,7 +80,7 @@ def _one_place_mm(centres, sigma, price, n_tried):
     return sigma * np.sqrt(2 * max(nats, 0.0))
 
 
-def label_findings(fit: Any, result: Any, numbers: Any) -> Iterator[Finding]:
+def label_findings(fit, result, numbers) -> Iterator[Finding]:
     """Labels that do not fit where the probe was, and one place under two.
 
     `numbers` (n,) are what the rows are called.
@@ -132,7 +132,7 @@ def _wrong_labels(fit, right, labels, numbers, far, sigma):
     if not len(rows):
         return
     parts: list[str] = []
-    left: Any = rows
+    left = rows
     for i in rows:
         pair = left[(codes[left] == right[i]) & (right[left] == codes[i])]
         if i in left and len(pair):

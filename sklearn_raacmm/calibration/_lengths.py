@@ -71,7 +71,7 @@ def wrong_lengths(fit, bare, labels):
     yield from disagreeing(lengths, fit.length_errors(), fit.sd_of_errors(), labels)
 
 
-def disagreeing(lengths: Any, errors: Any, sds: Any, labels: Any) -> Any:
+def disagreeing(lengths, errors, sds, labels):
     """The finding that known lengths disagree with the rest, by their errors, mm, and these sds.
 
     `labels` name the numbers of the ends of the `lengths`.
@@ -105,7 +105,7 @@ def _causes(problem, at, covariance, bare, labels):
     covariance = slope @ covariance @ slope.T + np.diag(np.square(sd_of_ends))
     left, every = given - found, np.arange(n)
 
-    def log_likelihood(left: Any, widths: Any = sd, more: Any = 0.0, among: Any = every) -> Any:
+    def log_likelihood(left, widths=sd, more: float | np.ndarray = 0.0, among=every):
         of, left = (covariance + np.diag(np.square(widths)) + more)[among][:, among], left[among]
         return -0.5 * (left @ np.linalg.solve(of, left) + np.linalg.slogdet(2 * np.pi * of)[1])
 
@@ -148,7 +148,7 @@ def _ends(entry, labels):
     return f"{one} to {other}" if one != other else f"the size of {one}"
 
 
-def lengths_of_places(places: Iterable[Sequence[Any]]) -> list[Any]:
+def lengths_of_places(places: Iterable[Sequence[object]]) -> list[Any]:
     """Known lengths between points of known places, wherever their frame stands.
 
     For a ball plate or a grid of cones with a certificate: where the plate lies need not be known.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements import check_features, linearised
-from sklearn_raacmm.utils import Floats, centred, encode_groups, floats, slip_factors
+from sklearn_raacmm.utils import Finding, Floats, centred, encode_groups, floats, slip_factors
 
 # What the names of parameters that are angles begin with.
 ANGLES = ("alpha", "theta", "base_r")
@@ -112,13 +112,13 @@ class CalibrationResult:
     """
 
     arm: Arm
-    names: tuple[Any, ...] = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
     nominal: Floats = field(repr=False)
     values: Floats = field(repr=False)
     standard_deviations: Floats = field(repr=False)
-    unidentified: tuple[Any, ...]
+    unidentified: tuple[str, ...]
     unidentified_combinations: tuple[Any, ...] = field(repr=False)
-    prior_sd: dict[str, Any] = field(repr=False)
+    prior_sd: dict[str, float] = field(repr=False)
     rank: int = field(repr=False)
     n_free: int = field(repr=False)
     n_coordinates: int = field(repr=False)
@@ -132,16 +132,16 @@ class CalibrationResult:
     length_errors_mm: Floats = field(repr=False)
     length_sd_mm: Floats = field(repr=False)
     sigma_mm: float
-    outliers: tuple[Any, ...]
+    outliers: tuple[int, ...]
     outlier_limit_mm: float = field(repr=False)
     sample_weight: Floats = field(repr=False)
     groups: np.ndarray | None = field(repr=False)
-    arms: dict[str, Any] = field(repr=False)
+    arms: dict[str, Arm] = field(repr=False)
     bases: dict[str, Any] = field(repr=False)
     base_rotation: Floats | None = field(repr=False)
     base_translation: Floats | None = field(repr=False)
     converged: bool
-    findings: tuple[Any, ...] = ()
+    findings: tuple[Finding, ...] = ()
     features: tuple[Any, ...] = ()
 
     @property

@@ -4,7 +4,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ _BESIDE, _JUMP = 10, 10.0
 _LEAST_MM = 0.005
 
 
-def moved_set_up(fit: Any, numbers: Any) -> Iterator[Finding]:
+def moved_set_up(fit, numbers) -> Iterator[Finding]:
     """A tracker, a base or a tool that moved during the measurement, a finding for each station.
 
     What was given as one station may be two. `numbers` (n,) are what the rows are called.

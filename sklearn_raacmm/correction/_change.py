@@ -105,7 +105,7 @@ class Change:
         self.fold = _into_kinematics(linear, self.place.shape[2])
         self.ended: Any = None  # where the search of all rows ended
 
-    def model(self, date: Any = None) -> tuple[Any, Any, Any]:
+    def model(self, date: object = None) -> tuple[Any, Any, Any]:
         """The model, what `updates_` keeps of the change, and what is left of the weights, (n,).
 
         `tau` says how much each part has changed.

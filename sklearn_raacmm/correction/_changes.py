@@ -14,7 +14,6 @@ are, is compared with that of no change. Changes far smaller than the noise woul
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,7 +21,8 @@ from scipy.special import logsumexp
 from sklearn_raacmm.arm import own_angles, phases, slides_of
 from sklearn_raacmm.correction._change import changes_of, parts_of, with_names
 from sklearn_raacmm.correction._condition import thin
-from sklearn_raacmm.correction._rows import TAKEN_UP, place_columns, slipped_rows
+from sklearn_raacmm.correction._rows import TAKEN_UP, Expected, place_columns, slipped_rows
+from sklearn_raacmm.error_model import Rows
 from sklearn_raacmm.utils import group_means
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -94,7 +94,7 @@ class Table:
     root `known` (m, r) of what the model expects and `seen`, the causes, are over the noise.
     """
 
-    def __init__(self, expected: Any, correction: np.ndarray) -> None:
+    def __init__(self, expected: Expected, correction: np.ndarray) -> None:
         self.slipped, left = slipped_rows(expected, expected.rows.y - correction)
         used = ~self.slipped & (expected.rows.weights > 0)
         self.expected, self.left, correction = expected.at(used), left[used], correction[used]
@@ -106,7 +106,7 @@ class Table:
 
 
 def named_changes(
-    expected: Any,
+    expected: Expected,
     refitted: Sequence[str] = ("base", "probe"),
     least_nats: float = 0.0,
     only: Sequence[str] = (),
@@ -142,7 +142,7 @@ def named_changes(
         del causes[name]
 
 
-def causes_of(rows: Any) -> dict[str, np.ndarray]:
+def causes_of(rows: Rows) -> dict[str, np.ndarray]:
     """What each cause would do to the probe in some rows: columns (n, 3, k) by name.
 
     Zeros and waves are those of the joints themselves, as the model has them, where what the

@@ -63,9 +63,9 @@ def condition(
     log_noise: tuple[float, float],
     start: np.ndarray | None = None,
     means_only: bool = False,
-    rank: Any = 3,
+    rank: float | np.ndarray = 3,
     n_unknown: int = 0,
-    spread: Any = None,
+    spread: np.ndarray | None = None,
 ) -> Posterior:
     """Condition coefficients on new rows, which may show that some have changed.
 
@@ -85,12 +85,12 @@ def condition(
     """
     part, size = changes
     p, y = len(prior.coef), y - columns @ prior.coef
-    spread = columns @ prior.half if spread is None else spread
+    of_prior = columns @ prior.half if spread is None else spread
     every = np.concatenate([columns, free], axis=2)
     factor, logs, rounds = np.ones(len(y)), start, 0
     while True:
         known = weights * factor
-        A, summed, seen = rows_of(every, y, known, spread, prior.half)
+        A, summed, seen = rows_of(every, y, known, of_prior, prior.half)
         n_data = int(np.sum(rank * (known > 0))) - n_unknown
         fixed = np.hstack([seen, A[:, p:]])
         evidence = Evidence(changes, A, fixed, summed, prior.noise_variance, n_data, log_noise)

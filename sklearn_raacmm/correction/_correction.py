@@ -127,7 +127,7 @@ class Correction:
         return self._scale_beside(linear_in_use(self.model))
 
     @property
-    def causes(self) -> dict[str, Any]:
+    def causes(self) -> dict[str, float]:
         """The causes that the model takes after the angles, and what counts where one is not known.
 
         The mean, no direction, and of time the last value.
@@ -157,7 +157,7 @@ class Correction:
         *,
         angle_unit: str = "rad",
         std_of: str = "coordinate",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
     ) -> tuple[Floats, Floats]:
         """Corrected points, and how far to trust them.
 
@@ -247,7 +247,7 @@ class Correction:
         random_state: int | np.random.RandomState | None = None,
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         with_noise: bool = False,
     ) -> Floats:
         """Draw corrected points of all poses together, with all that is not known of the arm.
@@ -333,15 +333,15 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         new_base: bool = False,
         false_alarm_rate: float = 0.01,
         date: str | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> CorrectionCheck:
         """Say from a few poses of today whether the correction still holds.
@@ -386,12 +386,12 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
         free: Sequence[str] = ("probe",),
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> Self:
         """Find the probe, and the base from a tracker's points, through the correction.
@@ -482,13 +482,13 @@ class Correction:
         angles: ArrayLike | Measurements,
         positions: ArrayLike | None = None,
         points: ArrayLike | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         *,
         angle_unit: str = "rad",
-        extra: dict[str, Any] | None = None,
+        extra: Mapping[str, ArrayLike] | None = None,
         date: str | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
         tip_diameter: float = 0.0,
     ) -> Self:
         """Bring the model up to date with new poses; a tracker's base is found by them, too.
@@ -533,7 +533,10 @@ class Correction:
         return replace(new, model=model)
 
     def move(self, probe: ArrayLike) -> Self:
-        """The same with another probe, whose vector is known.
+        """The same with another probe, whose vector is stated, by a drawing or an instrument.
+
+        Poses with one probe do not show how the last frame is turned. With another probe standard
+        deviations contain what that may do; a registration of it takes it out again.
 
         Parameters
         ----------
@@ -545,13 +548,17 @@ class Correction:
         ValueError
             If the model knows no causes, so that only a registration helps.
         """
+        return self._at_probe(probe, stated=True)
+
+    def _at_probe(self, probe, stated=False):
+        """The same with a probe whose vector is stated, or known in the frames of the table."""
         model: Any = self.model
         if not hasattr(model, "with_arm"):
             raise ValueError(
                 "this correction has no model of causes: register the new probe instead."
             )
         arm = self.arm.replace(probe=probe)
-        return replace(self, arm=arm, model=model.with_arm(arm))
+        return replace(self, arm=arm, model=model.with_arm(arm, stated=stated))
 
     def with_tool(self, tool: str) -> Self:
         """The same with another of the probes that it was learnt with.
@@ -566,7 +573,7 @@ class Correction:
         ValueError
             If there is none of this label.
         """
-        return self.move(_labelled("tool", tool, self.tools, "with"))
+        return self._at_probe(_labelled("tool", tool, self.tools, "with"))
 
     def at_station(self, station: str) -> Self:
         """The same with the base of another of the stations that it was learnt at.
@@ -646,7 +653,7 @@ class Correction:
             base = tuple(np.array(base[name]) for name in _BASE)
         return cls(Arm.from_json(arm), model, base, facts)
 
-    def inputs(self, angles: Floats, extra: dict[str, Any] | None = None) -> Floats:
+    def inputs(self, angles: Floats, extra: Mapping[str, ArrayLike] | None = None) -> Floats:
         """What the model takes: angles in rad, (n, n_joints), then its causes."""
         given = given_causes(extra, len(angles))
         unknown = [name for name in given if name not in self.causes]

@@ -7,8 +7,10 @@ import glob
 import json
 import os
 import re
+from collections.abc import Iterable, Mapping
 from contextlib import contextmanager, suppress
 from io import BytesIO
+from os import PathLike
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
@@ -46,7 +48,7 @@ def _skops():
     return skops.io
 
 
-def dump_model(model: Any) -> bytes:
+def dump_model(model: object) -> bytes:
     """Contents of the file of a fitted model, with the public names of our classes.
 
     Those of modules would change with every file that is moved.
@@ -58,7 +60,7 @@ def dump_model(model: Any) -> bytes:
     return file.getvalue()
 
 
-def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
+def load_model(folder: str | PathLike[str], content: bytes, written_by: object) -> Any:
     """Fitted model of a skops file of this folder, which such a version has written."""
     with suppress(BadZipFile):  # which skops says
         check_unpacked(f"{folder}: the model", BytesIO(content))
@@ -73,7 +75,9 @@ def load_model(folder: Any, content: bytes, written_by: Any) -> Any:
         ) from None
 
 
-def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -> Any:
+def write_folder(
+    folder: str | PathLike[str], facts: Mapping[str, object], contents: dict[str, str | bytes]
+) -> list[Path]:
     """Write ``correction.json``, with the fingerprints of all other files, and these files.
 
     Whatever interrupts the writing, the folder holds the old correction or this one. Of several
@@ -81,9 +85,9 @@ def write_folder(folder: Any, facts: dict[str, Any], contents: dict[str, Any]) -
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    facts = facts | {"files": {name: digest_of(content) for name, content in contents.items()}}
-    facts["format"] = _FORMAT
-    facts["fingerprint"] = _fingerprint(facts)
+    digests = {name: digest_of(content) for name, content in contents.items()}
+    facts = {**facts, "files": digests, "format": _FORMAT}
+    facts = {**facts, "fingerprint": _fingerprint(facts)}
     contents = {_FACTS: json.dumps(facts, indent=1, ensure_ascii=False) + "\n", **contents}
     paths = {folder / name: content for name, content in contents.items()}
     with _locked(folder):
@@ -97,7 +101,9 @@ def _fingerprint(facts):
     return digest_of(json.dumps(others, sort_keys=True))
 
 
-def read_folder(folder: Any, names: Any) -> tuple[dict[str, Any], list[bytes]]:
+def read_folder(
+    folder: str | PathLike[str], names: Iterable[str]
+) -> tuple[dict[str, Any], list[bytes]]:
     """Facts of ``correction.json``, and the contents of files that were written with it."""
     folder, contents = Path(folder), []
     if not (folder / _FACTS).is_file():

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
@@ -63,14 +63,14 @@ def learn_correction(
     angles: ArrayLike | Measurements,
     positions: ArrayLike | None = None,
     points: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
+    lengths: Iterable[Sequence[object]] = (),
     *,
     angle_unit: str = "rad",
     model: Any = None,
     cv: int | None = None,
     n_jobs: int | None = None,
     progress: Callable[..., object] | None = None,
-    extra: dict[str, Any] | None = None,
+    extra: Mapping[str, ArrayLike] | None = None,
     like: Sequence[ArmResidualRegressor] = (),
     tools: ArrayLike | None = None,
     points_sd: float = 0.0,
@@ -78,7 +78,7 @@ def learn_correction(
     stations: ArrayLike | None = None,
     accept: str | Sequence[str] = (),
     take: str | Sequence[str] = (),
-    features: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[object]] = (),
     tip_diameter: float = 0.0,
 ) -> Correction:
     """Calibrate an arm, learn what calibration leaves, and judge both at positions left out.
@@ -240,6 +240,7 @@ def learn_correction(
         data, outliers = data.seen_by(calibration).beside_a_model(calibration)
         folds = folds_of(data, outliers, cv)
         rows = data.without_lonely(np.delete(np.arange(len(data.angles)), outliers))[0]
+        calibration = data.at_stations(model, calibration, rows)
         fitted, noise = data.fit(model, calibration, rows)
         parts = data.along_vertical_of(fitted)
         scores = scores_of(parts, calibration, model, outliers, folds, n_jobs, progress)

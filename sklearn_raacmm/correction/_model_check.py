@@ -11,7 +11,6 @@ from io import StringIO
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,8 +112,8 @@ class CorrectionCheck:
     usual_mm: float
     matters: bool
     tests: np.ndarray = field(repr=False)
-    slipped: tuple[Any, ...]
-    record: dict[str, Any] = field(repr=False)
+    slipped: tuple[int, ...]
+    record: dict[str, object] = field(repr=False)
     findings: tuple[Finding, ...] = field(default=(), repr=False)
 
     def append_to(self, path: str | PathLike[str]) -> None:
@@ -163,11 +162,11 @@ def check_correction(
     y: ArrayLike,
     *,
     groups: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
+    lengths: Iterable[Sequence[object]] = (),
     refitted: str | Sequence[str] = (),
     false_alarm_rate: float = 0.01,
     date: str | None = None,
-    features: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[object]] = (),
 ) -> CorrectionCheck:
     """Say from a few poses of today whether a fitted correction still holds.
 

@@ -4,6 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from copy import copy
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,6 +30,7 @@ from sklearn_raacmm.residuals import last_step_of, position_residuals
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
+    align,
     centred,
     encode_groups,
     ignored_findings,
@@ -45,6 +47,10 @@ _SHARED = 0.5
 _MOST_EXPLAINED = 0.2
 # Angles in rad within which all rows are one pose; `find_poses` has the same.
 _STILL = 1e-3
+# How often the bases of stations are found through a model. Of four simulated arms at three
+# stations 11.9 um are left with those of the calibration, 10.1 after once, 9.5 after twice, 9.2
+# after three times, as of a single station.
+_ROUNDS_OF_STATIONS = 2
 # Orders of the model that tells outliers and wrong lengths: those of smooth functions of angles.
 _LOW_ORDERS = 48
 
@@ -322,13 +328,36 @@ class Data:
             left = position_residuals(left, positions)
         return fitted, float(np.sqrt(np.square(left).sum() / self.n_shown[rows].sum()))
 
-    def _fitted(self, model, calibration, rows, y, lengths, judged=True) -> Any:
+    def at_stations(self, model, calibration, rows):
+        """The calibration with the base of each station where points say that a model corrects.
+
+        What the arm does wrong has moved the bases that the calibration has found, each by another
+        error, which a model would take for constants of positions.
+        """
+        for _ in range(_ROUNDS_OF_STATIONS if len(calibration.bases) > 1 else 0):
+            y, of_rows = self.residuals(calibration, rows), self.stations[rows]
+            fitted = self._fitted(model, calibration, rows, y, [], judged=False)
+            corrected = self.shown(calibration, rows)
+            corrected -= self.at_probes(fitted, calibration, rows).predict(self.inputs[rows])
+            bases = {
+                label: align(corrected[of_rows == label], self.points[rows][of_rows == label])
+                for label in calibration.bases
+            }
+            rotation, translation = next(iter(bases.values()))
+            calibration = replace(
+                calibration, bases=bases, base_rotation=rotation, base_translation=translation
+            )
+        return calibration
+
+    def _fitted(self, model, calibration, rows, y, lengths, judged=True):
         """Copy of a model, or the default one, fitted to the residuals y of these rows."""
         fitted = self._model_for(model, calibration.arm)
         last, prefix = last_step_of(fitted)
         if isinstance(last, ArmResidualRegressor) and (self.vertical is not None or not judged):
             last._vertical, last._judged = self.vertical if judged else (), judged
         given = {"groups": self.positions[rows], "lengths": lengths}
+        if self.stations is not None and not judged:
+            del given["groups"]  # constants of positions would take up what bases are off by
         if self.kinds:
             known = self.at_centres(lengths)
             given["lengths"] = [entry for entry in known if entry[0] != entry[1]]
@@ -350,7 +379,7 @@ class Data:
         fitted.fit(self.inputs[rows], y, **{f"{prefix}{n}": v for n, v in given.items()})
         return fitted
 
-    def _model_for(self, model, arm) -> Any:
+    def _model_for(self, model, arm):
         """Copy of a model, or the default one, for this arm and for angles in rad."""
         if model is None:
             return ArmResidualRegressor(arm, extra=self.causes)

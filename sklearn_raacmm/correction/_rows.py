@@ -49,12 +49,12 @@ _ROUNDING, TAKEN_UP = 1e-9, 1e-2
 
 
 def new_rows(
-    model: Any,
-    X: Any,
-    y: Any,
+    model: ArmResidualRegressor,
+    X: ArrayLike,
+    y: ArrayLike | None,
     groups: ArrayLike | None = None,
-    lengths: Iterable[Sequence[Any]] = (),
-    features: Iterable[Sequence[Any]] = (),
+    lengths: Iterable[Sequence[object]] = (),
+    features: Iterable[Sequence[object]] = (),
 ) -> Rows:
     """New poses of a fitted model as the rows of a fit; each fault gets one clear sentence.
 
@@ -68,32 +68,32 @@ def new_rows(
             "calibrate(..., correction=model)."
         )
     X, linear = check_poses(model, X), model.linear_model_
-    y, arm = floats("y", y, 3), linear.arm
+    residuals, arm = floats("y", y, 3), linear.arm
     lengths, features = listed("lengths", lengths), listed("features", features)
-    if len(y) != len(X):
-        raise ValueError(f"X has {len(X)} rows, but y has {len(y)}.")
+    if len(residuals) != len(X):
+        raise ValueError(f"X has {len(X)} rows, but y has {len(residuals)}.")
     if groups is None and linear.offsets:
         raise ValueError(
             "The model has an unknown offset at every position: give groups, the position of "
             "each new pose."
         )
-    weights = np.ones(len(y))
+    weights = np.ones(len(residuals))
     if groups is None:
         if lengths or features:
             what = "lengths are between" if lengths else "features are labels of"
             raise ValueError(f"{what} positions: give groups, the position of each pose.")
-        return Rows(arm, X, y, weights, None)
-    labels, codes = encode_groups(groups, len(y))
+        return Rows(arm, X, residuals, weights, None)
+    labels, codes = encode_groups(groups, len(residuals))
     known = [check_length(entry, labels.tolist()) for entry in lengths]
     of_touches: dict[str, Any] = {}
     if features:
         expected = linear.predict(X)[0]
         points = arm.forward(X[:, : arm.n_joints]) - expected
-        touches = touched_rows(features, labels, codes, points, y - expected, weights)
-        y, of_touches = touches[0] + expected, touches[1]
+        touches = touched_rows(features, labels, codes, points, residuals - expected, weights)
+        residuals, of_touches = touches[0] + expected, touches[1]
         of_touches.pop("held")
         known += of_touches.pop("sizes")
-    return Rows(arm, X, y, weights, codes, tuple(known), **of_touches)
+    return Rows(arm, X, residuals, weights, codes, tuple(known), **of_touches)
 
 
 def for_centres(measured: Measurements, points: np.ndarray) -> dict[str, Any]:
@@ -169,7 +169,7 @@ class Expected:
     doubts: np.ndarray
 
     @classmethod
-    def of(cls, linear: Any, rows: Rows) -> Self:
+    def of(cls, linear: LinearModel, rows: Rows) -> Self:
         """Expectation of rows, checked by `new_rows`."""
         columns, half, fading = linear.columns(rows.X), linear.half, linear.fading_half
         # One product of matrices is three times as fast as one for each row.
@@ -195,7 +195,7 @@ class Expected:
         by = self.spread if root is self.linear.half else self.columns @ root
         return np.linalg.norm(by, axis=2)
 
-    def at(self, which: Any) -> Self:
+    def at(self, which: np.ndarray | slice) -> Self:
         """The same of some of the rows."""
         some = (one[which] for one in (self.columns, self.spread, self.doubts))
         return type(self)(self.linear, self.rows.at(which), *some)

@@ -81,22 +81,22 @@ class CorrectionScores:
     """
 
     measure: str
-    table: dict[str, Any]
-    summary: dict[str, Any]
-    lengths: list[Any]
+    table: dict[str, np.ndarray]
+    summary: dict[str, tuple[float, float, float]]
+    lengths: list[tuple[Any, ...]]
     length_errors_before: Floats
     length_errors_after: Floats
     coverage: float
     std_factor: float
     n_folds: int
     outliers: np.ndarray
-    rows_by_position: list[Any]
+    rows_by_position: list[np.ndarray]
     left_before: Floats
     left_after: Floats
     n_blocks: int
     fold_shares: tuple[float, ...]
     changes: tuple[str, ...] = ()
-    findings: tuple[Any, ...] = ()
+    findings: tuple[Finding, ...] = ()
     share: float = 1.0
 
     @property
@@ -275,7 +275,9 @@ def _one_fold(data, model, train, test):
         known = np.sort(np.r_[train, lonely])
         calibration = data.calibrate(known)
         as_given = data.calibrate(known, free=["probe"])
-        fitted, noise = data.fit(model, calibration, train)
+        # Points without the correction are judged by the bases that go with them.
+        corrected = data.at_stations(model, calibration, train)
+        fitted, noise = data.fit(model, corrected, train)
         share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
     points, of_given = (data.shown(one, test) for one in (calibration, as_given))
@@ -289,8 +291,10 @@ def _one_fold(data, model, train, test):
     is_tracker = data.points is not None
     if is_tracker:
         of_given = data.residuals(as_given, test)
-    left = data.residuals(calibration, test) if is_tracker else points
-    sides = (of_given, left, left - correction)
+    left, to_correct = (
+        data.residuals(one, test) if is_tracker else points for one in (calibration, corrected)
+    )
+    sides = (of_given, left, to_correct - correction)
     given, before, after = sides if is_tracker else (data.about(one, test) for one in sides)
     return given, before, after, std, lengths, share
 

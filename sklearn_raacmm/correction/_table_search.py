@@ -85,11 +85,11 @@ class TableChange:
     scatter_mm: float
     scatter_given_mm: float
     arm: Arm
-    columns: tuple[Any, ...]
+    columns: tuple[int, ...]
     angle_unit: str
     options: str = ""
     first_point: tuple[float, ...] = ()
-    equals: tuple[Any, ...] = ()
+    equals: "tuple[TableChange, ...]" = ()
     axes: tuple[int, ...] = (0, 1, 2)
     is_mirror: bool = False
     questions: tuple[str, ...] = ()
@@ -410,7 +410,7 @@ class _Candidate(NamedTuple):
     change: str
     options: str
     given: Arm
-    changed: dict[str, Any]
+    changed: dict[str, object]
     columns: list[int]
     axes: tuple[int, ...]
     angle_unit: str

@@ -47,8 +47,8 @@ def update_correction(
     groups: ArrayLike | None = None,
     date: str | None = None,
     accept: str | Sequence[str] = (),
-    lengths: Iterable[Sequence[Any]] = (),
-    features: Iterable[Sequence[Any]] = (),
+    lengths: Iterable[Sequence[object]] = (),
+    features: Iterable[Sequence[object]] = (),
 ) -> ArmResidualRegressor:
     """Bring a fitted correction up to date with few new poses, without the old data.
 
@@ -163,7 +163,7 @@ def _left(model, expected):
     return expected.rows.y - model.fading_.share(doubt)[:, None] * expected.mean
 
 
-def nothing_changed(model: Any, expected: Expected, date: Any) -> bool:
+def nothing_changed(model: ArmResidualRegressor, expected: Expected, date: object) -> bool:
     """Whether rows, with the probe as it was, show nothing but noise; `updates_` then says so.
 
     Noise of any size is an explanation like a change, and taken where none is clearly likelier

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from sklearn_raacmm.correction._condition import (
     rows_of,
 )
 from sklearn_raacmm.correction._rows import Expected, place_columns
-from sklearn_raacmm.error_model import LEAST_POSITIONS
+from sklearn_raacmm.error_model import LEAST_POSITIONS, ArmResidualRegressor
 from sklearn_raacmm.measurements import (
     FAR,
     PRICE,
@@ -56,7 +55,7 @@ _ALL_OF_IT, _SAME_MAKE = 10.0, (0.1, 0.3, 1.0)
 _IN_USE = 0.1
 
 
-def what_is_wrong(model: Any, of_rows: Expected) -> Iterator[Finding]:
+def what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[Finding]:
     """Yield the most likely explanation of new poses, if it is likelier than that nothing is wrong.
 
     With r what an explanation leaves of the residuals beside the model, A the model's columns and B

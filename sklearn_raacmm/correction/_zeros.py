@@ -6,7 +6,6 @@
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -76,7 +75,7 @@ def with_found_zeros(
     return arm.replace(**fields(_best_of_starts(left, start, len(free), good, slope_of, scale)))
 
 
-def trial(arm, **changes) -> Any:
+def trial(arm, **changes):
     """What kinematics need of an arm with some fields changed: an `Arm` would check them."""
     names = (*FIELDS, "joint_signs", "convention", "couplings", "joint_types")
     return SimpleNamespace(**{name: getattr(arm, name) for name in names} | changes)
@@ -85,7 +84,7 @@ def trial(arm, **changes) -> Any:
 def _best_of_starts(left, start, n_free, good, jac, scale):
     """Where squares are least, from a start and from random ones of the first `n_free` numbers."""
     rng = np.random.default_rng(0)
-    best: list[Any] = []
+    best: list[tuple[float, np.ndarray]] = []
     for _ in range(_STARTS):
         found = least_squares(left, start, jac, x_scale=scale, max_nfev=_STEPS)
         best.append((found.cost, found.x))
@@ -99,7 +98,7 @@ def arm_from_data(
     layout: str,
     angles: ArrayLike,
     positions: ArrayLike,
-    lengths: Iterable[Sequence[Any]],
+    lengths: Iterable[Sequence[object]],
     *,
     angle_unit: str = "rad",
     mirrored: bool = False,

@@ -190,7 +190,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         angle_unit: str = "rad",
         extra: Sequence[str] = (),
         orders: ArrayLike = 400,
-        causes: Sequence[str | Callable[..., Any]] = CAUSES,
+        causes: Sequence[str | Callable[..., object]] = CAUSES,
         offsets: bool | str = "auto",
         fade: float | str = "auto",
     ) -> None:
@@ -211,10 +211,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
         *,
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | bool | None = None,
-        lengths: Iterable[Sequence[Any]] = (),
+        lengths: Iterable[Sequence[object]] = (),
         probes: ArrayLike | None = None,
         accept: str | Sequence[str] = (),
-        features: Iterable[Sequence[Any]] = (),
+        features: Iterable[Sequence[object]] = (),
     ) -> Self:
         """Choose the harmonics, fit all coefficients, and judge the result where it was left out.
 
@@ -314,15 +314,15 @@ class ArmResidualRegressor(PointCorrectionMixin):
     # The fitted numbers in readable form; all of them are those of `linear_model_`.
 
     @property
-    def harmonics_(self) -> Any:
+    def harmonics_(self) -> np.ndarray:
         return self.linear_model_.harmonic_table()
 
     @property
-    def terms_(self) -> Any:
+    def terms_(self) -> np.ndarray:
         return self.linear_model_.term_table()
 
     @property
-    def column_harmonics_(self) -> Any:
+    def column_harmonics_(self) -> np.ndarray:
         return np.add(self.linear_model_.terms.harmonics, (1, 0))
 
     coef_: Any = property(attrgetter("linear_model_.coef"))
@@ -451,7 +451,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
     def _knows_deviations_only(self):
         return self.offsets_
 
-    def with_arm(self, arm: Arm) -> Self:
+    def with_arm(self, arm: Arm, *, stated: bool = False) -> Self:
         """Move the fitted model to another probe.
 
         Each cause is multiplied by the Jacobian of the new probe. A registration through the
@@ -462,6 +462,9 @@ class ArmResidualRegressor(PointCorrectionMixin):
         arm : Arm
             The table that the model was fitted with, and the new probe; where the arm is mounted
             anew, another `up`, too.
+        stated : bool, default=False
+            Whether the vector is that of a drawing or of another instrument, and not found by
+            poses: how the table has the last frame turned is then in doubt, and so in `std`.
 
         Returns
         -------
@@ -495,7 +498,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         check_arm(arm)
         old = self.linear_model_
         moved = copy(self)
-        moved.arm, moved.linear_model_ = arm, moved_model(old, arm)
+        moved.arm, moved.linear_model_ = arm, moved_model(old, arm, stated)
         moved.fading_ = moved_fading(self.fading_, old.arm, arm)
         return moved
 

@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
     return Rows(arm, X, y, weights, codes, tuple(lengths), **touched), positions
 
 
-def touched_rows(features, labels, codes, points, y, weights) -> Any:
+def touched_rows(features, labels, codes, points, y, weights):
     """Residuals (n, 3), those of touches from the arm's own points, and what `Rows` need of these.
 
     And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.
@@ -214,7 +215,7 @@ def poses_of(rows, extra):
     return dwells, rows
 
 
-def check_extra(extra: Any, n_joints: int = _MOST_JOINTS) -> Any:
+def check_extra(extra: str | Iterable[str], n_joints: int = _MOST_JOINTS) -> Any:
     """Names of the extra columns as a tuple: each is known, and none stands there twice."""
     if isinstance(extra, str):
         raise ValueError(f"extra must be a list of names, one for each column, got {extra!r:.60}.")

@@ -12,6 +12,7 @@ export to C writes the same table into its source.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import re
+from collections.abc import Callable
 from enum import IntEnum
 from functools import cached_property, lru_cache
 from itertools import compress, product
@@ -116,7 +117,7 @@ class Terms(NamedTuple):
     wobble: bool
     extra: tuple[Any, ...] = ()
     up: tuple[float, ...] = ()
-    own: tuple[Any, ...] = ()
+    own: tuple[Callable, ...] = ()
 
 
 class Column(NamedTuple):

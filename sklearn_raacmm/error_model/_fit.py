@@ -329,7 +329,7 @@ def _known_of_constants(rows, positions, fitted):
 
 
 @stage("linear error model")
-def fit_linear_model(rows, columns, with_field) -> Any:
+def fit_linear_model(rows, columns, with_field):
     """Fit the model to rows of weights above 0, with robust weights of the poses: a `Fitted`.
 
     The harmonics of the columns are those that are offered; `with_field` allows a smooth function
@@ -353,7 +353,7 @@ def fit_linear_model(rows, columns, with_field) -> Any:
     return Fitted(model, state, factor, whitened, columns, structures)
 
 
-def _fit(rows, columns, structures) -> tuple[Any, Any, Any]:
+def _fit(rows, columns, structures):
     """Choose structures, and go on from there with the weights and the noise that this has shown.
 
     Returns the state, the factors of the weights, and the rows, whitened.

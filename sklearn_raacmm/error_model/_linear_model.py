@@ -117,6 +117,8 @@ class LinearModel:
         positions that were left out; 1 where that is not known.
     n_positions : float
         From how many positions these factors are; infinity where that is not known.
+    shown_by : ndarray of shape (3,) or None
+        Vector of the probe that poses have found last, where that of `arm` is only stated.
     """
 
     layout: Columns
@@ -125,7 +127,7 @@ class LinearModel:
     noise_of_joints: np.ndarray
     noise_of_rows: float
     lever_mm: np.ndarray
-    prior_sd: dict[str, Any]
+    prior_sd: dict[str, float]
     offsets: bool
     n_determined: float
     log_bayes_factor: np.ndarray
@@ -135,13 +137,17 @@ class LinearModel:
     std_scale: float = 1.0
     noise_scale: float = 1.0
     n_positions: float = float("inf")
+    shown_by: np.ndarray | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         of_layout = {"arm": self.arm, "terms": self.terms}
-        return of_layout | {f.name: getattr(self, f.name) for f in fields(self)[1:]}
+        own = {f.name: getattr(self, f.name) for f in fields(self)[1:]}
+        if self.shown_by is None:
+            del own["shown_by"]  # a file of a probe that poses have found does not name it
+        return of_layout | own
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        values = dict(state)
+        values = {"shown_by": None, **state}
         before = _BEFORE.keys() <= values.keys() and "seen" not in values
         if "noise_of_angles" in values and "noise_variance" in values:  # until 0.1.0.dev0
             share, variance = values.pop("noise_of_angles"), values.pop("noise_variance")
@@ -433,7 +439,7 @@ class LinearModel:
         table = np.array([*zip(*values, strict=True)], dtype=dtype)
         return table[np.argsort(-table["amplitude_arcsec"], kind="stable")]
 
-    def term_table(self) -> Any:
+    def term_table(self) -> np.ndarray:
         """The other causes as a structured array: see `ArmResidualRegressor`."""
         others, n = self.layout.others, self.layout.n_waves
         width = max([len(column.name) for column in others], default=1)

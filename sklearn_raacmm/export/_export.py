@@ -31,7 +31,7 @@ def _check(card, fade, std):
 
 
 def export_c(
-    model: Any,
+    model: object,
     path: str | PathLike[str],
     *,
     name: str | None = None,
@@ -39,7 +39,7 @@ def export_c(
     std: bool = False,
     card: ModelCard | str | None = None,
     poses: ArrayLike | None = None,
-    fade: Any = "small",
+    fade: str | bool = "small",
 ) -> tuple[Path, Path]:
     r"""Write a fitted model as one C99 file and its header.
 
@@ -213,7 +213,7 @@ def _check_in_c(program, rows, dtype, **limits):
     return notes
 
 
-def fingerprint(model: Any) -> str:
+def fingerprint(model: object) -> str:
     """Fingerprint of what a fitted model computes.
 
     Parameters
@@ -236,12 +236,12 @@ def fingerprint(model: Any) -> str:
 
 
 def to_onnx(
-    model: Any,
+    model: object,
     path: str | PathLike[str] | None = None,
     *,
     std: bool = False,
     card: ModelCard | str | None = None,
-    fade: Any = "small",
+    fade: str | bool = "small",
 ) -> Any:
     """Convert a fitted model to ONNX, for every language that has a runtime for it.
 

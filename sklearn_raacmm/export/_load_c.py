@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class CompiledModel:
     """
 
     def __init__(
-        self, program: Any, dtype: Any = "double", flags: Any = _FLAGS, flat: bool = False
+        self, program: Any, dtype: str = "double", flags: Sequence[str] = _FLAGS, flat: bool = False
     ) -> None:
         self.fingerprint: str = hash_program(program)
         self.n_features_in_: int = program.n_inputs
@@ -118,7 +119,7 @@ class CompiledModel:
         if name not in self._functions:
             raise ValueError(otherwise)
 
-    def _row(self, row: Any, name: str) -> Any:
+    def _row(self, row, name):
         """Status of one row, and the thread's own buffers with prediction and deviation."""
         if not hasattr(self._local, "buffers"):
             sizes = self.n_features_in_, self.n_outputs_, self.n_outputs_

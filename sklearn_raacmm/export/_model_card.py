@@ -93,7 +93,7 @@ def escaped(text):
 
 
 def describe(
-    model: Any,
+    model: object,
     X: ArrayLike | None = None,
     y: ArrayLike | None = None,
     groups: ArrayLike | None = None,
@@ -206,7 +206,7 @@ def _training(model, X, y, groups):
         digest.update(repr(None if values is None else values.shape).encode())
         if values is not None:
             digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
-    facts: dict[str, Any] = {
+    facts = {
         "rows": len(X),
         "positions": None if codes is None else int(codes.max()) + 1,
         "data_fingerprint": digest.hexdigest(),

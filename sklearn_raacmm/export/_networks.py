@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _CLEAR = 1e-6
 
 
 # Operations by the functions of NumPy that a kernel may consist of.
-_FUNCTIONS: dict[Any, str] = {np.less: "less"}
+_FUNCTIONS: dict[Callable, str] = {np.less: "less"}
 _FUNCTIONS |= {f: name for name, f in OPERATIONS.items() if isinstance(f, np.ufunc)}
 del _FUNCTIONS[np.arctan2]  # which holds in the right half plane only
 
@@ -30,7 +30,7 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
     def __init__(self, p, value):
         self.p, self.value = p, value
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
+    def __array_ufunc__(self, ufunc, method, *inputs, **_):
         p, values = self.p, [v.value if isinstance(v, _Traced) else v for v in inputs]
         if ufunc is np.greater_equal:
             return _Traced(p, p("sub", 1.0, p("less", *values)))
@@ -40,7 +40,7 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
             raise _unknown(ufunc)
         return _Traced(p, p(_FUNCTIONS[ufunc], *values))
 
-    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+    def __array_function__(self, function, types, args, kwargs):
         if function is not np.clip:
             raise _unknown(function)
         return np.minimum(np.maximum(*args[:2]), args[2])

@@ -77,7 +77,7 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
         names = [v.name if isinstance(v, _Traced) else v for v in inputs]
         return _Traced(self.graph, self.graph(op, *names, **attributes), like)
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **_: Any) -> Any:
+    def __array_ufunc__(self, ufunc, method, *inputs, **_):
         name = ufunc.__name__
         if name == "cos":
             return _cosine(*inputs)
@@ -85,7 +85,7 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
             return _elevation(*inputs)
         return self._node(ufunc(*map(_like, inputs)), _OPERATORS[name], *inputs)
 
-    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+    def __array_function__(self, function, types, args, kwargs):
         if function is np.where:
             return self._node(np.where(*map(_like, args)), "Where", *args)
         (parts,) = args  # of np.concatenate: a constant becomes as many rows as there are
@@ -93,17 +93,17 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
         parts = [part if isinstance(part, _Traced) else nothing + part for part in parts]
         return self._node(np.concatenate([*map(_like, parts)], axis=1), "Concat", *parts, axis=1)
 
-    def __getitem__(self, place: tuple[slice, Any]) -> Any:
+    def __getitem__(self, place):
         index, whole = np.asarray(place[1]), self.graph.whole
         if np.all(np.diff(index) == 1):
             bounds = (whole(v) for v in (index[0], index[-1] + 1, 1))
             return self._node(self.like[:, index], "Slice", self, *bounds)
         return self._node(self.like[:, index], "Gather", self, whole(*index), axis=1)
 
-    def reshape(self, *shape: int) -> Any:
+    def reshape(self, *shape):
         return self._node(self.like.reshape(shape), "Reshape", self, self.graph.whole(*shape))
 
-    def sum(self, axis: int, keepdims: bool = False) -> Any:
+    def sum(self, axis, keepdims=False):
         like, axes = self.like.sum(axis=axis, keepdims=keepdims), self.graph.whole(axis)
         return self._node(like, "ReduceSum", self, axes, keepdims=int(keepdims))
 

@@ -37,7 +37,7 @@ def leaves(model, path=None):
         yield from leaves(model.regressor_, f"{path}.regressor")
 
 
-def check_fitted(model: Any) -> None:
+def check_fitted(model: object) -> None:
     """Refuse a class, or an estimator that is not fitted."""
     for _, step in leaves(model):
         check_is_fitted(step)

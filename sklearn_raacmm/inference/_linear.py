@@ -77,7 +77,7 @@ class Sums(NamedTuple):
     candidate_moment: np.ndarray  # (2 n_pairs,) H'y
     square: float  # y'y
     n_observations: float
-    rows: Any  # callable: (pairs, likely, beside) to rows of H'H, see `GramRows`
+    rows: Callable[..., np.ndarray]  # (pairs, likely, beside) to rows of H'H, see `GramRows`
     extra: Extra | None = None  # what was observed beside them
 
 
@@ -394,7 +394,10 @@ def refit(sums: Sums, structures: Structures, state: State, lines: np.ndarray, s
 
 
 def evidence_variance(
-    squares: Any, determined: Any, guess: float = 0.0, counts: float = 0.0
+    squares: float | np.ndarray,
+    determined: float | np.ndarray,
+    guess: float = 0.0,
+    counts: float = 0.0,
 ) -> Any:
     """Variance of highest evidence by MacKay's fixed point, with a guess that few data keep.
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from sklearn.utils import check_array
 
-from sklearn_raacmm.network._rows import Elsewhere, block_rows, merge
+from sklearn_raacmm.network._rows import Block, block_rows, merge
 from sklearn_raacmm.utils import chunks, floats, one_blas_thread
 
 # Rows looked at together.
@@ -151,15 +151,26 @@ def draw_rows(chunks, n_features, size, seed):
 
 def extend(sample, chunks, n_rows, weight, outputs):
     """The problem of all rows, of which a sample has its polynomial, and its ridge, already."""
-    p, q, all_rows = sample.n_tail, len(outputs), Elsewhere(chunks, outputs)
-    whole = sample._replace(unit=weight / n_rows, n_total=n_rows, within=np.zeros(q))
-    whole = whole._replace(elsewhere=all_rows)
+    p, q, unit = sample.n_tail, len(outputs), weight / n_rows
+
+    def of_read(function, combine, width, tail_root=None):
+        def of_chunk(X, Y, weights, start):
+            kept = weights > 0
+            X, root = X[kept] + 0.0, np.sqrt(weights[kept] / unit)[:, None]
+            basis = tail = root * sample.polynomial.columns(X)
+            if tail.size and tail_root is not None:
+                basis = solve_triangular(tail_root, tail.T, trans="T", check_finite=False).T
+            return function(Block(X, root, tail, basis, root * Y[kept][:, outputs]))
+
+        return chunks.reduce(of_chunk, combine, width)
+
+    whole = sample._replace(unit=unit, n_total=n_rows, within=np.zeros(q), of_read=of_read)
     R = whole.triangle(lambda block: np.hstack([block.tail, block.targets]), p + q)
     basis_rows = solve_triangular(R[:p, :p], sample.tail_rows.T, trans="T").T if p else R[:0, :p]
     spread = np.sqrt(np.square(R[p:, p:]).sum(axis=0) / n_rows)
     # What is left of a constant by rounding is not variation.
     spread[spread <= 1e-13 * np.sqrt(np.square(R[:, p:]).sum(axis=0) / n_rows)] = 0.0
-    all_rows = all_rows._replace(tail_root=R[:p, :p])
+    of_read = partial(of_read, tail_root=R[:p, :p])
     return whole._replace(
-        projection=R[:p, p:], spread=spread, basis_rows=basis_rows, elsewhere=all_rows
+        projection=R[:p, p:], spread=spread, basis_rows=basis_rows, of_read=of_read
     )

@@ -18,7 +18,6 @@ rank, and a step costs the number of candidates times the rank. Of a rough kerne
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
-from typing import Any
 
 import numpy as np
 from scipy.linalg import blas, lapack, solve_triangular
@@ -262,7 +261,9 @@ def _whiten(problem, rows, features, alpha, residual, resolution):
     return coordinates, target, trusted, rank - alpha * float(np.sum(np.square(inverse)))
 
 
-def forward_selection(coordinates, target, resolution, n_select, *, units: Any = 1.0, enough=None):
+def forward_selection(
+    coordinates, target, resolution, n_select, *, units: float | np.ndarray = 1.0, enough=None
+):
     """Choose candidates one at a time, each the one that lowers the objective most.
 
     Of coordinates (n, rank) and a target (rank, q). `resolution` is the part of a candidate's

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import blas, lapack
 
+# A name of `KERNELS`, or a function that a user gives: see `radial`.
+Kernel = str | Callable
 # Pivot of a kernel matrix, whose diagonal is 1, that is far above the rounding of its eigenvalues.
 _SOUND_PIVOT = 1e-6
 # Numbers of a factor for which memory is taken from the start, 256 MB. To grow costs time.
@@ -20,7 +22,7 @@ _FARTHEST, _FARTHEST_ROUGH = 1414.0, 5e5
 _NEAR = 1e-12
 
 
-def gaussian(s: Any, slope: bool = False) -> Any:
+def gaussian(s, slope=False):
     """``exp(-s / 2)``."""
     s = np.minimum(s, _FARTHEST, out=s)
     s *= -0.5
@@ -28,7 +30,7 @@ def gaussian(s: Any, slope: bool = False) -> Any:
     return (K, -0.5 * K) if slope else K
 
 
-def matern52(s: Any, slope: bool = False) -> Any:
+def matern52(s, slope=False):
     """``(1 + r + r^2 / 3) exp(-r)``, with ``r^2 = 5 s``."""
     s = np.clip(s, 0.0, _FARTHEST_ROUGH, out=s)  # rounding may make that of near rows negative
     r, decay = _decay(s, 5)
@@ -43,7 +45,7 @@ def matern52(s: Any, slope: bool = False) -> Any:
     return s, r
 
 
-def matern32(s: Any, slope: bool = False) -> Any:
+def matern32(s, slope=False):
     """``(1 + r) exp(-r)``, with ``r^2 = 3 s``."""
     r, decay = _decay(np.clip(s, 0.0, _FARTHEST_ROUGH, out=s), 3)
     r += 1
@@ -52,7 +54,7 @@ def matern32(s: Any, slope: bool = False) -> Any:
     return (r, decay) if slope else r
 
 
-def matern12(s: Any, slope: bool = False) -> Any:
+def matern12(s, slope=False):
     """``exp(-r)``, with ``r^2 = s``."""
     s *= s >= _NEAR  # the distance of a row from itself is rounding, and its root would be seen
     r, decay = _decay(np.minimum(s, _FARTHEST_ROUGH, out=s), 1)
@@ -75,12 +77,12 @@ def _decay(s, times):
 # Functions of the squared scaled distance s, 1 at s = 0, with their slopes by s where asked for:
 # all else follows from them, C and ONNX too. They may overwrite s: to fetch memory for a new matrix
 # takes longer than to fill it. From smooth to rough: `kernel="auto"` tries them in this order.
-KERNELS: dict[Any, Callable] = {
+KERNELS: dict[str, Callable] = {
     function.__name__: function for function in (gaussian, matern52, matern32, matern12)
 }
 
 
-def radial(kernel: Any, s: Any, slope: bool = False) -> Any:
+def radial(kernel: Kernel, s: Any, slope: bool = False) -> Any:
     """Values of a kernel of `KERNELS`, by its name, or of a function that a user gives.
 
     That is called with an array of squared scaled distances, which it may overwrite, and returns an
@@ -96,7 +98,7 @@ def radial(kernel: Any, s: Any, slope: bool = False) -> Any:
     ...     return (K, -0.5 * K * K) if slope else K
     >>> model = RBFNetRegressor(kernel=["gaussian", quadratic, "matern52"])
     """
-    if kernel in KERNELS:
+    if isinstance(kernel, str):
         return KERNELS[kernel](s, slope)
     return kernel(np.maximum(s, 0.0, out=s), slope)
 
@@ -114,7 +116,7 @@ def squared_distances(A, B):
     return left @ right.T
 
 
-def kernel_matrix(A: np.ndarray, B: np.ndarray, kernel: Any) -> np.ndarray:
+def kernel_matrix(A: np.ndarray, B: np.ndarray, kernel: Kernel) -> np.ndarray:
     """Kernel values (n, m) between scaled rows A (n, d) and B (m, d)."""
     return radial(kernel, squared_distances(A, B))
 

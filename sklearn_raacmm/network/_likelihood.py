@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, lapack
 from scipy.optimize import minimize
 
-from sklearn_raacmm.network._kernels import radial, squared_distances
+from sklearn_raacmm.network._kernels import Kernel, radial, squared_distances
 from sklearn_raacmm.network._linear import DOUBT, SILENT
 from sklearn_raacmm.utils import centred
 
@@ -316,7 +316,7 @@ def _penalty(task, theta, data, kappa, signals, of_signals):
 class End(NamedTuple):
     """Where a search for a kernel ended, and how good that is: all in nats, less is better."""
 
-    kernel: Any  # a name of `KERNELS`, or a function
+    kernel: Kernel
     theta: np.ndarray
     likelihood: float  # negative log likelihood
     value: float  # with the penalty

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import cholesky, lapack
 
 from sklearn_raacmm.network._kernels import (
+    Kernel,
     kernel_matrix,
     psd_inverse_root,
     psd_root,
@@ -29,7 +30,7 @@ from sklearn_raacmm.utils import check_shapes, chunks, one_blas_thread
 # Kernel values held at a time while predicting: they stay in a core's cache. For the standard
 # deviation of thousands of centres a hundred points at once are 1.7 times as fast as 26.
 _CHUNK, _CHUNK_OF_STD = 2**18, 2**20
-_SHAPES = {
+_SHAPES: dict[str, tuple[str | int, ...]] = {
     "outputs": ("q",),
     "centers": ("k", "d"),
     "length_scale": ("d",),
@@ -54,7 +55,7 @@ class Network:
     """
 
     outputs: np.ndarray  # (q,) which of the targets' columns
-    kernel: Any  # a name of `KERNELS`, or a function
+    kernel: Kernel
     length_scale: np.ndarray  # (d,) in the units of X; infinite for a feature that is ignored
     centers: np.ndarray  # (k, d) in the units of X
     coef: np.ndarray  # (k, q) posterior mean of the weights
@@ -69,7 +70,7 @@ class Network:
     # Triangular factor of the columns at the training rows, polynomial first, packed by rows;
     # trapezoidal where there were fewer rows than columns. None where all rows are centres: their
     # own factor follows from what is below.
-    triangle: Any = None
+    triangle: np.ndarray | None = None
     weights: Any = None  # (k,) of the centres as training rows, where there is no triangle
     codes: np.ndarray | None = None  # (k,) group of each of these, where groups have constants
     tail_ridge: float = 0.0  # of the polynomial's linear part, in units of an observation
@@ -78,13 +79,13 @@ class Network:
     # What rows without weight add to the variance of a new observation, (q,) in squared units of y.
     outlier_variance: np.ndarray | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         # Without what `_roots` keeps from one call to the next.
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        shapes: dict[str, Any] = dict(_SHAPES)
+        shapes: dict[str, tuple[str | int, ...]] = dict(_SHAPES)
         shapes |= {"weights": ("k",)} if self.triangle is None else {"triangle": ("packed",)}
         shapes |= {} if self.codes is None else {"codes": ("k",)}
         shapes |= {} if self.ranks is None else {"ranks": ("m", 3)}
@@ -119,7 +120,7 @@ class Network:
         less = replace(self, coef=share * self.coef, polynomial=polynomial)
         return less.with_noise(np.where(share < 1, noise, 1.0))
 
-    def with_noise(self, factor: Any) -> Self:
+    def with_noise(self, factor: float | np.ndarray) -> Self:
         """The same with a larger variance of the noise, for one that was estimated too small."""
         signal = self.signal_variance * (factor if self.all_rows else 1.0)
         return replace(self, noise_variance=factor * self.noise_variance, signal_variance=signal)
@@ -155,7 +156,7 @@ class Network:
         """Triangular factor of the columns at the training rows, polynomial first."""
         p = len(self.tail_map)
         n = p + len(self.centers)
-        if self.all_rows:
+        if self.triangle is None:
             rows = self.weigh(np.hstack([self.tail(self.centers), self.radial(self.centers)]))
             below = np.pad(ridge_rows(p, self.tail_ridge), ((0, 0), (0, len(self.centers))))
             return triangular_factor(np.vstack([rows, below]))
@@ -301,7 +302,7 @@ def pack(networks):
     by_row = np.hstack([inverse**2, -2 * Z * inverse, np.square(Z).sum(axis=1, keepdims=True)])
     coef = np.zeros((len(outputs), len(centers)))
     polynomial = np.empty((n_features, len(outputs)))
-    kernels: dict[Any, slice] = {}
+    kernels: dict[Kernel, slice] = {}
     end = 0
     for network, size in zip(networks, sizes, strict=True):
         own, start, end = np.searchsorted(outputs, network.outputs), end, end + size

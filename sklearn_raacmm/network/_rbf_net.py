@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.network._fit import fit_outputs, reweigh
-from sklearn_raacmm.network._kernels import KERNELS
+from sklearn_raacmm.network._kernels import KERNELS, Kernel
 from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_data
 from sklearn_raacmm.utils import (
@@ -209,7 +209,7 @@ class RBFNetRegressor(VersionedRegressor):
         self,
         n_centers: int | float | str = "auto",
         *,
-        kernel: str | Callable | Sequence[Any] = "auto",
+        kernel: str | Callable | Sequence[Kernel] = "auto",
         length_scale: ArrayLike | str = "auto",
         alpha: float | str = "auto",
         degree: int | str = "auto",
@@ -217,7 +217,7 @@ class RBFNetRegressor(VersionedRegressor):
         shared: bool | str = False,
         loss: str = "auto",
         inputs: str = "auto",
-        random_state: Any = None,
+        random_state: int | np.random.RandomState | None = None,
     ) -> None:
         self.n_centers = n_centers
         self.kernel = kernel
@@ -234,7 +234,7 @@ class RBFNetRegressor(VersionedRegressor):
     @whole_fit(prefer_skip_nested_validation=True)
     def fit(
         self,
-        X: Any,
+        X: ArrayLike,
         y: ArrayLike,
         sample_weight: ArrayLike | None = None,
         groups: ArrayLike | None = None,
@@ -291,8 +291,8 @@ class RBFNetRegressor(VersionedRegressor):
         self._packed = self.networks_, pack(self.networks_)  # or the first `predict` would keep it
         return self
 
-    def _fit_weighted(self, blocks, codes, networks=(), refit=0):
-        """Fit by least squares with given weights; see `search` for refits."""
+    def _fit_weighted(self, blocks, codes, networks=()):
+        """Fit by least squares with given weights, near to networks of nearly the same ones."""
         rng = check_random_state(self.random_state)
         rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
         q = rows.Y.shape[1]
@@ -301,7 +301,7 @@ class RBFNetRegressor(VersionedRegressor):
         for i, of in enumerate([np.arange(q)] if self.shared else np.arange(q)[:, None]):
             rng.set_state(state)  # each as if it were alone
             ridge = None if alpha is None else alpha[of]
-            before = (networks[i], refit) if networks else ()
+            before = (networks[i],) if networks else ()
             given = kernels, width, ridge, rng
             found.append(fit_outputs(self, rows, elsewhere, of, *given, *before))
         fits, values = zip(*found, strict=True)
@@ -342,7 +342,7 @@ class RBFNetRegressor(VersionedRegressor):
         return_cov: bool = False,
         with_noise: bool = True,
         with_outliers: bool = True,
-    ) -> Any:
+    ) -> Floats | Pair:
         """Predict targets.
 
         Parameters
@@ -473,8 +473,8 @@ class RBFNetRegressor(VersionedRegressor):
         values = np.take(np.concatenate(parts, axis=axis), order, axis=axis)
         return values.take(0, axis=axis) if self._flat else values
 
-    kernel_: Any = _each_network("kernel")
-    inputs_: Any = _each_network("inputs")
+    kernel_: str | Callable | np.ndarray = _each_network("kernel")
+    inputs_: str | np.ndarray = _each_network("inputs")
     length_scale_: np.ndarray = _each_network("length_scale")
 
     @property
@@ -495,7 +495,7 @@ class RBFNetRegressor(VersionedRegressor):
         lambda network: np.sqrt(network.ratio * network.noise_variance)
     )
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         # Without what `predict` keeps from one call to the next.
         return {name: value for name, value in super().__getstate__().items() if name != "_packed"}
 

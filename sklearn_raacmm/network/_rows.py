@@ -12,12 +12,12 @@ have independent noise of unit variance: that is done to all columns and targets
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import reduce
 from itertools import chain, pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import qr
 
 from sklearn_raacmm.network._linear import (
     Polynomial,
@@ -71,7 +71,7 @@ class Rows(NamedTuple):
     def some(self, kept: np.ndarray | slice) -> Self:
         """Some of them."""
         codes = None if self.codes is None else np.unique(self.codes[kept], return_inverse=True)[1]
-        arrays: Any = {name: getattr(self, name)[kept] for name in self._fields[:6]}
+        arrays = {name: getattr(self, name)[kept] for name in self._fields[:6]}
         return self._replace(**arrays, codes=codes)
 
     def of_outputs(self, outputs: np.ndarray) -> Self:
@@ -132,14 +132,6 @@ class Block(NamedTuple):
     part: slice | None = None  # which of the rows that are held these are
 
 
-class Elsewhere(NamedTuple):
-    """Where not all rows are held: all of them, read block by block."""
-
-    chunks: Any
-    outputs: np.ndarray  # which of their targets are the problem's
-    tail_root: np.ndarray | None = None  # triangular factor of the polynomial on them
-
-
 class Problem(NamedTuple):
     """A polynomial and targets at distinct rows, or at more rows, of which these are a sample."""
 
@@ -154,11 +146,12 @@ class Problem(NamedTuple):
     spread: np.ndarray  # (q,) root mean square of targets about the tail, 0 for a constant
     tail_ridge: float  # of the tail's linear part, in units of an observation
     basis_rows: np.ndarray  # (p - 1, p) the ridge as further rows of the basis, if any
-    elsewhere: Elsewhere | None = None
+    # Combines a function of all blocks, as `reduce` does, where not all rows are held.
+    of_read: Callable | None = None
 
     @property
     def n_rows(self) -> int:
-        return len(self.rows.X) if self.elsewhere is None else int(self.n_total)
+        return len(self.rows.X) if self.of_read is None else int(self.n_total)
 
     @property
     def n_tail(self) -> int:
@@ -193,12 +186,10 @@ class Problem(NamedTuple):
 
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
-        if self.elsewhere is None:
-            found: Any = map(function, self._of_held(width))
-        else:
-            read = partial(self._on_read, function)
-            found = [self.elsewhere.chunks.reduce(read, combine, width)]
-        return reduce(combine, chain(found, map(function, self._of_ridge())))
+        if self.of_read is None:
+            return reduce(combine, map(function, chain(self._of_held(width), self._of_ridge())))
+        found = self.of_read(function, combine, width)
+        return reduce(combine, map(function, self._of_ridge()), found)
 
     def triangle(self, columns: Callable, width: int) -> np.ndarray:
         """Triangular factor (<= width, width) of columns, a function of a block, on all rows."""
@@ -207,7 +198,7 @@ class Problem(NamedTuple):
     def _of_held(self, width):
         """Blocks of the rows that are held; whole groups."""
         parts, codes = chunks(self.n_rows, block_rows(width)), self.held.codes
-        arrays: Any = self.held[:5]
+        arrays = self.held[:5]
         for part in parts if codes is None else _whole_groups(parts, codes):
             own = None if codes is None else codes[part] - codes[part.start]
             yield Block(*(array[part] for array in arrays), codes=own, part=part)
@@ -218,16 +209,6 @@ class Problem(NamedTuple):
         if m:
             X, targets = (np.zeros((m, a.shape[1])) for a in (self.rows.X, self.held.targets))
             yield Block(X, np.zeros((m, 1)), self.tail_rows, self.basis_rows, targets)
-
-    def _on_read(self, function, X, Y, weights, start):
-        """The function of rows that are not held."""
-        elsewhere: Any = self.elsewhere
-        kept, (_, outputs, tail_root) = weights > 0, elsewhere
-        X, root = X[kept] + 0.0, np.sqrt(weights[kept] / self.unit)[:, None]
-        basis = tail = root * self.polynomial.columns(X)
-        if tail.size and tail_root is not None:
-            basis = solve_triangular(tail_root, tail.T, trans="T", check_finite=False).T
-        return function(Block(X, root, tail, basis, root * Y[kept][:, outputs]))
 
 
 def _whole_groups(parts, codes):

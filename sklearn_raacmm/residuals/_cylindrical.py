@@ -5,7 +5,6 @@
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +23,7 @@ def position_residuals(
     groups: ArrayLike,
     sample_weight: ArrayLike | None = None,
     *,
-    features: Iterable[Sequence[Any]] = (),
+    features: Iterable[Sequence[object]] = (),
 ) -> Floats:
     """Residual of each probe point from the mean point of its position, or from its feature.
 
@@ -172,12 +171,12 @@ def direction_of(x, y):
     return np.where(on_axis, 1.0, x / radius), y / radius
 
 
-def to_cylindrical(vectors: np.ndarray, direction: Any) -> np.ndarray:
+def to_cylindrical(vectors, direction):
     """Vectors (n, 3) turned back by a direction: see `to_cartesian`."""
     return to_cartesian(vectors, (direction[0], -direction[1]))
 
 
-def to_cartesian(vectors: np.ndarray, direction: Any) -> np.ndarray:
+def to_cartesian(vectors, direction):
     """Vectors (n, 3) turned by a direction, cosine and sine of an azimuth or of one for each."""
     cos, sin = direction
     radial, tangential, axial = vectors.T

@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -41,22 +41,34 @@ class PointCorrectionMixin(VersionedRegressor):
     if TYPE_CHECKING:  # what the estimator has
         predict: Any
 
-        def _points_of(self, X: ArrayLike) -> Any: ...
+        def _points_of(self, X: ArrayLike) -> Floats | None: ...
         def _knows_deviations_only(self) -> bool: ...
 
     @overload
     def correct(
-        self, X: ArrayLike, points: Any = None, *, return_std: Literal[True], **predict_params: Any
+        self,
+        X: ArrayLike,
+        points: ArrayLike | None = None,
+        *,
+        return_std: Literal[True],
+        **predict_params: Any,
     ) -> Pair: ...
     @overload
     def correct(
-        self, X: ArrayLike, points: Any = None, *, return_cov: Literal[True], **predict_params: Any
+        self,
+        X: ArrayLike,
+        points: ArrayLike | None = None,
+        *,
+        return_cov: Literal[True],
+        **predict_params: Any,
     ) -> Pair: ...
     @overload
     def correct(
         self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Literal[False]
     ) -> Floats: ...
-    def correct(self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any) -> Any:
+    def correct(
+        self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
+    ) -> Floats | Pair:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters
@@ -178,7 +190,9 @@ def positions_of(points: np.ndarray, y: np.ndarray) -> np.ndarray | None:
     return codes.ravel() if 2 * len(labels) <= n_poses else None
 
 
-def found_positions(points: np.ndarray, y: np.ndarray, weights: Any = None) -> np.ndarray | None:
+def found_positions(
+    points: np.ndarray, y: np.ndarray, weights: np.ndarray | None = None
+) -> np.ndarray | None:
     """The same for a fit that was given no groups, with a finding that says how many they are.
 
     Rows of weight 0 have no part in it: they are put to the first position.
@@ -198,7 +212,7 @@ def found_positions(points: np.ndarray, y: np.ndarray, weights: Any = None) -> n
     return codes
 
 
-def shown_positions(direction: Any, tangential: np.ndarray) -> Iterator[Finding]:
+def shown_positions(direction: Sequence[np.ndarray], tangential: np.ndarray) -> Iterator[Finding]:
     """Finding of positions where no arm is known, and no groups were given.
 
     Within a position tangential residuals (n,), mm, are the distance of its point from the base

@@ -123,7 +123,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     }
 
     def __init__(
-        self, regressor: Any = None, *, azimuth: str | Callable[..., Any] | None = "appended"
+        self, regressor: object = None, *, azimuth: str | Callable[..., object] | None = "appended"
     ) -> None:
         self.regressor = regressor
         self.azimuth = azimuth
@@ -175,12 +175,15 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         """
         X = _with_shape(X)
         validate_data(self, X, y, skip_check_array=True)
-        target: Any = floats("y", y, finite=True)
+        target = floats("y", y, finite=True)
         check_consistent_length(X, target)
         groups = fit_params.pop("regressor__groups", groups)
         unasked = groups is None
         self._rotates = target.ndim == 2 and target.shape[1] == 3 and self.azimuth is not None
-        groups = self._positions(X, target, groups)
+        if groups is False:
+            groups = None
+        elif groups is None and self._rotates and (arm := self._arm()) is not None:
+            groups = found_positions(arm.forward(X), target)
         codes = None if groups is None else encode_groups(groups, len(target))[1]
         for name, value in fit_params.items():  # of which some regressors take the root
             if name.rpartition("__")[2] == "sample_weight":
@@ -219,12 +222,6 @@ class CylindricalResidualTarget(PointCorrectionMixin):
             ) from error
         return self
 
-    def _positions(self, X, y, groups):
-        """Labels of the rows' positions: those given, those that the arm's points show, or None."""
-        if groups is None and self._rotates and (arm := self._arm()) is not None:
-            return found_positions(arm.forward(X), y)
-        return None if groups is False else groups
-
     def _findings(self, X, y, codes, direction, unasked):
         """What residuals (n, 3) show of themselves, and of positions that nobody named."""
         weights, arm = np.ones(len(y)), self._arm()
@@ -260,7 +257,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     @overload
     def predict(self, X: ArrayLike, **options: Literal[False]) -> Floats: ...
     @one_warning
-    def predict(self, X: ArrayLike, **predict_params: Any) -> Any:
+    def predict(self, X: ArrayLike, **predict_params: Any) -> Floats | Pair:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
         Parameters
@@ -354,7 +351,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         regressor = LinearRegression()
         return regressor.set_fit_request(sample_weight=True) if routing else regressor
 
-    def get_metadata_routing(self) -> Any:
+    def get_metadata_routing(self) -> MetadataRouter:
         """Route `fit` and `predict` to the regressor; `groups` are our own, and requested."""
         methods = MethodMapping().add(caller="fit", callee="fit")
         methods.add(caller="predict", callee="predict")
@@ -371,7 +368,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         return tags
 
 
-def _poses(X, y, groups, codes, fit_params) -> Any:
+def _poses(X, y, groups, codes, fit_params):
     """The same with each pose once at which a logger wrote many rows."""
     rows = None if issparse(X) else np.asarray(X)
     # What is no table of numbers is left to the regressor.
@@ -384,10 +381,8 @@ def _poses(X, y, groups, codes, fit_params) -> Any:
         finding.report()
     of_rows = [n for n, v in fit_params.items() if np.ndim(v) and len(v) == len(rows)]
     merged = {name: dwells.mean(np.asarray(fit_params[name])) for name in of_rows}
-    X, groups, codes = (
-        v if v is None else _safe_indexing(v, dwells.first) for v in (X, groups, codes)
-    )
-    return X, dwells.mean(y), groups, codes, fit_params | merged
+    groups, codes = (v if v is None else _safe_indexing(v, dwells.first) for v in (groups, codes))
+    return _safe_indexing(X, dwells.first), dwells.mean(y), groups, codes, fit_params | merged
 
 
 def _with_shape(X):
@@ -427,26 +422,19 @@ def _before_last(pipeline, X):
     """
     while type(pipeline) is Pipeline:
         for _, step in pipeline.steps[:-1]:
-            if step is not None and not isinstance(step, str):  # "passthrough"
-                X = _scaled(step, X) if _is_plain_scaler(step, X) else step.transform(X)
+            if step is None or isinstance(step, str):  # "passthrough"
+                continue
+            if (
+                type(step) is StandardScaler
+                and "n_features_in_" in vars(step)
+                and "_sklearn_output_config" not in vars(step)
+                and get_config()["transform_output"] == "default"
+                and is_plain(step, X)
+                and np.isfinite(X).all()
+            ):  # which would find nothing to say about X
+                X = X - step.mean_ if step.with_mean else X
+                X = X / step.scale_ if step.with_std else X
+            else:
+                X = step.transform(X)
         pipeline = pipeline.steps[-1][1]
     return X, pipeline
-
-
-def _is_plain_scaler(step, X):
-    """Whether a step is a fitted `StandardScaler` that would find nothing to say about X."""
-    return (
-        type(step) is StandardScaler
-        and "n_features_in_" in vars(step)
-        and "_sklearn_output_config" not in vars(step)
-        and get_config()["transform_output"] == "default"
-        and is_plain(step, X)
-        and bool(np.isfinite(X).all())
-    )
-
-
-def _scaled(scaler, X):
-    """What the scaler makes of X, without its checks: for one row they take ten times as long."""
-    if scaler.with_mean:
-        X = X - scaler.mean_
-    return X / scaler.scale_ if scaler.with_std else X

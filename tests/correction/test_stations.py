@@ -13,7 +13,8 @@ from sklearn_raacmm import (
     learn_correction,
     update_correction,
 )
-from sklearn_raacmm.utils import FindingError
+from sklearn_raacmm.datasets import SimulatedArm, make_single_point
+from sklearn_raacmm.utils import FindingError, align
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
 MODEL = ArmResidualRegressor(orders=2, causes=["kinematics"])
@@ -59,6 +60,35 @@ def test_one_call_learns_what_the_two_steps_do(measured, learned):
     assert learned.helps
     # Judged at what was left out, in the frame of each row's station.
     assert left < learned.scores.summary["after"][0] < 0.5 * learned.scores.summary["before"][0]
+
+
+def test_bases_of_stations_do_not_pass_for_constants_of_positions():
+    """Three stations with six positions each teach what one station with all of them does."""
+    machine = SimulatedArm("typical", random_state=3)
+    test, new = (
+        make_single_point(n, 12, machine=machine, random_state=seed)
+        for n, seed in ((18, 1), (8, 2))
+    )
+    rng, station = np.random.default_rng(0), test.groups % 3
+    one = test.simulation.true_points + rng.normal(0, 0.01, test.points.shape)
+    bases = Rotation.random(3, random_state=1).as_matrix(), rng.normal(0, 2000, (3, 3))
+    three = np.einsum("nij,nj->ni", bases[0][station], one) + bases[1][station]
+    model = ArmResidualRegressor(orders=4)
+    learned = learn_correction(
+        machine.nominal_arm, test.data, test.groups, three, model=model, cv=6, stations=station
+    )
+    assert learned.helps
+    by_one = calibrate(machine.nominal_arm, test.data, points=one)
+    y = by_one.residuals(test.data, one)
+    fitted = ArmResidualRegressor(by_one.arm, orders=4).fit(test.data, y)
+
+    def left(points):
+        rotation, shift = align(new.simulation.true_points, points)
+        off = points - new.simulation.true_points @ rotation.T - shift
+        return np.sqrt(np.square(off).sum(axis=1).mean())
+
+    of_one = left(by_one.arm.forward(new.data) - fitted.predict(new.data))
+    assert left(learned.correct(new.data)[0]) < 1.1 * of_one
 
 
 def test_corrected_points_are_in_the_arms_frame_and_stations_know_the_trackers(

@@ -1,6 +1,7 @@
 """A fitted model in use: moved to a probe, uncertain together, and the other way round."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -100,6 +101,27 @@ def test_a_registration_finds_the_probe_through_the_moved_model():
     updated = update_correction(moved, new, y)
     assert updated.arm_ == found.arm
     assert np.abs(y - updated.predict(new)).max() < 0.003
+
+
+def test_a_stated_probe_is_in_doubt_by_how_the_last_frame_is_turned(model):
+    """A turn of 75 arc seconds about any axis, times how far the probe is from the old one."""
+    X, old = rows(100, 9)[0], np.array(ARM.probe)
+
+    def variance(model):
+        return np.square(model.predict(X, return_std=True)[1]).sum(axis=1)
+
+    for more in ([0, 0, 100], [100, 0, 0], [0, 100, 0], [70, -80, 120]):
+        far = ARM.replace(probe=old + more)
+        found, stated = model.with_arm(far), model.with_arm(far, stated=True)
+        assert_allclose(stated.predict(X), found.predict(X), atol=1e-12)
+        doubt = np.sqrt(np.mean(variance(stated) - variance(found)))
+        turned = model.linear_model_.std_scale * 75 * ARCSEC * np.sqrt(2) * np.linalg.norm(more)
+        assert 0.6 * turned < doubt < 1.5 * turned
+    # What is found or stated after it does not depend on it, whatever was kept of it.
+    again = pickle.loads(pickle.dumps(stated))
+    for last in (False, True):
+        of_both = (one.with_arm(LONG, stated=last) for one in (again, model))
+        assert_allclose(*map(variance, of_both), rtol=1e-9)
 
 
 def errors_bare(arm, X):
