@@ -1,13 +1,18 @@
-"""RBFNetRegressor on many rows, and its choice of centres: time and memory, on one thread.
+"""Many rows, and RBFNetRegressor's choice of centres: time and memory, on one thread.
 
     python benchmarks/bench_rows.py --rows 1e5 1e6 1e7
+    python benchmarks/bench_rows.py --calibrate 1e5 1e6
+    python benchmarks/bench_rows.py --workers 1e6
     python benchmarks/bench_rows.py --n 3000 --k 200
 
 ``--rows``: 6 features and 3 outputs in memory-mapped files; 100 centres, given widths and ridge,
 then everything found by itself. Printed are CPU seconds, the peak memory above the imports,
 centres, and the mean squared residual, of which 0.01 is noise. ``--cliffs``: default fits with n
 and 1.01 n rows where a limit on the rows is passed, of a rough and a smooth function: no step
-should be larger than 1.5, in time or in error.
+should be larger than 1.5, in time or in error. ``--calibrate``: `calibrate` of simulated poses and
+points of a tracker in memory-mapped files. ``--workers``: `ArmResidualRegressor` of orders up to 4
+in memory, then as dask arrays on two processes, of which one is killed on the way: how far their
+coefficients are apart.
 
 ``--k`` chooses k of n columns exp(-|x_i - x_j|^2 / (2 l^2)), about their mean, for one target, by
 `RBFNetRegressor` and by peers, who are given the ready dictionary for free, each in a process of
@@ -20,9 +25,13 @@ and ridge that RBFNetRegressor() finds: forward selection (ols), means of cluste
 
 import argparse
 import json
+import os
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 import warnings
 from pathlib import Path
 
@@ -33,7 +42,7 @@ from scipy.spatial.distance import cdist
 from sklearn.cluster import KMeans
 from sklearn.linear_model import orthogonal_mp
 
-from sklearn_raacmm import RBFNetRegressor
+from sklearn_raacmm import Arm, ArmResidualRegressor, RBFNetRegressor, calibrate
 from sklearn_raacmm.network._kernels import kernel_matrix, pivoted_cholesky, psd_root
 
 SETTINGS = {"given": {"n_centers": 100, "length_scale": 1.5, "alpha": 1e-3}, "auto": {}}
@@ -68,6 +77,61 @@ def run(method, n, folder):
     mse = sum(np.sum((model.predict(X[part]) - Y[part]) ** 2) for part in parts) / Y.size
     shown = f"{seconds:.2f} s, {mib:.0f} MiB, {len(model.centers_)} centres, {mse:.6f}"
     print(f"{n} rows, {method}: {shown}", flush=True)
+
+
+def poses(n):
+    """Angles, and points of a tracker with 0.02 mm of noise, of an arm that is off its table."""
+    arm, rng = Arm.from_name("aacmm6"), np.random.default_rng(0)
+    a, d = (length + rng.normal(0, 0.2, 6) for length in (arm.a, arm.d))
+    angles = rng.uniform(-2, 2, (n, 6))
+    points = arm.replace(a=a, d=d).forward(angles)[:, [1, 2, 0]] + [1000, 0, 0]
+    return arm, angles, points + rng.normal(0, 0.02, points.shape)
+
+
+def calibration(n, folder):
+    """Calibrate in this process, and print what it took."""
+    arm = Arm.from_name("aacmm6")
+    angles, points = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("q", "points"))
+    calibrate(arm, angles[:500], points=points[:500])
+    result, seconds, mib = costs(lambda: calibrate(arm, angles, points=points))
+    print(f"{n} poses: {seconds:.1f} s, {mib:.0f} MiB, noise {result.sigma_mm:.5f} mm", flush=True)
+
+
+def workers(n):
+    """Coefficients in memory, and by two processes of which one is killed on the way."""
+    import dask.array as da
+    from distributed import Client, LocalCluster
+
+    arm, angles, _ = poses(n)
+    encoder = 3e-5 * np.cos(3 * angles[:, 1:2])
+    y = arm.jacobian(angles)[:, :, 1] * encoder
+    y += np.random.default_rng(1).normal(0, 0.01, y.shape)
+    model = ArmResidualRegressor(arm, orders=4, causes=["kinematics"])
+    start = time.perf_counter()
+    whole = model.fit(angles, y, groups=False).coef_
+    taken = time.perf_counter() - start
+    print(f"{n} rows in memory: {taken:.0f} s", flush=True)
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(**options) as cluster, Client(cluster) as client:
+        before = client.run(os.getpid)
+        kill = threading.Timer(taken / 4, os.kill, (min(before.values()), signal.SIGKILL))
+        kill.start()
+        start = time.perf_counter()
+        chunks = (da.from_array(array, chunks=(100_000, -1)) for array in (angles, y))
+        found = model.fit(*chunks, groups=False).coef_
+        seconds, lost = time.perf_counter() - start, client.run(os.getpid) != before
+    apart = np.abs(found - whole).max() / np.abs(whole).max()
+    print(f"by dask: {seconds:.0f} s, a process killed: {lost}; coefficients {apart:.1e} apart")
+
+
+def many_poses(sizes):
+    for n in map(int, sizes):
+        with tempfile.TemporaryDirectory() as folder:
+            _, angles, points = poses(n)
+            np.save(Path(folder) / "q", angles)
+            np.save(Path(folder) / "points", points)
+            call = json.dumps(["calibrate", n, folder])
+            subprocess.run([sys.executable, __file__, "--one", call], check=True)
 
 
 def many(sizes):
@@ -210,6 +274,8 @@ def held_out(problems, n):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=float, nargs="+", default=[1e5, 1e6])
+    parser.add_argument("--calibrate", type=float, nargs="+", metavar="N")
+    parser.add_argument("--workers", type=float, metavar="N")
     parser.add_argument("--cliffs", action="store_true")
     parser.add_argument("--k", type=int, help="centres to choose of --n rows")
     parser.add_argument("--n", type=int, default=3000)
@@ -218,7 +284,13 @@ def main():
     args = parser.parse_args()
     if args.one:
         method, n, last = args.one
+        if method == "calibrate":
+            return calibration(n, Path(last))
         return choose(method, n, last) if method in METHODS else run(method, n, Path(last))
+    if args.calibrate:
+        return many_poses(args.calibrate)
+    if args.workers:
+        return workers(int(args.workers))
     if args.held_out:
         return held_out(args.held_out, args.n)
     if args.k:

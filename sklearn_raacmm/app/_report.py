@@ -104,7 +104,8 @@ def write_report(
         sds = HarmonicDisplay(harmonics=waves, n_joints=n_joints).amplitude_sd
         harmonics = list(zip(waves, sds, strict=True))[:_MOST_HARMONICS]
     off = np.linalg.norm(np.nan_to_num(scores.left_after), axis=1)
-    row = off.argmax()
+    row = int(off.argmax())
+    number = row if row_numbers is None else np.asarray(row_numbers)[row]
     squares = np.mean(learnt.columns(learnt.inputs(learnt.angles)) ** 2, axis=0)
     text = render(
         "_report.html",
@@ -121,7 +122,7 @@ def write_report(
         parameters=zip(calibration.names, np.column_stack(fitted), strict=True),
         harmonics=harmonics,
         outliers=list_outliers(learnt, row_numbers),
-        farthest=(row if row_numbers is None else np.asarray(row_numbers)[row], off[row]),
+        farthest=(number, off[row]),
         row_numbers=row_numbers,
         figures={
             "positions": draw_svg("positions", draw_positions, scores),

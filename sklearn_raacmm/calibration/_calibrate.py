@@ -22,7 +22,7 @@ from sklearn_raacmm.calibration._checks import (
     wrong_units,
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
-from sklearn_raacmm.calibration._fit import WEIGHTS, Fit, doubt_limit, outlier_limit
+from sklearn_raacmm.calibration._fit import WEIGHTS, Fit, doubt_limit, outlier_limit, triangle
 from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
@@ -360,7 +360,10 @@ def _identified(fit, names):
     wide[: len(fit.nominal)] = fit.prior_sd
     per_reach = angle | np.array([name.startswith("scale") for name in names])
     unit = np.where(per_reach, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
-    seen = observability(fit.data_jacobian(mask), free_names, wide[mask], unit[mask], fit.sigma)
+    n_rows, root = 3 * len(fit.angles) + len(fit.problem.lengths), np.zeros((0, 0))
+    if mask.any():
+        root = triangle(fit.rows(fit.x, mask, with_prior=False))[:, :-1]
+    seen = observability(root, n_rows, free_names, wide[mask], unit[mask], fit.sigma)
     sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
     covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
     sd[mask] = np.sqrt(np.diag(covariance))

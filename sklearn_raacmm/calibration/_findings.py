@@ -11,7 +11,7 @@ from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._problem import FOUND, pack, table_jacobian
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.calibration._set_ups import moved_set_up
+from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
 from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
@@ -75,7 +75,8 @@ def findings_of_fit(fit, result, bare, poses):
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
-        turns = phases(fit.nominal_arm, fit.angles)[held]
+        held = held[thinned(fit.problem.index[held], len(held))]
+        turns = phases(fit.nominal_arm, fit.angles[held])
         yield from moved_positions(left[held], turns, groups[held], poses.first[held])
     yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)

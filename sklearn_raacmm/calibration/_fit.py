@@ -3,6 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
@@ -36,7 +37,15 @@ from sklearn_raacmm.measurements import (
     touch_weights,
     with_forms,
 )
-from sklearn_raacmm.utils import align, centred, group_means, robust_scale, slip_factors
+from sklearn_raacmm.utils import (
+    align,
+    centred,
+    chunks,
+    group_means,
+    group_sums,
+    robust_scale,
+    slip_factors,
+)
 
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
@@ -56,8 +65,9 @@ _DAMPING, _MOST_DAMPING = 1e-8, 1e8
 # Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
 # decomposition: their condition is squared.
 _LEAST_PIVOT = 1e-8
-# Steps of one iteration at the start, of a base: rad and mm.
-_STEP_RAD, _STEP_MM = 1e-2, 10.0
+# Rows whose Jacobian is made at a time, and most rows of which it is held for the next look: 11 MB
+# for 27 parameters. Of more rows sums over blocks are held, and a few numbers of each row.
+_BLOCK, _HELD = 4096, 2**14
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -94,22 +104,22 @@ class Fit:
         self.x = nominal.copy()
         self.converged = False
         self.sigma = 1.0  # mm, until rows are weighed
+        self.weights: Any = np.ones(len(self.angles))
         self.evaluated: Any = None
-        points, jac = self.points_and_jacobian(self.x)
-        places = []  # first guess of every base
+        # The common scale of the long links, each as much as the data feel it: an offset along the
+        # first axis, which a single-point test cannot feel, has no say. Where points were measured
+        # all rows are beside one mean.
+        every = np.ones(len(nominal), dtype=bool)
+        index = np.zeros(len(self.angles), dtype=int) if problem.n_stations else problem.index
+        at = self.touched(self.x, every, index)
+        parts = self._beside_touched(self.x, every, at, index)
+        felt: Any = sum(np.square(left[:, :, :-1]).sum(axis=(0, 1)) for _, left in parts)
+        points, places = self.points(), []  # first guess of every base
         for s in range(problem.n_stations):
             rows = rows_of(problem.stations, s)
             places.append(align(points[rows], problem.points[rows]))
         self.rotations = np.array([rotation for rotation, _ in places])
         self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
-        # The common scale of the long links, each as much as the data feel it: an offset along the
-        # first axis, which a single-point test cannot feel, has no say.
-        if problem.features:
-            left = self._touched(points, jac, np.ones(len(points)))[1]
-        else:
-            tracked = problem.points is not None
-            left = jac - jac.mean(axis=0) if tracked else centred(jac, problem.index)
-        felt = np.sum(left**2, axis=(0, 1))
         length = np.zeros_like(nominal)
         long = self.kind == "length_mm"
         length[long] = felt[long] * nominal[long]
@@ -159,7 +169,7 @@ class Fit:
         return len(self.nominal) + 6 * station + np.arange(6)
 
     def reset_weights(self):
-        self.weights: Any = np.ones(len(self.angles))
+        self.weights = np.ones(len(self.angles))
         if self.problem.features:
             # One touch of another feature bends a sphere, where it hardly moves a mean.
             self.weights = self.first_weights()
@@ -209,12 +219,11 @@ class Fit:
             self._weigh()
             return True
         is_free = mask[: len(self.nominal)]
-        rows, jac = self._residuals_and_jacobian(self.x, mask)
-        covariance = inverse_normal(jac)
+        covariance = inverse_normal(triangle(self.rows(self.x, mask))[:, :-1])
         share = np.ones(len(is_free))  # of the prior's variance that the data leave
         share[is_free] = np.diag(covariance)[: is_free.sum()] / self.prior_sd[is_free] ** 2
         share = np.minimum(share, 1.0)
-        self._weigh(self._spread(covariance, rows, jac))
+        self._weigh(self._spread(covariance, mask))
         settled = True
         departure = self.x[: len(is_free)] - self.nominal
         for kind, (guess, counts, least, most) in self.found.items() if find_priors else ():
@@ -227,28 +236,32 @@ class Fit:
                 self.prior_sd[members] = sd
         return settled
 
-    def _spread(self, covariance, rows, jac):
+    def _spread(self, covariance, mask):
         """Lengths (n,) that the residuals would have had the fit not followed them.
 
         The covariance of a row's residual is that of the noise less its block of the hat matrix;
         the inverse root of the two takes a residual back to the size of the noise, in standard
         deviations.
         """
-        n = len(self.angles)
-        jac = jac[: 3 * n].reshape(n, 3, -1)
-        finite = np.where(np.isfinite(covariance), covariance, 0.0)
-        taken = (jac.reshape(-1, jac.shape[2]) @ finite).reshape(jac.shape) @ jac.swapaxes(1, 2)
-        if self.problem.features:
-            basis: Any = self._touched(self.points(), jac, self.weights)[-1].basis
-            taken += basis @ basis.swapaxes(1, 2)
-        elif self.problem.points is None:
-            index = self.problem.index
-            own = self.weights / np.bincount(index, self.weights)[index]
-            taken += own[:, None, None] * np.eye(3)
-        values, axes = np.linalg.eigh(taken)
-        along = np.einsum("nji,nj->ni", axes, rows[: 3 * n].reshape(-1, 3))
-        along /= np.sqrt(1 - np.clip(values, 0, _MOST_LEVERAGE))
-        return np.linalg.norm(along, axis=1)
+        finite = np.zeros((len(covariance) + 1,) * 2)  # the last column are the residuals
+        finite[:-1, :-1] = np.where(np.isfinite(covariance), covariance, 0.0)
+        at, index = self.touched(self.x, mask), self.problem.index
+        spread = np.empty(len(self.angles))
+        total: Any = None if index is None else np.bincount(index, self.weights)
+        for part, rows in self._weighted(self.x, mask, at):
+            taken = (rows.reshape(-1, len(finite)) @ finite).reshape(rows.shape)
+            taken = taken @ rows.swapaxes(1, 2)
+            if self.problem.features:
+                basis = at[-1].basis[part]
+                taken += basis @ basis.swapaxes(1, 2)
+            elif self.problem.points is None:
+                own = self.weights[part] / total[index[part]]
+                taken += own[:, None, None] * np.eye(3)
+            values, axes = np.linalg.eigh(taken)
+            along = np.einsum("nji,nj->ni", axes, rows[:, :, -1])
+            along /= np.sqrt(1 - np.clip(values, 0, _MOST_LEVERAGE))
+            spread[part] = np.linalg.norm(along, axis=1)
+        return spread
 
     def _weigh(self, spread=None):
         """Standard deviations of the data, and the weights of the rows."""
@@ -289,26 +302,27 @@ class Fit:
 
     def _solve(self, mask):
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
-        bases = self.problem.n_stations
-        unit = np.r_[self.prior_sd, np.tile([_STEP_RAD] * 3 + [_STEP_MM] * 3, bases)][mask]
-        rows, jac = self._residuals_and_jacobian(self.x, mask)
-        damping = 0.0
+        sums, damping = self._sums(self.x, mask), 0.0
         for _ in range(_MAX_STEPS):
-            step, gain = gauss_newton_step(jac * unit, rows, damping)
+            step, gain = gauss_newton_step(sums, damping, lambda: self.rows(self.x, mask))
             x = self.x.copy()
-            x[mask] += unit * step
-            if gain <= _SMALL_GAIN * (rows @ rows):
+            x[mask] += step
+            if gain <= _SMALL_GAIN * sums[-1, -1]:
                 self._take(x)
                 break
-            new_rows, new_jac = self._residuals_and_jacobian(x, mask)
-            if new_rows @ new_rows <= rows @ rows:
-                rows, jac = new_rows, new_jac
+            new = self._sums(x, mask)
+            if new[-1, -1] <= sums[-1, -1]:
+                sums = new
                 self._take(x)
                 damping = damping / 10 if damping > _DAMPING else 0.0
             elif damping > _MOST_DAMPING:
                 break
             else:
                 damping = max(100 * damping, _DAMPING)
+
+    def _sums(self, x, mask):
+        """Products of the `rows` with one another, (k + 1, k + 1), summed up over blocks."""
+        return sum(rows.T @ rows for rows in self.rows(x, mask))
 
     def _take(self, x):
         """Go on from these parameters; turns of the bases are small ones about the last."""
@@ -322,88 +336,134 @@ class Fit:
         turn = Rotation.from_rotvec(x[self.base_columns(station)[:3]]).as_matrix()
         return turn @ self.rotations[station]
 
-    def points_and_jacobian(self, x):
-        """Corrected points (n, 3) in the base frame, and their derivatives (n, 3, n_parameters).
+    def located(self, x):
+        """Yield blocks of rows, their corrected points (m, 3) in the base frame, and derivatives.
 
-        By table and probes, mm and rad; the last are kept.
+        The latter (m, 3, n_parameters) are those by table and probes, mm and rad. Of few rows they
+        are held for the next look.
         """
-        x, arm, problem = x[: len(self.nominal)], self.nominal_arm, self.problem
-        if self.evaluated is not None and np.array_equal(self.evaluated[0], x):
-            return self.evaluated[1:]
-        n_table, n = len(pack(arm)) - 3, len(self.angles)
+        x, n = x[: len(self.nominal)], len(self.angles)
+        known = self.evaluated is not None and np.array_equal(self.evaluated[0], x)
+        if known and self.evaluated[2]:
+            yield from self.evaluated[2]
+            return
+        points, held = np.empty((n, 3)), []
+        for part in chunks(n, _BLOCK):
+            block = (part, *self.located_at(x, part))
+            points[part] = block[1]
+            if n <= _HELD:
+                held.append(block)
+            yield block
+        self.evaluated = x.copy(), points, held
+
+    def located_at(self, x, rows):
+        """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
+        arm, problem, angles = self.nominal_arm, self.problem, self.angles[rows]
+        n_table, n_parameters = len(pack(arm)) - 3, len(self.nominal)
         # On trial: an `Arm` would check its fields at every step.
         trial = SimpleNamespace(
             convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings,
             joint_types=arm.joint_types,
         )  # fmt: skip
-        points, jac = np.empty((n, 3)), np.zeros((n, 3, len(x)))
+        points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
+        tools = None if problem.tools is None else problem.tools[rows]
         for tool in range(problem.n_tools):
-            rows, start = rows_of(problem.tools, tool), n_table + 3 * tool
+            of, start = rows_of(tools, tool), n_table + 3 * tool
             vars(trial).update(unpack(x, arm, tool))
-            points[rows], own = table_jacobian(trial, self.angles[rows])
-            jac[rows, :, :n_table] = own[:, :, :n_table]
-            jac[rows, :, start : start + 3] = own[:, :, n_table:]
+            points[of], own = table_jacobian(trial, angles[of])
+            jac[of, :, :n_table] = own[:, :, :n_table]
+            jac[of, :, start : start + 3] = own[:, :, n_table:]
         if self.correction is not None:
-            points -= self.correction
-        self.evaluated = x.copy(), points, jac
+            points -= self.correction[rows]
         return points, jac
 
-    def data_residuals(self, x, mask):
-        """Residuals (n, 3) in mm of the data, their Jacobian, and what was touched with its own.
+    def _free_columns(self, x, mask):
+        """Yield blocks of rows, and derivatives by what is free, the points as the last column."""
+        free = np.flatnonzero(mask[: len(self.nominal)])
+        for part, points, jac in self.located(x):
+            yield part, np.concatenate([np.take(jac, free, axis=2), points[:, :, None]], axis=2)
 
-        Of cones these are the fixed points; of other features, the forms, what the parameters move
-        their unknowns by, and the root of the covariance of these. Derivatives by the turn of a
-        base are those by a small turn after it.
+    def touched(self, x, mask, index=None) -> Any:
+        """What was touched, and what the free parameters move it by; None for measured points.
+
+        Of cones these are the fixed points (n_points, 3) and their derivatives. Of other features,
+        the forms, what the parameters move their unknowns by, the root of the covariance of these,
+        and for `_beside_touched` what is left of the rows, what the unknowns explain of a Jacobian,
+        and the `Whitening`. `index` (n,) numbers the fixed points, where it is not the problem's.
         """
-        problem, n = self.problem, len(self.nominal)
-        points, jac = self.points_and_jacobian(x)
-        jac = np.take(jac, np.flatnonzero(mask[:n]), axis=2)
-        if problem.points is None:
-            if problem.features:
-                residuals, jac, forms, moves, of = self._touched(points, jac, self.weights)
-                at: Any = [forms, moves, of.unit]
+        problem, weights = self.problem, self.weights
+        if index is None:
+            if problem.n_stations:
+                return None
+            index = problem.index
+        if problem.features:
+            rows, forms = with_forms(problem.features, index, self.points(x), weights)
+            known = rows.directions @ rows.unknowns
+            whitened: Any = whitening(weights, rows.directions, index, known)
+            explained: Any = 0.0
+            for part, columns in self._free_columns(x, mask):
+                columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
+                explained = explained + group_sums(columns, index[part], None, len(whitened.unit))
+            moves = whitened.unit @ explained[:, :, :-1]
+            return forms, moves, whitened.unit, rows, explained, whitened
+        # Sums of differences from the first row, so that a large mean costs no digits.
+        total = np.maximum(np.bincount(index, weights), 1e-300)[:, None, None]
+        first: Any = None
+        sums: Any = 0.0
+        for part, columns in self._free_columns(x, mask):
+            first = columns[0] if first is None else first
+            sums = sums + group_sums(columns - first, index[part], weights[part], len(total))
+        means = sums / total + first
+        return means[:, :, -1], means[:, :, :-1], means
+
+    def _beside_touched(self, x, mask, at, index):
+        """Yield blocks of rows, and their residuals (m, 3) as the last column of their Jacobian."""
+        for part, rows in self._free_columns(x, mask):
+            if self.problem.features:
+                *_, touched, explained, whitened = at
+                rows = touched.directions[part] @ rows
+                rows -= whitened.moves[part] @ explained[index[part]]
+                rows[:, :, -1] = touched.residual[part]
             else:
-                both = np.concatenate([points[:, :, None], jac], axis=2)
-                means = group_means(both, problem.index, self.weights)
-                at = [means[:, :, 0], means[:, :, 1:]]
-                residuals = points - at[0][problem.index]
-                jac -= at[1][problem.index]
-            scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
-            if scale > 0:
-                jac /= scale
-                slope = self.scale[mask][by_length] / scale**2
-                jac[:, :, by_length] -= residuals[:, :, None] * slope
-                residuals /= scale
-            return residuals, jac, at
-        place = np.cumsum(mask) - 1  # of each parameter among those that are free
-        whole, n_free = np.zeros((len(points), 3, mask.sum())), jac.shape[2]
-        residuals = np.empty_like(points)
-        for s in range(problem.n_stations):
-            rows, columns = rows_of(problem.stations, s), self.base_columns(s)
-            turn = self._rotation(x, s)
-            turned = points[rows] @ turn.T
-            residuals[rows] = turned + x[columns[3:]] - problem.points[rows]
-            whole[rows, :, :n_free] = turn @ jac[rows]
-            for column, axis in zip(place[columns[:3]], np.eye(3), strict=True):
-                whole[rows, :, column] = np.cross(axis, turned)
-            whole[rows, :, place[columns[3]] : place[columns[5]] + 1] = np.eye(3)
-        return residuals, whole, None
+                rows -= at[2][index[part]]
+            yield part, rows
 
-    def _touched(self, points, jac, weights):
-        """Touches about their features: residuals (n, 3) and their Jacobian, forms, and moves.
+    def _data(self, x, mask, at):
+        """Yield blocks of rows, and residuals in mm of the data as the last column of the Jacobian.
 
-        And the `Whitening` of the rows, which takes the unknowns of the features out.
+        Derivatives by the turn of a base are those by a small turn after it.
         """
-        features, index = self.problem.features, self.problem.index
-        rows, forms = with_forms(features, index, points, weights)
-        whitened = whitening(weights, rows.directions, index, rows.directions @ rows.unknowns)
-        jac = rows.directions @ jac
-        return rows.residual, whitened.centred(jac), forms, whitened.unknowns(jac), whitened
+        problem = self.problem
+        if problem.points is None:
+            scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
+            slope = self.scale[mask][by_length]
+            for part, rows in self._beside_touched(x, mask, at, problem.index):
+                if scale > 0:
+                    rows /= scale
+                    rows[:, :, by_length] -= rows[:, :, -1:] * (slope / scale)
+                yield part, rows
+            return
+        n_free = np.count_nonzero(mask)
+        place = np.cumsum(mask) - 1  # of each parameter among those that are free
+        free = np.flatnonzero(mask[: len(self.nominal)])
+        for part, points, jac in self.located(x):
+            rows = np.zeros((len(points), 3, n_free + 1))
+            stations = None if problem.stations is None else problem.stations[part]
+            for s in range(problem.n_stations):
+                of, base = rows_of(stations, s), self.base_columns(s)
+                turn = self._rotation(x, s)
+                turned = points[of] @ turn.T
+                rows[of, :, -1] = turned + x[base[3:]] - problem.points[part][of]
+                rows[of, :, : len(free)] = turn @ np.take(jac[of], free, axis=2)
+                for column, axis in zip(place[base[:3]], np.eye(3), strict=True):
+                    rows[of, :, column] = np.cross(axis, turned)
+                rows[of, :, place[base[3]] : place[base[5]] + 1] = np.eye(3)
+            yield part, rows
 
     def known(self, lengths, at):
         """Known lengths as they are found: (n,) mm, their slopes (n, p), and sds of their ends.
 
-        `at` is what was touched, of `data_residuals`.
+        `at` is what was `touched`.
         """
         one, other = np.array([entry[:2] for entry in lengths], dtype=int).reshape(-1, 2).T
         if not self.problem.features:
@@ -412,7 +472,7 @@ class Fit:
             slopes = np.einsum("kc,kcp->kp", gap / found[:, None], at[1][one] - at[1][other])
             # What the table does not explain is much the same in all poses of one position.
             return found, slopes, np.full(len(found), np.sqrt(2) * self.sigma)
-        forms, moves, unit = at
+        forms, moves, unit, *_ = at
         found, slopes, variance = np.zeros(len(one)), np.zeros((len(one), moves.shape[2])), []
         for k, (i, j) in enumerate(zip(one, other, strict=True)):
             found[k], *sides = known_length(forms[i], forms[j])
@@ -422,30 +482,44 @@ class Fit:
             variance.append(sum(np.square(side @ unit[end]).sum() for end, side in ends))
         return found, slopes, self.sigma * np.sqrt(np.array(variance))
 
-    def _residuals_and_jacobian(self, x, mask):
-        """Weighted residuals of data, known lengths and prior, and their Jacobian."""
-        residuals, jac, at = self.data_residuals(x, mask)
-        weight = np.sqrt(self.weights)[:, None] / self.sigma
-        jac *= weight[:, :, None]
-        rows, jacs = [(weight * residuals).ravel()], [jac.reshape(3 * len(jac), jac.shape[2])]
-        sds = self.length_sd / np.sqrt(self.length_weights)
+    def _weighted(self, x, mask, at):
+        """As `_data`, in standard deviations of the rows."""
+        for part, rows in self._data(x, mask, at):
+            rows *= (np.sqrt(self.weights[part]) / self.sigma)[:, None, None]
+            yield part, rows
+
+    def rows(self, x, mask, with_prior=True):
+        """Yield the Jacobian, in blocks (m, k + 1), in standard deviations, the residuals last.
+
+        Of the data, then of the known lengths, then of the prior.
+        """
+        at = self.touched(x, mask)
+        for _, rows in self._weighted(x, mask, at):
+            yield rows.reshape(-1, rows.shape[2])
         if self.problem.lengths:
-            found, slopes, _ = self.known(self.problem.lengths, at)
-            rows.append(self._off(found) / sds)
-            jacs.append(slopes / sds[:, None])
+            yield self._length_rows(at)
         is_free = mask[: len(self.nominal)]
-        prior = np.eye(is_free.sum(), mask.sum()) / self.prior_sd[is_free][:, None]
-        departure = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
-        return np.concatenate([*rows, departure]), np.concatenate([*jacs, prior])
+        if with_prior and is_free.any():
+            prior = np.zeros((is_free.sum(), mask.sum() + 1))
+            np.fill_diagonal(prior, 1 / self.prior_sd[is_free])
+            prior[:, -1] = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
+            yield prior
 
-    def data_jacobian(self, mask):
-        """Derivatives of the weighted data, in standard deviations, by the free parameters."""
-        jac = self._residuals_and_jacobian(self.x, mask)[1]
-        return jac[: len(jac) - mask[: len(self.nominal)].sum()]
+    def _length_rows(self, at):
+        """The rows of the known lengths, as `rows` yields them."""
+        found, slopes, _ = self.known(self.problem.lengths, at)
+        sds = self.length_sd / np.sqrt(self.length_weights)
+        return np.column_stack([slopes, self._off(found)]) / sds[:, None]
 
-    def points(self):
-        """Corrected points (n, 3) in mm, in the arm's base frame."""
-        return self.points_and_jacobian(self.x)[0].copy()
+    def points(self, x=None):
+        """Corrected points (n, 3) in mm, in the arm's base frame; they are held for the next look.
+
+        Of the parameters of the fit, or of others.
+        """
+        x = (self.x if x is None else x)[: len(self.nominal)]
+        if self.evaluated is None or not np.array_equal(self.evaluated[0], x):
+            deque(self.located(x), maxlen=0)
+        return self.evaluated[1].copy()
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
@@ -477,7 +551,7 @@ class Fit:
     def _found(self):
         """Known lengths and sizes as they are found, their slopes, and the sds of their ends."""
         none = np.zeros(len(self.x), dtype=bool)
-        return self.known(self.problem.lengths, self.data_residuals(self.x, none)[2])
+        return self.known(self.problem.lengths, self.touched(self.x, none))
 
     def _off(self, found):
         """Errors (n,) of lengths as found, mm: of the side of the probe's ball that fits best."""
@@ -513,10 +587,9 @@ class Fit:
         What the table does not explain is much the same in all poses of one position. A position at
         the end of known lengths is therefore no better known than one of its points.
         """
-        jac = self._residuals_and_jacobian(self.x, mask)[1]
-        covariance = inverse_normal(jac)
+        covariance = inverse_normal(triangle(self.rows(self.x, mask))[:, :-1])
         if self.problem.lengths and not self.problem.features:
-            first = len(jac) - mask[: len(self.nominal)].sum() - len(self.problem.lengths)
+            slopes = self._length_rows(self.touched(self.x, mask))[:, :-1]
             sd = np.array([entry[3] for entry in self.problem.lengths])
             centres = self.centres()
             ends = np.zeros((len(sd), *centres.shape))
@@ -526,17 +599,27 @@ class Fit:
                 ends[k, j] = -ends[k, i]
             ends *= (np.sqrt(self.length_weights) * self.sigma / sd)[:, None, None]
             finite = np.where(np.isfinite(covariance), covariance, 0.0)
-            spread = finite @ jac[first : first + len(sd)].T @ ends.reshape(len(sd), -1)
+            spread = finite @ slopes.T @ ends.reshape(len(sd), -1)
             covariance = covariance + spread @ spread.T
         return covariance
 
 
-def gauss_newton_step(jac, rows, damping):
-    """Step of least squares (p,), and by how much it lowers the sum of squares if all is linear.
+def triangle(blocks):
+    """Triangular factor of the rows of all blocks, as the QR decomposition of all has it."""
+    root: Any = None
+    for rows in blocks:
+        root = np.linalg.qr(rows if root is None else np.vstack([root, rows]), mode="r")
+    return root
 
-    The damping, as a part of the squares of each column, is Marquardt's.
+
+def gauss_newton_step(sums, damping, blocks):
+    """Step of least squares (k,), and by how much it lowers the sum of squares if all is linear.
+
+    `sums` (k + 1, k + 1) are the products of the Jacobian's columns, and of the residuals, which
+    are the last one; `blocks()` are the rows themselves. The damping, as a part of the squares of
+    each column, is Marquardt's.
     """
-    normal, slope = jac.T @ jac, jac.T @ rows
+    normal, slope = sums[:-1, :-1].copy(), sums[:-1, -1]
     size = np.sqrt(np.diag(normal))
     size[size == 0] = 1
     normal /= np.outer(size, size)
@@ -547,8 +630,9 @@ def gauss_newton_step(jac, rows, damping):
     if factor and np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT:
         step = -cho_solve(factor, slope / size, check_finite=False) / size
     else:
-        whole = np.concatenate([jac / size, np.sqrt(damping) * np.eye(len(size))])
-        target = -np.r_[rows, np.zeros(len(size))]
+        root = triangle(blocks())
+        whole = np.concatenate([root[:, :-1] / size, np.sqrt(damping) * np.eye(len(size))])
+        target = -np.r_[root[:, -1], np.zeros(len(size))]
         step = np.linalg.lstsq(whole, target, rcond=1e-12)[0] / size
     return step, float(-slope @ step)
 
@@ -562,12 +646,12 @@ def doubt_limit(distances, sigma):
     return outlier_limit(distances, sigma, _FALSE_NAMES, 0.0)
 
 
-def inverse_normal(jac):
-    """Inverse of ``jac.T @ jac``, with infinite variances where it is singular."""
-    size = np.linalg.norm(jac, axis=0)
+def inverse_normal(root):
+    """Inverse of ``root.T @ root`` of a `triangle`; infinite variances where it is singular."""
+    size = np.linalg.norm(root, axis=0)
     size[size == 0] = 1
     # The singular values of scaled columns: mm and rad differ by orders of magnitude.
-    _, values, vectors = np.linalg.svd(np.linalg.qr(jac / size, mode="r"))
+    _, values, vectors = np.linalg.svd(root / size)
     values = np.r_[values, np.zeros(len(vectors) - len(values))]
     known = values > 1e-12 * values.max(initial=0.0)
     root = vectors[known].T / values[known] / size[:, None]

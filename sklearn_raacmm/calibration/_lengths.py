@@ -53,7 +53,7 @@ def wrong_lengths(fit, bare, labels):
     scale = np.append(bare.scale, np.zeros(len(mask) - len(bare.scale)))[mask]
     sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
     if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
-        at = bare.data_residuals(bare.x, mask)[2]
+        at = bare.touched(bare.x, mask)
         causes, off = _causes(fit.problem, at, covariance, bare, labels)
     if causes:
         which = "; another known length tells which is right" * (len(causes) > 1)

@@ -16,18 +16,17 @@ _TIE = 1e-6
 _OPEN = np.sqrt(3.0)
 
 
-def observability(jac, names, prior_sd, unit, sigma):
+def observability(root, n_rows, names, prior_sd, unit, sigma):
     """Rank, condition, observability index and open combinations.
 
-    `jac` (m, p) are the derivatives of the data, in standard deviations `sigma` (mm), by the free
-    parameters; `prior_sd` (p,) counts as knowing nothing of each, and `unit` (p,) moves the probe
-    by about 1 mm. As fields of a `CalibrationResult`.
+    `root` (<= p, p) is the triangular factor of the derivatives of `n_rows` data, in standard
+    deviations `sigma` (mm), by the free parameters; `prior_sd` (p,) counts as knowing nothing of
+    each, and `unit` (p,) moves the probe by about 1 mm. As fields of a `CalibrationResult`.
     """
-    root = np.linalg.qr(jac, mode="r")
     values = np.linalg.svd(root * unit * sigma, compute_uv=False)
     rank = int(np.sum(values > _RANK * values.max(initial=0.0)))
     values = values[:rank]
-    index = float(np.exp(np.log(values).mean()) / np.sqrt(len(jac) / 3)) if rank else 0.0
+    index = float(np.exp(np.log(values).mean()) / np.sqrt(n_rows / 3)) if rank else 0.0
     condition = np.inf
     if rank == len(names):
         condition = float(values[0] / values[-1]) if rank else 1.0

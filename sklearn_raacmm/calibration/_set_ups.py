@@ -17,8 +17,19 @@ _SHARE = 0.5
 # Rows on either side of a move that are compared with and without it, and the nats by which they
 # have to be likelier with it: log odds of one in a thousand, and 30 rows that it may be behind.
 _BESIDE, _JUMP = 10, 10.0
+# Rows that are looked at: of 20 000 the columns of a table take 16 MB for each coordinate.
+_MOST_ROWS = 20_000
 # No move is smaller: rounding is none.
 _LEAST_MM = 0.005
+
+
+def thinned(codes: np.ndarray | None, n: int) -> np.ndarray:
+    """Numbers of the rows that are looked at, in their order: every kth of each code (n,), if any.
+
+    All of few rows. What moves stays where it is for more than k rows.
+    """
+    order = np.arange(n) if codes is None else np.argsort(codes, kind="stable")
+    return np.sort(order[:: max(-(-n // _MOST_ROWS), 1)])
 
 
 def moved_set_up(fit, numbers) -> Iterator[Finding]:
@@ -29,15 +40,17 @@ def moved_set_up(fit, numbers) -> Iterator[Finding]:
     problem = fit.problem
     if problem.points is None or problem.n_tools > 1:
         return
-    points, columns = fit.points_and_jacobian(fit.x)
-    columns, left = columns[:, :, fit.is_free], fit.residuals()
+    some = thinned(problem.stations, len(fit.angles))
+    points, columns = fit.located_at(fit.x, some)
+    columns, left, numbers = columns[:, :, fit.is_free], fit.residuals()[some], numbers[some]
     ridge = np.square(fit.sigma / fit.prior_sd[fit.is_free])  # of the priors, in the normal matrix
-    root = np.sqrt(fit.weights)[:, None, None]
+    root = np.sqrt(fit.weights[some])[:, None, None]
     # A tool moves with the last link.
-    turns = fit.arm().frames(fit.angles)[:, -1, :3, :3]
+    turns = fit.arm().frames(fit.angles[some])[:, -1, :3, :3]
     effects = {"stations": base_motions(points, np.abs(points).max()), "tools": turns}
     every, n_stations = np.arange(len(left)), problem.n_stations
-    of_stations = [every[rows_of(problem.stations, one)] for one in range(n_stations)]
+    stations = None if problem.stations is None else problem.stations[some]
+    of_stations = [every[rows_of(stations, one)] for one in range(n_stations)]
     bases = np.zeros((*left.shape, n_stations, 6))
     for one, own in enumerate(of_stations):
         bases[own, :, one] = effects["stations"][own]

@@ -32,6 +32,7 @@ from sklearn_raacmm.utils import (
     Finding,
     Floats,
     align,
+    check_accepted,
     check_option,
     encode_groups,
     ignored_findings,
@@ -369,6 +370,7 @@ class Correction:
         """
         given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
         given |= {"features": features, "tip_diameter": tip_diameter}
+        check_accepted(accept)  # a registration alone looks at them
         measured: Any = self._measured(angles, positions, **given)
         new_base = measured.points is not None and (new_base or self.base is None)
         known = self.register(measured, free=(), accept=accept) if new_base else self

@@ -468,7 +468,7 @@ def _causes(arm, measured, codes):
     return tuple(given), np.reshape([*given.values()], (len(given), len(angles))).T
 
 
-def named(numbers, labels):
+def named(numbers, labels) -> Any:
     """Labels (n,) of tools or stations by their numbers, or None."""
     return None if numbers is None else np.array(labels)[numbers]
 

@@ -37,6 +37,7 @@ from sklearn_raacmm.utils import (
     Floats,
     Pair,
     check_flags,
+    is_dask,
     many_without_weight,
     one_blas_thread,
     param_checks,
@@ -220,9 +221,10 @@ class ArmResidualRegressor(PointCorrectionMixin):
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, n_joints + n_extra)
-            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names.
-        y : array-like of shape (n_samples, 3)
+        X : array-like or dask array of shape (n_samples, n_joints + n_extra)
+            Joint angles, in the unit of `angle_unit`; then the columns that `extra` names. Of dask
+            arrays the sums over rows are made by the workers.
+        y : array-like or dask array of shape (n_samples, 3)
             Cartesian residuals in mm, measured minus reference, in the arm's base frame.
         sample_weight : array-like of shape (n_samples,), default=None
             Weights; an integer weight is worth that many repeats of the row. Rows of weight 0
@@ -268,7 +270,14 @@ class ArmResidualRegressor(PointCorrectionMixin):
             Of what is found in the data, such as an arm that is not calibrated; see `findings_`.
             Rows in which the arm stood still are merged to one pose.
         """
+        arrays = X, y, sample_weight, groups, probes
+        if by_dask := any(map(is_dask, arrays)):
+            from dask import compute
+
+            arrays = compute(*arrays, traverse=False)
+        X, y, sample_weight, groups, probes = arrays
         rows, given = check_fit(self, X, y, sample_weight, groups, lengths, probes, features)
+        rows = rows._replace(by_dask=by_dask)
         positions = np.arange(len(rows.y)) if given is None else given
         arm, used = rows.arm, rows.weights > 0
         dwells, rows = poses_of(rows.at(used), self.extra)

@@ -30,6 +30,7 @@ from sklearn_raacmm.arm import (
     scale_of,
     slides_of,
 )
+from sklearn_raacmm.utils import chunks
 
 ARCSEC = np.pi / 180 / 3600
 # Families of columns, each with a prior of its own, that of the causes of users among them; then
@@ -67,8 +68,8 @@ _LONG_RUN = 24
 _OF_END = 0.5
 # What a bending base shifts by where it turns by one arc second: over this length, mm. Any will do.
 _OF_BASE_MM = 500.0
-# Poses whose columns are held at a time: 60 MB for all harmonics of six joints up to order 400.
-_CHUNK = 512
+# Poses of which all axes are held at a time, to take the levers of the joints from them: 4 MB.
+_CHUNK = 4096
 # What a column may be: the word, and behind some the number of a joint or an axis.
 _NAME = re.compile(
     r"temperature|time|payload|base height"
@@ -396,6 +397,9 @@ class Columns:
         # Unit vector against gravity in `up_frame`: the arm's, or what the data have found.
         self.up: np.ndarray = np.array(terms.up) if terms.up else arm.up
 
+    def __reduce__(self) -> Any:
+        return columns_of, (self.arm, self.terms)
+
     def with_harmonics(self, pairs: np.ndarray) -> "Columns":
         """The same others with other harmonics (n_pairs, 2)."""
         return _with_harmonics(self.alone, np.ascontiguousarray(pairs, dtype=int).tobytes())
@@ -443,7 +447,10 @@ class Columns:
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
         angles, _, probes = self._parts(rows)
-        levers = axis_vectors(self.arm, angles, probes)[0][:, :, joint_axes(self.arm)]
+        levers, axes = np.empty((len(rows), 3, self.arm.n_joints)), joint_axes(self.arm)
+        for part in chunks(len(rows), _CHUNK):
+            own = None if probes is None else probes[part]
+            levers[part] = axis_vectors(self.arm, angles[part], own)[0][:, :, axes]
         if "P" in self.arm.joint_types:
             levers *= scale_of(self.arm.joint_types, 1.0, _METRE)
         return levers

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sklearn_raacmm.arm import slides_of, turn_mm
+from sklearn_raacmm.error_model._blocks import of_blocks
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
@@ -88,8 +89,9 @@ _REFIT_STEPS = 1
 # Where more than this share of the poses has new weights, all are summed up anew: of positions with
 # offsets the old and the new ones are, which costs twice as much.
 _MANY_CHANGED = 0.5
-# Poses whose columns are made at a time, and most poses of which all are held: some 50 MB.
-_POSES, _HELD_POSES = 256, 5000
+# Poses whose columns are made at a time, most poses of which all are held (some 50 MB), and poses
+# whose residuals are expected together.
+_POSES, _HELD_POSES, _TOGETHER = 256, 5000, 2**15
 # Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those
 # by which the share of it is found that coefficients follow.
 _ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
@@ -479,23 +481,34 @@ def _reweighted(rows, columns, sums, old, new):
 
 
 def _expected(rows, columns):
-    """Function of a state of these columns: the residuals (n, 3) that it expects at the rows.
-
-    The columns are held, not multiplied out, unless there are very many poses.
-    """
-
-    def made():
-        return ((part, columns.factored(rows.X[part])) for part in chunks(len(rows.X), _POSES))
-
-    held = list(made()) if len(rows.X) <= _HELD_POSES else None
+    """Function of a state of these columns: the residuals (n, 3) that it expects at the rows."""
+    n = len(rows.X)
+    given = ((columns, rows.X[of], n <= _HELD_POSES) for of in chunks(n, _TOGETHER))
+    blocks = of_blocks(_Expected, given, rows.by_dask, hold=True)
 
     def expected(state):
-        coef, found = np.roll(state.coef, columns.n_waves), np.empty_like(rows.y)
-        for part, factored in made() if held is None else held:
-            found[part] = factored.dot(coef)
-        return found
+        coef = np.roll(state.coef, columns.n_waves)
+        given = ((block, coef) for block in blocks)
+        return np.concatenate([*of_blocks(_Expected.dot, given, rows.by_dask)])
 
     return expected
+
+
+class _Expected:
+    """Columns at rows, which are not multiplied out, and are held unless there are many poses."""
+
+    def __init__(self, columns, X, is_held):
+        self.columns, self.X = columns, X
+        self.held = [*self._made()] if is_held else None
+
+    def _made(self):
+        return ((part, self.columns.factored(self.X[part])) for part in chunks(len(self.X), _POSES))
+
+    def dot(self, coef):
+        found = np.empty((len(self.X), 3))
+        for part, factored in self._made() if self.held is None else self.held:
+            found[part] = factored.dot(coef)
+        return found
 
 
 def model_of(rows, columns, state):

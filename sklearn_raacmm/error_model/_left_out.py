@@ -17,10 +17,12 @@ from scipy.optimize import minimize
 from scipy.special import digamma, gammaln
 from scipy.stats import norm, t
 
+from sklearn_raacmm.error_model._blocks import of_blocks
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
+from sklearn_raacmm.error_model._sums import parts_of_positions
 from sklearn_raacmm.inference import Problem, combined, search_at
-from sklearn_raacmm.utils import Finding, centred, group_means, stage
+from sklearn_raacmm.utils import Finding, centred, chunks, group_means, stage
 
 # Blocks left out in turn; and parts of all positions, each between others, in their order along x.
 N_BLOCKS, N_PARTS = 10, 5
@@ -41,6 +43,9 @@ _PER_FEW_POSITIONS = 1.0
 # positions left out have widened the standard deviation, where that is less
 # (``benchmarks/bench_few_poses.py``).
 _MOST, _OF_WIDENED = 1.0, 0.3
+# Rows left out of a block that are predicted together, and where positions have offsets, so that
+# all columns of whole positions are held.
+_TOGETHER, _OF_POSITIONS = 2**15, 2**12
 # Part of what a table does most to touches. What does less is the scale, whose column are the
 # residuals themselves.
 _LEAST_OF_TABLE = 1e-3
@@ -289,8 +294,14 @@ def leave_out(fitted, positions, between=False):
         best = search_at(Problem(sums, structures), start)
         rest = model_of(used.at((blocks != block) & kept), columns, best)
         of = np.flatnonzero(blocks == block)
-        for values, mine in zip(found, _at_rows(rest, rows.at(of)), strict=True):
-            values[of] = mine
+        together = chunks(len(of), _TOGETHER)
+        if rows.codes is not None:
+            of = of[np.argsort(rows.codes[of], kind="stable")]
+            together = parts_of_positions(rows.codes[of], _OF_POSITIONS)
+        given = ((rest, rows.at(of[part])) for part in together)
+        for part, mine in zip(together, of_blocks(_at_rows, given, rows.by_dask), strict=True):
+            for values, own in zip(found, mine, strict=True):
+                values[of[part]] = own
     return found
 
 

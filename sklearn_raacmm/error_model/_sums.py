@@ -26,6 +26,7 @@ References
 # SPDX-License-Identifier: BSD-3-Clause
 
 from functools import lru_cache
+from operator import attrgetter, methodcaller
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,13 +34,15 @@ from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
 from sklearn_raacmm.arm import Arm, phases
+from sklearn_raacmm.error_model._blocks import of_blocks, sums_of_blocks
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
 from sklearn_raacmm.measurements import Form, known_length
 from sklearn_raacmm.utils import chunks, group_sums, stage, summing
 
-# Poses whose waves are held at a time: 7 MB for 400 orders of one joint.
-_CHUNK = 1024
+# Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
+# summed up together: the sums of blocks are added in their order, wherever they were made.
+_CHUNK, _PARTS = 1024, 32
 # Orders and poses from which on the grid is faster: without it the fit of 3000 poses of the UR10
 # that ``benchmarks/golden.py`` times takes 1.3 times as long.
 _MANY_ORDERS, _MANY_POSES = 128, 256
@@ -70,6 +73,7 @@ class Rows(NamedTuple):
     shown: np.ndarray | None = None
     unknowns: np.ndarray | None = None
     forms: tuple = ()
+    by_dask: bool = False  # whether sums over them are made by the workers of dask
 
     def at(self, which):
         """Some of the rows, with positions counted from 0 and the lengths that are left."""
@@ -139,44 +143,22 @@ def candidate_sums(rows, columns):
         parts = chunks(len(rows.X), _CHUNK)
     else:
         rows = rows.at(np.argsort(rows.codes, kind="stable"))
-        parts = _parts_of_positions(rows.codes)
+        parts = parts_of_positions(rows.codes, _CHUNK)
     whitened: Any = rows.whitening()
-    angles, codes = rows.X, np.asarray(rows.codes)
-    offered, n_joints = columns.terms.harmonics, len(rows.arm.a)
-    own_of_joints = phases(rows.arm, angles[:, :n_joints])
-    spans = []  # joint, orders, and which of those offered they are
-    for joint in np.unique(offered[:, 0]).tolist():
-        pairs = np.flatnonzero(offered[:, 0] == joint)
-        spans.append((joint, offered[pairs, 1], pairs))
-    every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
-    with_turns = columns.with_harmonics(every_turn)
-    turns = np.empty((*rows.y.shape, n_joints))
-    m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
-    gram, cross = np.zeros((m, m)), np.zeros((m, len(offered)), complex)
-    for part in parts:
-        always = np.concatenate([with_turns.at(angles[part]), rows.y[part, :, None]], axis=2)
-        always = whitened.root[part] @ always
-        turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
-        always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
-        left = whitened.left(always, part)  # one side of a product is enough
-        gram += always.reshape(-1, m).T @ left.reshape(-1, m)
-        of_positions: Any = None
-        if whitened.basis is not None:
-            of_positions = summing(codes[part] - codes[part][0])
-        for joint, orders, pairs in spans:
-            turn, wave = turns[part, :, joint], waves(own_of_joints[part, joint], orders)
-            share = np.einsum("ncm,nc->nm", left, turn)
-            cross[:, pairs] += _products(share, wave)
-            own[:, pairs] += _own_blocks(turn, wave)
-            if whitened.basis is not None:
-                for component in np.einsum("ncq,nc->qn", whitened.basis[part], turn):
-                    moved = (component[:, None] * wave).view(float)
-                    sums: Any = (of_positions @ moved).view(complex)
-                    taken = sums.real**2, sums.imag**2, sums.real * sums.imag
-                    own[:, pairs] -= np.array(taken).sum(axis=1)
-    cross = cross.view(float)
+    given, n_held = [], _HELD // -(-len(parts) // _PARTS)
+    for i in range(0, len(parts), _PARTS):
+        own = parts[i : i + _PARTS]
+        first, of = own[0].start, slice(own[0].start, own[-1].stop)
+        moved = () if whitened.basis is None else (whitened.basis[of], rows.codes[of])
+        own = [slice(part.start - first, part.stop - first) for part in own]
+        given.append((own, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
+    blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
+    gram, cross, own = sums_of_blocks(attrgetter("sums"), blocks, rows.by_dask)
 
-    rows_of = _gram_rows(own_of_joints, turns, whitened, parts, spans, offered)
+    def rows_of(pairs):
+        return sums_of_blocks(methodcaller("gram_rows", pairs), blocks, rows.by_dask)[0]
+
+    cross = cross.view(float)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -185,7 +167,7 @@ def candidate_sums(rows, columns):
         cross[-1],
         float(gram[-1, -1]),
         whitened.n_observations,
-        GramRows(rows_of, 2 * len(offered)),
+        GramRows(rows_of, cross.shape[1]),
     )
 
 
@@ -306,22 +288,17 @@ def known_lengths(forms, ends, points, found):
     return measured, slopes
 
 
-def _parts_of_positions(codes):
+def parts_of_positions(codes: np.ndarray, size: int) -> list[slice]:
     """Chunks of whole positions of sorted rows, so that a chunk knows what it takes out."""
     first = np.flatnonzero(np.diff(codes, prepend=-1))
     ends, parts, begin = np.append(first[1:], len(codes)), [], 0
-    limit = chunks(len(codes), _CHUNK)[0].stop
+    limit = chunks(len(codes), size)[0].stop
     for i, end in enumerate(ends):
         last = i + 1 == len(ends)
         if last or ends[i + 1] - first[begin] > limit:
             parts.append(slice(first[begin], end))
             begin = i + 1
     return parts
-
-
-def _products(columns, wave):
-    """Sums over poses of columns (n, m) times waves (n, n_orders), (m, n_orders) complex."""
-    return (columns.T @ wave.view(float)).view(complex)
 
 
 def _own_blocks(turn, wave):
@@ -331,43 +308,94 @@ def _own_blocks(turn, wave):
     return 0.5 * np.array([whole + double.real, whole - double.real, double.imag])
 
 
-def _gram_rows(angles, turns, whitened, parts, spans, offered):
-    """Function of pairs: inner products of their columns with all candidates, (2 b, 2 n_pairs)."""
-    on_grid = [len(angles) >= _MANY_POSES and len(orders) >= _MANY_ORDERS for _, orders, _ in spans]
+class _Block:
+    """Rows that are summed up together, in `parts` of whole positions; waves of some are held.
 
-    @lru_cache(maxsize=_HELD)
-    def of_part(k, i):
+    `sums` are those of the columns that are always in and of y, of their products with the
+    harmonics, and of the harmonics' own blocks.
+    """
+
+    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes=None):
+        arm, offered = columns.arm, columns.terms.harmonics
+        n_joints = len(arm.a)
+        self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
+        self.angles = phases(arm, X[:, :n_joints])
+        self.spans: Any = []  # joint, orders, and which of those offered they are
+        for joint in np.unique(offered[:, 0]).tolist():
+            pairs = np.flatnonzero(offered[:, 0] == joint)
+            self.spans.append((joint, offered[pairs, 1], pairs))
+        self.n_held, self.waves = n_held, {}
+        every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
+        with_turns = columns.with_harmonics(every_turn)
+        self.turns: Any = np.empty((*y.shape, n_joints))
+        m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
+        gram, cross = np.zeros((m, m)), np.zeros((m, len(offered)), complex)
+        self.sums: Any = gram, cross, own
+        for part in parts:
+            always = np.concatenate([with_turns.at(X[part]), y[part, :, None]], axis=2)
+            always = root[part] @ always
+            self.turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
+            left = always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
+            of_positions: Any = None
+            if basis is not None:
+                of = codes[part] - codes[part][0]
+                explained = group_sums(basis[part].swapaxes(1, 2) @ always, of)
+                left = always - basis[part] @ explained[of]  # one side of a product is enough
+                of_positions = summing(of)
+            gram += always.reshape(-1, m).T @ left.reshape(-1, m)
+            for joint, orders, pairs in self.spans:
+                turn, wave = self.turns[part, :, joint], waves(self.angles[part, joint], orders)
+                share = np.einsum("ncm,nc->nm", left, turn)
+                # Sums over poses of columns times waves.
+                cross[:, pairs] += (share.T @ wave.view(float)).view(complex)
+                own[:, pairs] += _own_blocks(turn, wave)
+                if basis is not None:
+                    for component in np.einsum("ncq,nc->qn", basis[part], turn):
+                        moved = (component[:, None] * wave).view(float)
+                        sums: Any = (of_positions @ moved).view(complex)
+                        taken = sums.real**2, sums.imag**2, sums.real * sums.imag
+                        own[:, pairs] -= np.array(taken).sum(axis=1)
+
+    def __getstate__(self):
+        return vars(self) | {"waves": {}}
+
+    def _of_part(self, k, i, is_on_grid):
         """What the waves of a joint share at rows, and products of its turn with all turns."""
-        joint, orders, _ = spans[i]
-        turn, theta = turns[parts[k]], angles[parts[k], joint]
-        wave = _spread(theta, orders) if on_grid[i] else waves(theta, orders).view(float)
-        return wave.T, np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
+        if (found := self.waves.get((k, i))) is None:
+            joint, orders, _ = self.spans[i]
+            turn, theta = self.turns[self.parts[k]], self.angles[self.parts[k], joint]
+            wave = _spread(theta, orders) if is_on_grid else waves(theta, orders).view(float)
+            found = wave.T, np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
+            if len(self.waves) < self.n_held:
+                self.waves[k, i] = found
+        return found
 
-    def rows_of(pairs):
-        found: Any = [0.0] * len(spans)
-        joints, order = offered[pairs].T
+    def gram_rows(self, pairs):
+        """Inner products of the columns of pairs with those of all candidates, (2 b, 2 n_pairs)."""
+        n = len(self.angles)
+        on_grid = [n >= _MANY_POSES and len(of) >= _MANY_ORDERS for _, of, _ in self.spans]
+        found: Any = [0.0] * len(self.spans)
+        joints, order = self.offered[pairs].T
         twice = np.repeat(joints, 2)
         moved: Any = None
         taken: Any = None
-        for k, part in enumerate(parts):
-            turn = turns[part]
-            phase = order * angles[part][:, joints]
+        for k, part in enumerate(self.parts):
+            turn = self.turns[part]
+            phase = order * self.angles[part][:, joints]
             wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-            if whitened.basis is not None:
-                moved = whitened.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-                codes = whitened.feature[part] - whitened.feature[part][0]
+            if self.basis is not None:
+                moved = self.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
+                codes = self.codes[part] - self.codes[part][0]
                 taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
-            for i, (joint, *_) in enumerate(spans):
-                own, along = of_part(k, i)
+            for i, (joint, *_) in enumerate(self.spans):
+                own, along = self._of_part(k, i, on_grid[i])
                 share = np.take(along, twice, axis=1) * wave
-                if whitened.basis is not None:
+                if self.basis is not None:
                     share -= np.einsum("nqm,nq->nm", taken, moved[:, :, joint])
                 found[i] = found[i] + own @ share
         for i in np.flatnonzero(on_grid):
-            found[i] = _of_orders(found[i], spans[i][1])
-        return np.concatenate(found).T
-
-    return rows_of
+            found[i] = _of_orders(found[i], self.spans[i][1])
+        return (np.concatenate(found).T,)
 
 
 def waves(theta, orders):

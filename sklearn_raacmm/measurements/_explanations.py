@@ -15,7 +15,15 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
-from sklearn_raacmm.utils import Finding, Weight, align, centred, row_numbers, tukey_weights
+from sklearn_raacmm.utils import (
+    Finding,
+    Weight,
+    align,
+    centred,
+    medians_of,
+    row_numbers,
+    tukey_weights,
+)
 
 What = TypeVar("What")
 
@@ -210,19 +218,6 @@ def _late(y, expected, codes):
         left, of = np.where(is_late[:, None], *parts[::-1]), rows + step * is_late
         n_tried, row = (4 * len(rows), int(rows[first])) if first else (4, 0)
         yield Explanation("shifted-rows", word, left, rows, n_tried, first=row, of=of)
-
-
-def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
-    """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
-    if codes is None:
-        return np.zeros_like(values)
-    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
-    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
-    for i, column in enumerate(values.T):
-        column = column[np.lexsort((column, of))]  # by position, and there by size
-        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
-        middle[:, i] = median[of]
-    return middle
 
 
 def of_own_points(

@@ -102,11 +102,6 @@ def _combined(combine, results):
     return reduce(combine, results)
 
 
-def is_dask(X):
-    """Whether X is a dask array, which is not imported for the question."""
-    return type(X).__module__.startswith("dask.array") and hasattr(X, "to_delayed")
-
-
 def _hash(X, seed):
     """A number for each row that depends on its content only (the finaliser of splitmix64)."""
     h = np.full(len(X), seed, dtype=np.uint64)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows, is_dask
+from sklearn_raacmm.network._blocks import ArrayChunks, DaskChunks, draw_rows
 from sklearn_raacmm.network._kernels import KERNELS, kernel_matrix
 from sklearn_raacmm.network._rows import merge
 from sklearn_raacmm.utils import (
@@ -17,6 +17,7 @@ from sklearn_raacmm.utils import (
     check_weights,
     encode_groups,
     floats,
+    is_dask,
 )
 
 # Data of more rows are read in blocks, and repeated rows not merged. Distinct rows held of these.

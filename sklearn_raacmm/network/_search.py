@@ -136,7 +136,10 @@ def search(
         if len(view.many.X) > len(view.few.X):
             ends = _second_stage(task, ends, view.many)
         # The first kernel, unless another one leads clearly.
-        return task, min(ends, key=_handicapped(kernels[0], view.many))
+        end = min(ends, key=_handicapped(kernels[0], view.many))
+        if len(view.many.X) > len(view.few.X):
+            return task, end
+        return task, _end(task, end.kernel, end.theta, view.few, 0.0)
 
     silent = silent_widths(view.spread, view.used)
     task, end = look(view)

@@ -81,6 +81,11 @@ def _largest(array):
     return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
 
 
+def is_dask(X: Any) -> bool:
+    """Whether X is a dask array, which is not imported for the question."""
+    return type(X).__module__.startswith("dask.array") and hasattr(X, "to_delayed")
+
+
 def floats(
     name: str, value: object, columns: int | None = None, *, finite: bool = False
 ) -> np.ndarray:

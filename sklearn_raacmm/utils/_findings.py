@@ -203,8 +203,7 @@ def call_collecting(
     unless this is a part of another one, or `accept` is None.
     In a context of its own: whatever interrupts the function, later findings are warned of again.
     """
-    codes = () if accept is None else (accept,) if isinstance(accept, str) else tuple(accept)
-    check_accepted(codes)
+    codes = check_accepted(accept)
     before = {**_STATE.get()}
     refuses = accept is not None and before.get("collected") is None
     own = before | {"accepted": (*before.get("accepted", ()), *codes), "refuses": refuses}
@@ -229,8 +228,9 @@ def call_collecting(
     return copy_context().run(inside)
 
 
-def check_accepted(codes: Iterable[Any]) -> None:
-    """Refuse a code that no finding has which could be accepted: a slip of the keyboard."""
+def check_accepted(accept: str | Iterable[Any] | None) -> tuple[Any, ...]:
+    """Codes to accept; one that no finding has which could be accepted is a slip, and refused."""
+    codes = (accept,) if isinstance(accept, str) else tuple([] if accept is None else accept)
     for code in codes:
         if code not in TO_ACCEPT:
             near = get_close_matches(str(code), TO_ACCEPT, 3)
@@ -239,6 +239,7 @@ def check_accepted(codes: Iterable[Any]) -> None:
                 f"accept: {code!r} is no code of a finding that can be accepted. The {which} are: "
                 f"{', '.join(those)}."
             )
+    return codes
 
 
 def one_warning(function: Function) -> Function:

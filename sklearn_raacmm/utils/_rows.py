@@ -295,6 +295,19 @@ def tukey_weights(
     return np.square(1 - np.square(np.minimum(distances, cut) / cut))
 
 
+def medians_of(values: np.ndarray, codes: np.ndarray | None) -> np.ndarray:
+    """Median of the position of each row (n, 3): a slipped pose pulls the mean; 0 without any."""
+    if codes is None:
+        return np.zeros_like(values)
+    _, of, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    first, middle = np.cumsum(counts) - counts, np.empty_like(values)
+    for i, column in enumerate(values.T):
+        column = column[np.lexsort((column, of))]  # by position, and there by size
+        median = (column[first + (counts - 1) // 2] + column[first + counts // 2]) / 2
+        middle[:, i] = median[of]
+    return middle
+
+
 def slip_factors(
     values: np.ndarray, codes: np.ndarray, weights: np.ndarray | None = None
 ) -> np.ndarray:
@@ -307,18 +320,22 @@ def slip_factors(
     """
     factor = np.ones(len(values))
     used = np.arange(len(values)) if weights is None else np.flatnonzero(weights > 0)
-    rows = [used[codes[used] == code] for code in range(int(codes.max(initial=-1)) + 1)]
+    used = used[np.argsort(codes[used], kind="stable")]
+    rows = np.split(used, np.flatnonzero(np.diff(codes[used])) + 1)
     rows = [of for of in rows if len(of) >= _LEAST_OF_SLIPS]
     if not rows:
         return factor
-    far = [np.linalg.norm(values[of] - np.median(values[of], axis=0), axis=1) for of in rows]
-    usual = robust_scale(np.concatenate(far), values.shape[1])
-    for of, away in zip(rows, far, strict=True):
-        scale = _SLIP * max(usual, robust_scale(away, values.shape[1]))
-        centre = np.median(values[of], axis=0)
-        off = np.linalg.norm(values[of].mean(axis=0) - centre)
-        if away.max() + off < TUKEY_CUT * scale:
-            continue  # no row is far from the median, nor from the mean, the next centre
+    counts, used = np.array([len(of) for of in rows]), np.concatenate(rows)
+    group, first = np.repeat(np.arange(len(rows)), counts), np.cumsum(counts) - counts
+    centres, n_coordinates = medians_of(values[used], group), values.shape[1]
+    far = np.linalg.norm(values[used] - centres, axis=1)
+    own = medians_of(far[:, None] / np.sqrt(chdtri(n_coordinates, 0.5)), group)[first, 0]
+    scales = _SLIP * np.maximum(robust_scale(far, n_coordinates), own)
+    # No row is far from the median, nor from the mean, the next centre, in most groups.
+    off = np.linalg.norm(group_means(values[used], group) - centres[first], axis=1)
+    is_near = np.maximum.reduceat(far, first) + off < TUKEY_CUT * scales
+    for i in np.flatnonzero(~is_near):
+        of, scale, centre = rows[i], scales[i], centres[first[i]]
         for _ in range(_ROUNDS):
             left = values[of] - centre
             factor[of] = tukey_weights(left, least_scale=scale)

@@ -158,6 +158,12 @@ def test_a_check_elsewhere_does_not_say_that_it_holds(tmp_path, capsys):
     assert_allclose([step["before_mm"], step["after_mm"]], mean, rtol=1e-9)
 
 
+def test_a_slip_in_a_code_is_refused_by_a_check_that_registers_nothing(folder):
+    saved, more = Correction.load(folder / "cones"), make_single_point(2, 4, machine=MACHINE)
+    with pytest.raises(ValueError, match=r"'moved-postion' is no code .* are: moved-position"):
+        saved.check(more.data, more.groups, accept="moved-postion")
+
+
 def test_points_of_a_longer_probe_may_scatter_more(folder, tmp_path, capsys):
     saved = Correction.load(folder / "cones")
     step = {"what": "learn", "date": "2026-01-05", "probe_mm": saved.arm.probe.tolist()}
