@@ -105,7 +105,7 @@ class Fit:
         self.converged = False
         self.sigma = 1.0  # mm, until rows are weighed
         self.weights: Any = np.ones(len(self.angles))
-        self.evaluated: Any = None
+        self.evaluated: Any = (None, None, None)
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say. Where points were measured
         # all rows are beside one mean.
@@ -247,7 +247,7 @@ class Fit:
         finite[:-1, :-1] = np.where(np.isfinite(covariance), covariance, 0.0)
         at, index = self.touched(self.x, mask), self.problem.index
         spread = np.empty(len(self.angles))
-        total: Any = None if index is None else np.bincount(index, self.weights)
+        total = np.zeros(0) if index is None else np.bincount(index, self.weights)
         for part, rows in self._weighted(self.x, mask, at):
             taken = (rows.reshape(-1, len(finite)) @ finite).reshape(rows.shape)
             taken = taken @ rows.swapaxes(1, 2)
@@ -255,7 +255,7 @@ class Fit:
                 basis = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
             elif self.problem.points is None:
-                own = self.weights[part] / total[index[part]]
+                own = self.weights[part] / total[self.problem.index[part]]
                 taken += own[:, None, None] * np.eye(3)
             values, axes = np.linalg.eigh(taken)
             along = np.einsum("nji,nj->ni", axes, rows[:, :, -1])
@@ -320,7 +320,7 @@ class Fit:
             else:
                 damping = max(100 * damping, _DAMPING)
 
-    def _sums(self, x, mask):
+    def _sums(self, x, mask) -> Any:
         """Products of the `rows` with one another, (k + 1, k + 1), summed up over blocks."""
         return sum(rows.T @ rows for rows in self.rows(x, mask))
 
@@ -343,9 +343,9 @@ class Fit:
         are held for the next look.
         """
         x, n = x[: len(self.nominal)], len(self.angles)
-        known = self.evaluated is not None and np.array_equal(self.evaluated[0], x)
-        if known and self.evaluated[2]:
-            yield from self.evaluated[2]
+        at, _, held = self.evaluated
+        if held and np.array_equal(at, x):
+            yield from held
             return
         points, held = np.empty((n, 3)), []
         for part in chunks(n, _BLOCK):
@@ -517,7 +517,7 @@ class Fit:
         Of the parameters of the fit, or of others.
         """
         x = (self.x if x is None else x)[: len(self.nominal)]
-        if self.evaluated is None or not np.array_equal(self.evaluated[0], x):
+        if not np.array_equal(self.evaluated[0], x):
             deque(self.located(x), maxlen=0)
         return self.evaluated[1].copy()
 

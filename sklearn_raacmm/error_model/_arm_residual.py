@@ -272,7 +272,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         """
         arrays = X, y, sample_weight, groups, probes
         if by_dask := any(map(is_dask, arrays)):
-            from dask import compute
+            from dask.base import compute
 
             arrays = compute(*arrays, traverse=False)
         X, y, sample_weight, groups, probes = arrays

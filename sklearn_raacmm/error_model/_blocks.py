@@ -23,14 +23,15 @@ def of_blocks(function: Callable, given: Iterable[tuple], by_dask: bool, hold: b
     if not by_dask:
         found = (function(*one) for one in given)
         return [*found] if hold else found
-    import dask
+    from dask.base import compute, persist
+    from dask.delayed import delayed
 
-    task = dask.delayed(_with_one_thread, pure=False)
+    task = delayed(_with_one_thread, pure=False)
     tasks = (task(function, *one) for one in given)
     with warnings.catch_warnings():
         # Arguments are sent with the tasks, so that a block that is lost can be made again.
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-        return dask.persist(*tasks) if hold else dask.compute(*tasks)
+        return persist(*tasks) if hold else compute(*tasks)
 
 
 def sums_of_blocks(function: Callable, blocks: Sequence[Any], by_dask: bool) -> list[Any]:

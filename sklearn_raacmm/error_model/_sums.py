@@ -144,12 +144,12 @@ def candidate_sums(rows, columns):
     else:
         rows = rows.at(np.argsort(rows.codes, kind="stable"))
         parts = parts_of_positions(rows.codes, _CHUNK)
-    whitened: Any = rows.whitening()
+    whitened, codes = rows.whitening(), np.asarray(rows.codes)
     given, n_held = [], _HELD // -(-len(parts) // _PARTS)
     for i in range(0, len(parts), _PARTS):
         own = parts[i : i + _PARTS]
         first, of = own[0].start, slice(own[0].start, own[-1].stop)
-        moved = () if whitened.basis is None else (whitened.basis[of], rows.codes[of])
+        moved = () if whitened.basis is None else (whitened.basis[of], codes[of])
         own = [slice(part.start - first, part.stop - first) for part in own]
         given.append((own, n_held, columns, rows.X[of], rows.y[of], whitened.root[of], *moved))
     blocks = of_blocks(_Block, given, rows.by_dask, hold=True)
@@ -315,7 +315,7 @@ class _Block:
     harmonics, and of the harmonics' own blocks.
     """
 
-    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes=None):
+    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes: Any = None):
         arm, offered = columns.arm, columns.terms.harmonics
         n_joints = len(arm.a)
         self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
@@ -324,7 +324,8 @@ class _Block:
         for joint in np.unique(offered[:, 0]).tolist():
             pairs = np.flatnonzero(offered[:, 0] == joint)
             self.spans.append((joint, offered[pairs, 1], pairs))
-        self.n_held, self.waves = n_held, {}
+        self.n_held = n_held
+        self.waves: dict[tuple[int, int], Any] = {}
         every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
         with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))
