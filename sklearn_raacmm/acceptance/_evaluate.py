@@ -193,7 +193,7 @@ def evaluate_acceptance(
     bounds = {name: _checked_limit(name, limit) for name, limit in (limits or {}).items()}
     if unknown := sorted(set(run.test.tolist()) - set(LAYOUTS)):
         raise ValueError(f"the run has the test {unknown[0]!r}; known are {', '.join(LAYOUTS)}.")
-    if hasattr(model, "inputs"):
+    if hasattr(model, "calibration"):  # it is a correction
         correction, arm = model, arm or model.arm
         base = correction.base if base is None else base
         model = SimpleNamespace(predict=lambda q: correction.model.predict(correction.inputs(q)))

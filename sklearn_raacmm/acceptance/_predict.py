@@ -77,7 +77,7 @@ def predict_acceptance(
     check_scalar(n_draws, "n_draws", Integral, min_val=2)
     if plan.angles is None:
         raise ValueError("a plan needs joint angles: errors depend on the pose.")
-    known = model if hasattr(model, "inputs") else None  # a correction
+    known = model if hasattr(model, "calibration") else None  # a correction
     regressor = known.model if known else model
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")

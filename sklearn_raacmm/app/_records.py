@@ -24,61 +24,45 @@ _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 _IN_LIST = rf"(?:^|,)\s*{_VALUE}"
 # The name of a record, where it has one. Bounded, so that no long cell takes minutes.
 _NAMED = r"(?:\b(\w{1,80})\s?=\s?)?"
+# The axes of a jointtarget, and a point of a Fanuc with its number and its name.
+_ROBAX = r"\[([^][]*)\]"
+_FANUC_POINT = r'P\[(\d+(?:\s*:\s*"[^"]*")?)\]'
 # Programs and logs of controllers: what they are, what their text holds in any case, which is found
-# faster than a pattern, the unit of their angles, a record with its name and its body, and the
-# joints in the body.
+# faster than a pattern, a record with its name and its body, and the joints in the body.
 _PROGRAMS = (
     # KUKA System Software, KRL reference: structures AXIS and E6AXIS.
     (
         "KUKA KRL",
         ("{", "A1"),
-        "deg",
         _NAMED + r"\{(?:E6AXIS:|AXIS:)?\s?(A1\s[^{}]*)\}",
         rf"A\d\s+{_VALUE}",
     ),
     # KUKA.RobotSensorInterface: element AIPos, the axes' actual positions.
-    ("KUKA RSI", ("<AIPos",), "deg", r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
+    ("KUKA RSI", ("<AIPos",), r"<(AIPos)\s([^>]*)>", rf'A\d="{_VALUE}"'),
     # ABB, RAPID data types: jointtarget is [robax, extax].
     # Without a name it is told from other lists by the external axes that are not there, 9E9.
-    (
-        "ABB RAPID",
-        ("[[", ":="),
-        "deg",
-        r"\b(\w{1,80})\s?:=\s?\[\[([^][]*)\]\s?,\s?\[[^][]*\]\]",
-        _IN_LIST,
-    ),
-    (
-        "ABB RAPID",
-        ("[[", "9E"),
-        "deg",
-        r"()\[\[([^][]*)\]\s?,\s?\[[^][]*9[eE]\+?0?9[^][]*\]\]",
-        _IN_LIST,
-    ),
+    ("ABB RAPID", ("[[", ":="), rf"\b(\w{{1,80}})\s?:=\s?\[{_ROBAX}\s?,\s?\[[^][]*\]\]", _IN_LIST),
+    ("ABB RAPID", ("[[", "9E"), rf"()\[{_ROBAX}\s?,\s?\[[^][]*9[eE]\+?0?9[^][]*\]\]", _IN_LIST),
     # Fanuc: section /POS of an LS file in joint representation.
-    (
-        "Fanuc LS",
-        ("P[", "J1"),
-        "deg",
-        r'P\[(\d+(?:\s*:\s*"[^"]*")?)\]\s*\{([^{}]*)\}',
-        rf"J\d\s*=\s*{_VALUE}\s*deg",
-    ),
+    ("Fanuc LS", ("P[", "J1"), _FANUC_POINT + r"\s*\{([^{}]*)\}", rf"J\d\s*=\s*{_VALUE}\s*deg"),
     # Doosan, programming manual: posj(J1, ..., J6).
-    ("Doosan posj", ("posj",), "deg", _NAMED + r"\bposj\s?\(([^()]*)\)", _VALUE),
+    ("Doosan posj", ("posj",), _NAMED + r"\bposj\s?\(([^()]*)\)", _VALUE),
     # Staubli VAL3: data of the type jointRx in a .dtx file.
     (
         "Staubli VAL3",
         ("<Value",),
-        "deg",
         r'<Value key="(\w{1,80})"\s([^<>]*\bj1=[^<>]*)>',
         rf'j\d="{_VALUE}"',
     ),
     # Efort: a jointtarget is j:{J1, ..., J6, external axes}.
-    ("Efort", (":{",), "deg", _NAMED + r"\b[jJ]:\{([^{}]*)\}", _VALUE),
+    ("Efort", (":{",), _NAMED + r"\b[jJ]:\{([^{}]*)\}", _VALUE),
     # Universal Robots, URScript manual: movej takes joint angles in rad, or a pose behind a p.
-    ("URScript", ("movej",), "rad", r"()\bmovej\s*\(\s*\[([^][]*)\]", _VALUE),
+    ("URScript", ("movej",), r"()\bmovej\s*\(\s*\[([^][]*)\]", _VALUE),
     # Yaskawa, job with POSTYPE PULSE: the counts of the axes' encoders.
-    ("Yaskawa JBI", ("PULSE",), "counts", r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
+    ("Yaskawa JBI", ("PULSE",), r"(?m)^\s*(C\d{4,6})=([-+\d, ]+)$", _VALUE),
 )
+# Units of the angles of those that have others than degrees.
+_UNITS = {"URScript": "rad", "Yaskawa JBI": "counts"}
 # Jobs whose points are positions of the tool, not of the joints.
 _CARTESIAN_JOB = re.compile(r"(?m)^///(?:POSTYPE\s+(?:BASE|ROBOT|USER|TOOL)|RECTAN)\b")
 # A record of a program stands within so many characters, or the file is none; and so many lines
@@ -123,7 +107,7 @@ def _program(head, read, n_joints):
     """A program or log of a robot's controller that holds joint positions."""
     if head.lstrip().startswith("/JOB") and _CARTESIAN_JOB.search(head):
         raise ValueError("its points are poses of the tool; joint angles are needed: as PULSE.")
-    for what, marks, unit, record, value in _PROGRAMS:
+    for what, marks, record, value in _PROGRAMS:
         if not (all(mark in head for mark in marks) and re.search(record, head)):
             continue
         text, rows, line, done = read(), [], 1, 0
@@ -134,9 +118,9 @@ def _program(head, read, n_joints):
                 line, done = line + text.count("\n", done, match.start()), match.start()
                 rows.append((line, [match[1] or f"line {line}", *values[:n_joints]]))
         if rows:
+            unit = _UNITS.get(what, "deg")
             names = ["name", *(f"A{i} [{unit}]" for i in range(1, n_joints + 1))]
-            long = {"deg": "degrees"}.get(unit, unit)
-            return f"{what}, {long}", names, rows
+            return f"{what}, {unit.replace('deg', 'degrees')}", names, rows
     return None
 
 

@@ -105,7 +105,7 @@ class Fit:
         self.converged = False
         self.sigma = 1.0  # mm, until rows are weighed
         self.weights: Any = np.ones(len(self.angles))
-        self.evaluated: Any = None
+        self.evaluated: Any = (None, None, None)
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say. Where points were measured
         # all rows are beside one mean.
@@ -254,8 +254,8 @@ class Fit:
             if self.problem.features:
                 basis: Any = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
-            elif index is not None and self.problem.points is None:
-                own = self.weights[part] / total[index[part]]
+            elif self.problem.points is None:
+                own = self.weights[part] / total[self.problem.index[part]]
                 taken += own[:, None, None] * np.eye(3)
             values, axes = np.linalg.eigh(taken)
             along = np.einsum("nji,nj->ni", axes, rows[:, :, -1])
@@ -343,8 +343,9 @@ class Fit:
         are held for the next look.
         """
         x, n = x[: len(self.nominal)], len(self.angles)
-        if (last := self.evaluated) is not None and np.array_equal(last[0], x) and last[2]:
-            yield from last[2]
+        at, _, held = self.evaluated
+        if held and np.array_equal(at, x):
+            yield from held
             return
         points, held = np.empty((n, 3)), []
         for part in chunks(n, _BLOCK):
@@ -397,9 +398,8 @@ class Fit:
             index = problem.index
         if problem.features:
             rows, forms = with_forms(problem.features, index, self.points(x), weights)
-            whitened: Any = whitening(
-                weights, rows.directions, index, rows.directions @ rows.unknowns
-            )
+            known = rows.directions @ rows.unknowns
+            whitened: Any = whitening(weights, rows.directions, index, known)
             explained: Any = 0.0
             for part, columns in self._free_columns(x, mask):
                 columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
@@ -517,7 +517,7 @@ class Fit:
         Of the parameters of the fit, or of others.
         """
         x = (self.x if x is None else x)[: len(self.nominal)]
-        if self.evaluated is None or not np.array_equal(self.evaluated[0], x):
+        if not np.array_equal(self.evaluated[0], x):
             deque(self.located(x), maxlen=0)
         held: Any = self.evaluated
         return held[1].copy()

@@ -144,8 +144,7 @@ def candidate_sums(rows, columns):
     else:
         rows = rows.at(np.argsort(rows.codes, kind="stable"))
         parts = parts_of_positions(rows.codes, _CHUNK)
-    whitened: Any = rows.whitening()
-    codes: Any = rows.codes
+    whitened, codes = rows.whitening(), np.asarray(rows.codes)
     given, n_held = [], _HELD // -(-len(parts) // _PARTS)
     for i in range(0, len(parts), _PARTS):
         own = parts[i : i + _PARTS]
@@ -316,7 +315,7 @@ class _Block:
     harmonics, and of the harmonics' own blocks.
     """
 
-    def __init__(self, parts, n_held, columns, X, y, root, basis: Any = None, codes: Any = None):
+    def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes: Any = None):
         arm, offered = columns.arm, columns.terms.harmonics
         n_joints = len(arm.a)
         self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
@@ -325,7 +324,8 @@ class _Block:
         for joint in np.unique(offered[:, 0]).tolist():
             pairs = np.flatnonzero(offered[:, 0] == joint)
             self.spans.append((joint, offered[pairs, 1], pairs))
-        self.n_held, self.waves = n_held, {}
+        self.n_held = n_held
+        self.waves: dict[tuple[int, int], Any] = {}
         every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
         with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))

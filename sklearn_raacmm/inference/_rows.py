@@ -12,7 +12,7 @@ is added to T, and draws them to 0.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,11 +27,11 @@ class Whitening(NamedTuple):
     """What whitens rows, and the basis of what the unknowns of their features explain."""
 
     root: np.ndarray  # (n, 3, 3) with the root of the weight, 0 along what a row does not show
-    feature: np.ndarray | None  # (n,) from 0; None: no row has unknowns
-    unit: np.ndarray | None  # (n_features, q, q) E: unknowns by what makes their precision 1
-    moves: np.ndarray | None  # (n, 3, q) B E
-    basis: np.ndarray | None  # (n, 3, q) W B E
-    precision: np.ndarray | None  # (n_features, q) of the unknowns, along those of E
+    feature: Any  # (n,) from 0; None: no row has unknowns
+    unit: Any  # (n_features, q, q) E: unknowns by what makes their precision 1
+    moves: Any  # (n, 3, q) B E
+    basis: Any  # (n, 3, q) W B E
+    precision: Any  # (n_features, q) of the unknowns, along those of E
     n_observations: float  # less what the unknowns have taken
 
     def left(self, whitened: np.ndarray, rows: slice = _ALL) -> np.ndarray:
