@@ -22,7 +22,14 @@ from sklearn_raacmm.calibration._checks import (
     wrong_units,
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
-from sklearn_raacmm.calibration._fit import WEIGHTS, Fit, doubt_limit, outlier_limit, triangle
+from sklearn_raacmm.calibration._fit import (
+    NOT_EVALUATED,
+    WEIGHTS,
+    Fit,
+    doubt_limit,
+    outlier_limit,
+    triangle,
+)
 from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
 from sklearn_raacmm.calibration._observability import observability
 from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
@@ -297,7 +304,7 @@ def _settle(fit, correction, asked):
         moved = predicted(correction, asked, problem, probes)
         if np.abs(moved - fit.correction).max() < _SETTLED_MM:
             return
-        fit.correction, fit.evaluated = moved, None
+        fit.correction, fit.evaluated = moved, NOT_EVALUATED
         fit.run()
 
 

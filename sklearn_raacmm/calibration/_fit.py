@@ -68,6 +68,8 @@ _LEAST_PIVOT = 1e-8
 # Rows whose Jacobian is made at a time, and most rows of which it is held for the next look: 11 MB
 # for 27 parameters. Of more rows sums over blocks are held, and a few numbers of each row.
 _BLOCK, _HELD = 4096, 2**14
+# What is held of parameters that were looked at, before any was: see `Fit.located`.
+NOT_EVALUATED: Any = None, None, None
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -105,7 +107,7 @@ class Fit:
         self.converged = False
         self.sigma = 1.0  # mm, until rows are weighed
         self.weights: Any = np.ones(len(self.angles))
-        self.evaluated: Any = (None, None, None)
+        self.evaluated: Any = NOT_EVALUATED
         # The common scale of the long links, each as much as the data feel it: an offset along the
         # first axis, which a single-point test cannot feel, has no say. Where points were measured
         # all rows are beside one mean.
