@@ -74,14 +74,16 @@ NORMAL_SQUARE = (1 - 6 / TUKEY_CUT**2 + 15 / TUKEY_CUT**4) / (
 )
 
 
-def fit_outputs(estimator, rows, elsewhere, outputs, kernels, width, alpha, rng, before=None):
+def fit_outputs(
+    estimator, rows, elsewhere, outputs, kernels, width, alpha, rng, before=None, refit=0
+):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
     `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
-    is None or "auto". A network of nearly the same weights of the rows may come `before`.
+    is None or "auto". A network of other weights may come `before` a refit, see `search`.
     Returns what `fit_network` does, and the log likelihood where structures were compared.
     """
-    ridged, value, start = alpha is None, None, None
+    ridged, value = alpha is None, None
 
     def set_up(degree, ratio=0.0):
         sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
@@ -99,10 +101,6 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernels, width, alpha, rng,
         found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
     else:
         held, of = sample.held, varying
-        # Of one that has radial functions.
-        if before is not None and before.alpha[of].max(initial=0.0) < ALPHA_BOUNDS[1]:
-            alphas, ratio = before.alpha[of], before.ratio
-            start = Structure(before.kernel, before.length_scale, alphas, ratio, ranks=before.ranks)
         weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
         within = sample.rows.within[:, of] / (sample.unit * spread**2)
         found = search(
@@ -115,7 +113,8 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernels, width, alpha, rng,
             random_state=rng,
             ranks=ranks,
             may_be_raw=may_be_raw,
-            start=start,
+            start=_as_start(before, of),
+            refit=refit,
         )
         value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())
         if alpha is None:
@@ -132,6 +131,15 @@ def fit_outputs(estimator, rows, elsewhere, outputs, kernels, width, alpha, rng,
         share[varying], left[varying] = found.used[0], found.used[1] * spread**2
         fit = fit[0].with_share(share, left), *fit[1:]
     return fit, value
+
+
+def _as_start(network, varying):
+    """The structure of a network that has radial functions, of the outputs that vary; or None."""
+    if network is None or network.alpha[varying].max(initial=0.0) >= ALPHA_BOUNDS[1]:
+        return None
+    alpha = network.alpha[varying]
+    width, ratio = network.length_scale, network.ratio
+    return Structure(network.kernel, width, alpha, ratio, ranks=network.ranks)
 
 
 @stage("centres of the network")
@@ -323,8 +331,7 @@ def reweigh(estimator, blocks, codes):
         if auto and not i and _gain(residuals[counted], factor[counted] > 0) < WORTH * Y.shape[1]:
             return
         weighted = ArrayChunks(X, Y, given * factor)
-        # Slips bend a function, and rough kernels follow them: without them all is looked for anew.
-        estimator._fit_weighted(weighted, codes, estimator.networks_ if i else ())
+        estimator._fit_weighted(weighted, codes, estimator.networks_, i + 1)
         if auto and i == 0:
             n, far = counted.sum(), residuals[(factor == 0) & counted]
             lead = evidence(estimator.log_marginal_likelihood_value_, n, far)
@@ -337,12 +344,7 @@ def reweigh(estimator, blocks, codes):
         far = residuals * (factor == 0)[:, None]
         added = np.average(np.square(far), axis=0, weights=given)
         share = np.average(factor == 0, weights=given)
-        found = []
-        for network in estimator.networks_:  # of rows near to it
-            near = network.with_noise(1 / NORMAL_SQUARE)
-            of_far = np.maximum(added[near.outputs] - share * near.noise_variance, 0.0)
-            found.append(replace(near, outlier_variance=of_far))
-        estimator.networks_ = tuple(found)
+        estimator.networks_ = tuple(_with_outliers(n, added, share) for n in estimator.networks_)
     estimator.row_weight_ = factor
     for finding in many_without_weight(factor[counted]):
         finding.report()
@@ -353,6 +355,13 @@ def _keep(estimator, first, *far_rows):
     estimator.__dict__ = first
     for finding in _heavy_tails(*far_rows):
         finding.report()
+
+
+def _with_outliers(network, added, share):
+    """A network of rows near to it, with what far rows, a share of all, add to the variance."""
+    network = network.with_noise(1 / NORMAL_SQUARE)
+    of_outliers = np.maximum(added[network.outputs] - share * network.noise_variance, 0.0)
+    return replace(network, outlier_variance=of_outliers)
 
 
 def _heavy_tails(Y, residuals, factor) -> Iterator[Finding]:

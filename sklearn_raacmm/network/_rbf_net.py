@@ -291,8 +291,8 @@ class RBFNetRegressor(VersionedRegressor):
         self._packed = self.networks_, pack(self.networks_)  # or the first `predict` would keep it
         return self
 
-    def _fit_weighted(self, blocks, codes, networks=()):
-        """Fit by least squares with given weights, near to networks of nearly the same ones."""
+    def _fit_weighted(self, blocks, codes, networks=(), refit=0):
+        """Fit by least squares with given weights; see `search` for refits."""
         rng = check_random_state(self.random_state)
         rows, elsewhere = distinct_rows(blocks, self.n_features_in_, codes, rng)
         q = rows.Y.shape[1]
@@ -301,7 +301,7 @@ class RBFNetRegressor(VersionedRegressor):
         for i, of in enumerate([np.arange(q)] if self.shared else np.arange(q)[:, None]):
             rng.set_state(state)  # each as if it were alone
             ridge = None if alpha is None else alpha[of]
-            before = (networks[i],) if networks else ()
+            before = (networks[i], refit) if networks else ()
             given = kernels, width, ridge, rng
             found.append(fit_outputs(self, rows, elsewhere, of, *given, *before))
         fits, values = zip(*found, strict=True)

@@ -12,7 +12,7 @@ leave-one-out predictions on these rows (`judge`).
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
@@ -89,9 +89,8 @@ class Structure(NamedTuple):
     n_observations: float = 0.0
     n_found: float = 0.0  # parameters of each output that were found
     ranks: np.ndarray | None = None  # if these are the inputs, as `mid_ranks` makes them
-    used: tuple[np.ndarray, np.ndarray] | None = (
-        None  # where groups have been left out: what `used_share` returns
-    )
+    # Where groups have been left out: what `used_share` returns.
+    used: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @stage("widths of the network")
@@ -107,17 +106,21 @@ def search(
     ranks: np.ndarray | None = None,
     may_be_raw: bool = True,
     start: Structure | None = None,
+    refit: int = 0,
 ) -> Structure:
     """Maximise the penalised likelihood over what is not given.
 
     The data are distinct rows with targets in units of their spread. Given may be widths (d,)
-    or ridges (q,). A `start` is what was found for nearly the same weights of the rows: the search
-    stays near it, with its kernel and inputs.
+    or ridges (q,). A `start` is what was found for other weights of the rows. Slips bend a
+    function, and rough kernels follow them: the first refit has the first kernel, and looks far
+    off; the others stay near the one before, and the second decides anew on kernel, inputs and
+    groups' constants.
     With `ranks`, as `mid_ranks` makes them, these may be the inputs, or have to be.
     """
     (n, d), q = data.X.shape, data.Y.shape[1]
-    if start is not None:
-        kernels, may_be_raw = (start.kernel,), start.ranks is None
+    decides = refit != 1 and (start is None or refit == 2)
+    if not decides and may_be_raw:
+        may_be_raw = start is None or start.ranks is None
         ranks = None if may_be_raw else ranks
     first_ranks = None if may_be_raw else ranks
     sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
@@ -128,16 +131,20 @@ def search(
         ridge = np.ones(q) if alpha is None else alpha
         return Structure(kernels[0], width, ridge, ranks=first_ranks)
     constants = data.codes is not None and bool(data.codes.any())
-    constants = constants and (start is None or start.ratio > 0)
+    if not decides:
+        kernels = kernels[:1] if start is None or refit == 1 else (start.kernel,)
+        constants = constants and (start is None or start.ratio > 0)
 
     def look(view):
         task = Task(view.spread, view.used, q, isotropic, length_scale, alpha, constants)
-        task, ends = _first_stage(task, kernels, view.few, start)
-        if len(view.many.X) > len(view.few.X):
-            ends = _second_stage(task, ends, view.many)
+        same_inputs = start is not None and (start.ranks is None) == (view.ranks is None)
+        known = start if same_inputs else None
+        task, ends = _first_stage(task, kernels, view.few, known, decides, refit > 1)
+        more = len(view.many.X) > len(view.few.X)
+        ends = _second_stage(task, ends, view.many) if more else ends
         # The first kernel, unless another one leads clearly.
         end = min(ends, key=_handicapped(kernels[0], view.many))
-        if len(view.many.X) > len(view.few.X):
+        if more or not decides:
             return task, end
         return task, _end(task, end.kernel, end.theta, view.few, 0.0)
 
@@ -207,20 +214,23 @@ def _may_win(task, end, view, other):
     return lead - judge(ranked, end.kernel, theta, other.few).score > margin(view.few)
 
 
-def _first_stage(task, kernels, few, start):
+def _first_stage(task, kernels, few, start, decides, near):
     """The task, with groups' constants or without, and an end on few rows for each kernel.
 
     From smooth to rough, until one trails far behind: no rougher one would lead then.
     """
     first, *others = kernels
 
-    if start is not None:
-        return task, [_end(task, first, task.pack(start), few)]
-    end = _coarse(task, first, few)
-    if task.constants:
+    def find(task):
+        if start is None or not near:
+            return _coarse(task, first, few, start)
+        return _end(task, first, task.pack(start), few)
+
+    end = find(task)
+    if task.constants and decides:
         # Constants explain what a function does between groups, too, and need not be there.
         plain = task._replace(constants=False)
-        other = _coarse(plain, first, few)
+        other = find(plain)
         if end.score > other.score - margin(few):
             task, end = plain, other
     ends = [end]
@@ -282,11 +292,13 @@ def silent_widths(spread, used):
     return np.where(used, spread * np.sqrt(max(used.sum(), 1)), np.inf)
 
 
-def _coarse(task, kernel, data):
-    """Where the search for one kernel ends on few rows, from several starts."""
+def _coarse(task, kernel, data, start=None):
+    """Where the search for one kernel ends on few rows, from several starts and a given one."""
+    starts = [[task.start(c, a) for a in START_RIDGES] for c in START_WIDTHS]
+    if start is not None:
+        starts.append([_revived(task, task.pack(start))])
     found = []
-    for width in START_WIDTHS:
-        alike = [task.start(width, ridge) for ridge in START_RIDGES]
+    for alike in starts:  # but for the ridge
         K = covariance(data, kernel, task.unpack(alike[0])[0])
         found += [judge(task, kernel, theta, data, False, K) for theta in alike]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
@@ -294,15 +306,16 @@ def _coarse(task, kernel, data):
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
     found.sort(key=lambda end: end.value)
     limit = found[0].value + HOPELESS * data.n_total * task.n_outputs
-    best: dict[bool, np.ndarray] = {}
+    best: dict[bool, Any] = {}
     for end in found:
         if end.value <= limit:
             best.setdefault(middle is not None and bool(end.theta[0] < middle), end.theta)
     ends: list[End] = []
     for theta in best.values():
-        # At the price of many features a weak signal in a few of them is not found from far off
-        # (tests/network/test_search.py): it has to stand out first.
-        theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA, GOES_ON)
+        if start is None:
+            # At the price of many features a weak signal in a few of them is not found from far off
+            # (tests/network/test_search.py): it has to stand out first.
+            theta = minimise(task, theta, data, kernel, COARSE_STEPS, LOOSE_KAPPA, GOES_ON)
         if not any(np.allclose(theta, end.theta, rtol=0, atol=ALIKE) for end in ends):
             ends.append(_end(task, kernel, theta, data))
     return min(ends, key=lambda end: end.score)
@@ -361,9 +374,8 @@ def _linear(data, value, density, margin):
     root, weights = np.sqrt(data.weights)[:, None], data.weights
 
     def at(ratio):
-        flat, targets = (
-            root * without_constants(a, data.codes, weights, ratio) for a in (columns, data.Y)
-        )
+        arrays = (columns, data.Y)
+        flat, targets = (root * without_constants(a, data.codes, weights, ratio) for a in arrays)
         found = linear_evidence(flat, targets, data.lost, data.n_total - 1, data.n_total)
         extra = 0.0
         if ratio:
