@@ -6,8 +6,8 @@ Gao et al. (2020) learn the residuals of ten cones from three angles of the pose
 repeatability in each cone, the lengths of gauges of 300 and 500 mm, and poses in a place that was
 not learnt, before and after the correction. This is the same experiment on three simulated arms.
 
-**5 % is what you may get**: three angles see much of what gravity does, and of eccentric encoders
-next to nothing, where the correction may do harm. The script takes a minute or two.
+Three angles see much of what gravity does, whose arm the figures show, and of eccentric encoders
+next to nothing. Where no window can open, put `plt.savefig(...)` in front of each `plt.show()`.
 """
 
 import matplotlib.pyplot as plt
@@ -76,4 +76,5 @@ both = [1e3 * np.linalg.norm(p - p.mean(axis=0), axis=1) for p in (points, point
 for ax, angle, name in zip(axes, chain.regressor_[0].transform(new.data).T, PLANE, strict=True):
     ax.plot(np.rad2deg(angle), np.transpose(both), ".", label=["before", "after"])
     ax.set(xlabel=f"{name} (degrees)", ylabel="deviation in the new place (µm)")
+axes[0].legend()
 plt.show()
