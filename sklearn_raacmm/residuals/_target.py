@@ -213,7 +213,9 @@ class CylindricalResidualTarget(PointCorrectionMixin):
                 fit_params = self._by_position(features, target, groups, codes, fit_params)
             self.regressor_.fit(features, target, **fit_params)
         except ValueError as error:
-            if target.ndim == 1 or get_tags(self.regressor_).target_tags.multi_output:
+            # What scikit-learn raises of a wrong parameter is a TypeError, too.
+            of_parameter = isinstance(error, TypeError) or target.ndim == 1
+            if of_parameter or get_tags(self.regressor_).target_tags.multi_output:
                 raise
             raise ValueError(
                 f"{type(self.regressor_).__name__} learns one target at a time, but y has "

@@ -239,6 +239,11 @@ def test_a_regressor_of_one_target_learns_what_wraps_it(scaled):
     # What else is wrong with the data, the regressor itself refuses.
     with pytest.raises(ValueError, match=r"^boom$"):
         CylindricalResidualTarget(Broken(), azimuth=first_column).fit(X, y)
+    inner = inner.set_params(
+        **{"histgradientboostingregressor__max_iter" if scaled else "max_iter": -1}
+    )
+    with pytest.raises(ValueError, match="^The 'max_iter' parameter"):
+        CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
 
 
 class Broken(Ridge):
