@@ -242,7 +242,7 @@ def test_a_regressor_of_one_target_learns_what_wraps_it(scaled):
     inner = inner.set_params(
         **{"histgradientboostingregressor__max_iter" if scaled else "max_iter": -1}
     )
-    with pytest.raises(ValueError, match="^The 'max_iter' parameter"):
+    with pytest.raises(ValueError, match=r"^The 'max_iter' parameter"):
         CylindricalResidualTarget(inner, azimuth=first_column).fit(X, y)
 
 
