@@ -6,7 +6,7 @@ With one another, with the cones, or with the arm's table.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -71,7 +71,9 @@ def wrong_lengths(fit, bare, labels):
     yield from disagreeing(lengths, fit.length_errors(), fit.sd_of_errors(), labels)
 
 
-def disagreeing(lengths, errors, sds, labels):
+def disagreeing(
+    lengths: Sequence[Any], errors: np.ndarray, sds: np.ndarray, labels: Any
+) -> Iterator[Finding]:
     """The finding that known lengths disagree with the rest, by their errors, mm, and these sds.
 
     `labels` name the numbers of the ends of the `lengths`.
@@ -79,7 +81,7 @@ def disagreeing(lengths, errors, sds, labels):
     wrong = [
         f"{_ends(lengths[k], labels)} is {lengths[k][2] + errors[k]:.6g} mm, given as "
         f"{lengths[k][2]:g} +- {lengths[k][3]:g} mm"
-        for k in np.flatnonzero(are_wrong(errors, sds))
+        for k in np.flatnonzero(are_wrong(errors, sds)).tolist()
     ]
     if wrong:
         text = (

@@ -5,6 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from sklearn.utils import Bunch
@@ -42,7 +43,7 @@ def make_acceptance(
     machine: SimulatedArm | ArmErrors | str = "typical",
     exact: bool = False,
     random_state: int | np.random.RandomState | None = 0,
-) -> Bunch:
+) -> Any:
     """Simulate a run of acceptance tests with one arm and artefacts that have errors.
 
     Parameters

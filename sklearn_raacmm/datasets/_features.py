@@ -4,11 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from sklearn.utils import Bunch, check_random_state, check_scalar
+from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._generators import draw_cones, machine_and_stream, measure
@@ -32,7 +33,7 @@ def make_features(
     tip_diameter: float = 0.0,
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
-) -> Bunch:
+) -> Any:
     """Simulate touches of balls and of plates, as a user without cones has them.
 
     Parameters

@@ -48,7 +48,7 @@ def fetch_panda_ball_socket(
     *,
     data_home: str | PathLike[str] | None = None,
     download_if_missing: bool = True,
-) -> Bunch:
+) -> Any:
     """Load the single-point test of a real arm: a Franka Panda with a ball in sockets.
 
     Downloads up to 100 kB the first time: data of the MUKCa project, arXiv:2503.12584 (MIT
@@ -133,7 +133,7 @@ def fetch_ur10_tracker(
     *,
     data_home: str | PathLike[str] | None = None,
     download_if_missing: bool = True,
-) -> Bunch:
+) -> Any:
     """Load a real robot measured by a laser tracker: a UR10 at 619 goal positions.
 
     Downloads 2.4 MB the first time: data of C. Landgraf et al., IEEE CASE 2021 (MIT licence).

@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # scikit-learn's Bunch has no types
         directions: Floats
         temperature: Floats
         payload: Floats
-        simulation: Bunch
+        simulation: Any
 
 
 @validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
@@ -146,7 +146,7 @@ def make_gauge(
     *,
     machine: SimulatedArm | ArmErrors | str = "typical",
     random_state: int | np.random.RandomState | None = 0,
-) -> Bunch:
+) -> Any:
     """Simulate measurements of gauges: two cones at a known distance, in many placements.
 
     Parameters

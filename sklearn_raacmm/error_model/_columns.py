@@ -119,7 +119,7 @@ class Terms(NamedTuple):
     wobble: bool
     extra: tuple[Any, ...] = ()
     up: tuple[float, ...] = ()
-    own: tuple[Callable, ...] = ()
+    own: tuple[Callable[..., Any], ...] = ()
 
 
 class Column(NamedTuple):

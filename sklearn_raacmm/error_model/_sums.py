@@ -64,7 +64,7 @@ class Rows(NamedTuple):
     y: np.ndarray  # (n, 3) residuals in mm
     weights: np.ndarray  # (n,)
     codes: Any  # (n,) position of each row, from 0, where positions have offsets; else None
-    lengths: tuple = ()  # of (position, position, mm, standard deviation in mm)
+    lengths: tuple[Any, ...] = ()  # of (position, position, mm, standard deviation in mm)
     known: float = 0.0  # noise variance over that of the offsets; 0: nothing is known of them
     noise: Any = None  # `Noise` of variance 1; None: all rows have the same
     root: np.ndarray | None = None  # (n, 3, 3) that whitens a row of this noise; None: I
@@ -72,7 +72,7 @@ class Rows(NamedTuple):
     # others; (n, 3, q) what the unknowns of its feature do; and the `Form` of each position.
     shown: np.ndarray | None = None
     unknowns: np.ndarray | None = None
-    forms: tuple = ()
+    forms: tuple[Any, ...] = ()
     by_dask: bool = False  # whether sums over them are made by the workers of dask
 
     def at(self, which):

@@ -407,7 +407,7 @@ def evidence_variance(
     return (squares + counts * guess) / (determined + counts)
 
 
-def root_of(matrix, lower=False):
+def root_of(matrix: np.ndarray, lower: bool = False) -> np.ndarray:
     """Cholesky factor; where rounding has eaten what the priors add, of slightly more.
 
     LinAlgError, a ValueError, says what could not be factored.

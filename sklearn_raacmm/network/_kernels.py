@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import blas, lapack
 
 # A name of `KERNELS`, or a function that a user gives: see `radial`.
-Kernel = str | Callable
+Kernel = str | Callable[..., Any]
 # Pivot of a kernel matrix, whose diagonal is 1, that is far above the rounding of its eigenvalues.
 _SOUND_PIVOT = 1e-6
 # Numbers of a factor for which memory is taken from the start, 256 MB. To grow costs time.
@@ -77,7 +77,7 @@ def _decay(s, times):
 # Functions of the squared scaled distance s, 1 at s = 0, with their slopes by s where asked for:
 # all else follows from them, C and ONNX too. They may overwrite s: to fetch memory for a new matrix
 # takes longer than to fill it. From smooth to rough: `kernel="auto"` tries them in this order.
-KERNELS: dict[str, Callable] = {
+KERNELS: dict[str, Callable[..., Any]] = {
     function.__name__: function for function in (gaussian, matern52, matern32, matern12)
 }
 

@@ -353,7 +353,7 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         regressor = LinearRegression()
         return regressor.set_fit_request(sample_weight=True) if routing else regressor
 
-    def get_metadata_routing(self) -> MetadataRouter:
+    def get_metadata_routing(self) -> Any:
         """Route `fit` and `predict` to the regressor; `groups` are our own, and requested."""
         methods = MethodMapping().add(caller="fit", callee="fit")
         methods.add(caller="predict", callee="predict")
@@ -399,7 +399,7 @@ def _with_shape(X):
 # -- a regressor that may be a pipeline: what learns, and what comes before it ---------------------
 
 
-def last_step_of(regressor):
+def last_step_of(regressor: Any) -> tuple[Any, str]:
     """What learns, and the prefix of its parameters in `fit`, such as "ridge__" in a pipeline."""
     prefix = ""
     while isinstance(regressor, Pipeline):
