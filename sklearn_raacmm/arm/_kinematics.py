@@ -143,7 +143,7 @@ def points_of(arm: DHTable, angles: np.ndarray, probes: np.ndarray | None = None
     """
     points = np.empty((len(angles), 3))
     for rows in chunks(len(angles), CHUNK_ROWS):
-        own: Any = arm.probe.tolist() if probes is None else probes[rows].T
+        own = arm.probe.tolist() if probes is None else probes[rows].T
         points[rows] = carried(arm, angles[rows], [(len(arm.a), own)])[0].T
     return points
 

@@ -145,7 +145,7 @@ class Data:
 
         Of several stations those of the one with most rows.
         """
-        own: Any = slice(None)
+        own = slice(None)
         if self.stations is not None:
             codes = encode_groups(self.stations)[1]
             own = codes == np.bincount(codes).argmax()
