@@ -254,7 +254,7 @@ class Fit:
             taken = (rows.reshape(-1, len(finite)) @ finite).reshape(rows.shape)
             taken = taken @ rows.swapaxes(1, 2)
             if self.problem.features:
-                basis: Any = at[-1].basis[part]
+                basis = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
             elif self.problem.points is None:
                 own = self.weights[part] / total[self.problem.index[part]]

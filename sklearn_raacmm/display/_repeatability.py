@@ -117,7 +117,7 @@ class RepeatabilityDisplay:
         statistic: str = "2s",
         name: str = "after",
         interval: float | None = 0.95,
-        ax = None,
+        ax=None,
     ) -> Self:
         """Draw the repeatability of points before and after a given correction.
 

@@ -398,7 +398,7 @@ class Columns:
         # Unit vector against gravity in `up_frame`: the arm's, or what the data have found.
         self.up: np.ndarray = np.array(terms.up) if terms.up else arm.up
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self) -> tuple[object, ...]:
         return columns_of, (self.arm, self.terms)
 
     def with_harmonics(self, pairs: np.ndarray) -> "Columns":

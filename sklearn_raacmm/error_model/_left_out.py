@@ -121,7 +121,7 @@ class Judgement(NamedTuple):
     helps: bool
 
 
-def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0, centre: Any = None):
+def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0, centre=None):
     """Fading of a correction of residuals (n, 3) in mm.
 
     Errors at positions left out are `widening` times as large as the standard deviation says.

@@ -98,7 +98,7 @@ class Rows(NamedTuple):
         kept = rows.weights > 0
         return rows if kept.all() else rows.at(kept)
 
-    def whitening(self, factor: Any = 1.0):
+    def whitening(self, factor=1.0):
         """`Whitening` of the rows, their weights times a factor."""
         given = self.weights * factor, self.root, self.codes, self.unknowns, self.known
         return whitening(*given, self.rank)
@@ -193,7 +193,7 @@ def explicit_gram(rows, columns_at):
     return gram, of_positions, whitened.precision
 
 
-def less_constants(gram, of_positions, share: Any = 1.0):
+def less_constants(gram, of_positions, share=1.0):
     """The Gram matrix of `explicit_gram` without what constants of the positions explain.
 
     Or a `share` (n_positions, 3) of that: v / (v + known) for those of the precision v that are
@@ -325,7 +325,7 @@ class _Block:
             pairs = np.flatnonzero(offered[:, 0] == joint)
             self.spans.append((joint, offered[pairs, 1], pairs))
         self.n_held = n_held
-        self.waves: dict[tuple[int, int], Any] = {}
+        self.waves: dict[tuple[int, int], tuple] = {}
         every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
         with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))
@@ -380,8 +380,8 @@ class _Block:
         twice = np.repeat(joints, 2)
         moved: Any = None
         taken: Any = None
-        basis: Any = self.basis
-        of_rows: Any = self.codes
+        basis = self.basis
+        of_rows = self.codes
         for k, part in enumerate(self.parts):
             turn = self.turns[part]
             phase = order * self.angles[part][:, joints]
