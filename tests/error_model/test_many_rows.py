@@ -77,7 +77,7 @@ def test_sums_of_blocks_are_those_of_all_rows(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_worker_that_is_killed_changes_nothing(small_blocks, monkeypatch):
-    dask, distributed = (pytest.importorskip(name) for name in ("dask", "distributed"))
+    base, distributed = (pytest.importorskip(name) for name in ("dask.base", "distributed"))
     da = pytest.importorskip("dask.array")
     test = make_single_point(6, 60, random_state=0)
     whole = fitted(test, np.asarray, groups=test.groups)
@@ -85,7 +85,7 @@ def test_a_worker_that_is_killed_changes_nothing(small_blocks, monkeypatch):
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         sizes = {"_PARTS": 2, "_CHUNK": 50}
         client.run(lambda: [setattr(_sums, name, size) for name, size in sizes.items()])
-        workers, calls, compute = client.run(os.getpid), [], dask.compute
+        workers, calls, compute = client.run(os.getpid), [], base.compute
 
         def killing(*tasks, **options):
             calls.append(tasks)
@@ -93,7 +93,7 @@ def test_a_worker_that_is_killed_changes_nothing(small_blocks, monkeypatch):
                 os.kill(next(iter(workers.values())), signal.SIGKILL)
             return compute(*tasks, **options)
 
-        monkeypatch.setattr(dask, "compute", killing)
+        monkeypatch.setattr(base, "compute", killing)
         model = fitted(test, lambda a: da.from_array(a, chunks=70), groups=test.groups)
         assert len(calls) > 8
         assert client.run(os.getpid) != workers
