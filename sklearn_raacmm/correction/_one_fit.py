@@ -48,8 +48,8 @@ _MOST_EXPLAINED = 0.2
 # Angles in rad within which all rows are one pose; `find_poses` has the same.
 _STILL = 1e-3
 # How often the bases of stations are found through a model. Of four simulated arms at three
-# stations 11.9 um are left with those of the calibration, 10.1 after once, 9.5 after twice, 9.2
-# after three times, as of a single station.
+# stations 17.4 um are left with those of the calibration, 10.1 after once, 9.5 after twice, 9.3
+# after three times; at one station 8.6 (``benchmarks/bench_few_poses.py --stations``).
 _ROUNDS_OF_STATIONS = 2
 # Orders of the model that tells outliers and wrong lengths: those of smooth functions of angles.
 _LOW_ORDERS = 48
