@@ -20,7 +20,6 @@ from sklearn_raacmm.utils import group_sums
 
 # Share of what is known best of a feature's unknowns that is rounding: a ball touched on one side.
 _ROUNDING = 1e-12
-_ALL = slice(None)
 
 
 class Whitening(NamedTuple):
@@ -34,23 +33,16 @@ class Whitening(NamedTuple):
     precision: Any  # (n_features, q) of the unknowns, along those of E
     n_observations: float  # less what the unknowns have taken
 
-    def left(self, whitened: np.ndarray, rows: slice = _ALL) -> np.ndarray:
-        """What is left of whitened columns (n, 3, m) of some rows: all rows of their features."""
-        if self.basis is None or self.feature is None:
-            return whitened
-        codes = self.feature[rows] - self.feature[rows].min()
-        return whitened - self.basis[rows] @ self.explained(whitened, rows)[codes]
-
-    def explained(self, whitened: np.ndarray, rows: slice = _ALL) -> np.ndarray:
+    def explained(self, whitened: np.ndarray) -> np.ndarray:
         """Sums over each feature of products of the basis with columns, (n_features, q, m)."""
-        assert self.basis is not None
-        assert self.feature is not None
-        codes = self.feature[rows] - self.feature[rows].min()
-        return group_sums(self.basis[rows].swapaxes(1, 2) @ whitened, codes)
+        return group_sums(self.basis.swapaxes(1, 2) @ whitened, self.feature)
 
     def deviations(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, 3, m), whitened, less what unknowns explain of them."""
-        return self.left(self.root @ columns)
+        whitened = self.root @ columns
+        if self.basis is None:
+            return whitened
+        return whitened - self.basis @ self.explained(whitened)[self.feature]
 
     def centred(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, 3) or (n, 3, m) in their own unit, less what unknowns explain of them."""
