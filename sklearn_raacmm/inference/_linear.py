@@ -99,7 +99,7 @@ class State(NamedTuple):
     with_field: bool
     pairs: np.ndarray  # (k,) pairs of lines and field, sorted
     coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the pairs
-    half: np.ndarray  # (m + 2 k, m + 2 k) with covariance = half @ half.T
+    half: np.ndarray  # (m + 2 k, r) with covariance = half @ half.T
     variance: np.ndarray  # (n_families + 2,) of the structures
     prior: np.ndarray  # (m + 2 k,) variance of each coefficient before any data
     noise_variance: float
@@ -110,7 +110,7 @@ class State(NamedTuple):
     def gains(self) -> np.ndarray:
         """Rise of the log evidence by each pair, beside all others, (k,)."""
         m = len(self.coef) - 2 * len(self.pairs)
-        half = self.half[m:].reshape(-1, 2, max(len(self.half), 1))
+        half = self.half[m:].reshape(-1, 2, max(self.half.shape[1], 1))
         return gains_of(self.coef[m:], half @ half.swapaxes(1, 2), self.prior[m:])
 
     def gain_of(self, columns: np.ndarray) -> float:
