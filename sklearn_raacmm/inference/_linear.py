@@ -141,7 +141,10 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     """Sums of the same columns times numbers, added up, without what was observed beside them."""
 
     def total(values) -> Any:
-        return sum(sign * value for sign, value in zip(signs, values, strict=True))
+        whole = signs[0] * values[0]
+        for sign, value in zip(signs[1:], values[1:], strict=True):
+            whole += value if sign == 1 else sign * value
+        return whole
 
     def sum_up(pairs):
         return total([part.rows(pairs) for part in parts])
@@ -217,11 +220,15 @@ class GramRows:
 
     def _keep(self, pairs):
         known, needed = len(self._place), len(self._place) + len(pairs)
-        if 2 * needed > len(self._rows):  # to the double, so that each row is copied once or twice
-            larger = np.empty((2 * max(needed, 2 * known), self._rows.shape[1]))
-            larger[: 2 * known] = self._rows[: 2 * known]
-            self._rows = larger
-        self._rows[2 * known : 2 * needed] = self._sum_up(np.array(pairs))
+        found = self._sum_up(np.array(pairs))
+        if not known:
+            self._rows = np.ascontiguousarray(found)
+        else:
+            if 2 * needed > len(self._rows):  # to the double: each row is copied once or twice
+                larger = np.empty((2 * max(needed, 2 * known), self._rows.shape[1]))
+                larger[: 2 * known] = self._rows[: 2 * known]
+                self._rows = larger
+            self._rows[2 * known : 2 * needed] = found
         self._place |= {pair: known + i for i, pair in enumerate(pairs)}
 
 
