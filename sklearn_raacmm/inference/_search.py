@@ -26,7 +26,6 @@ from sklearn_raacmm.inference._linear import (
     gains_of,
     root_of,
 )
-from sklearn_raacmm.utils import stage
 
 # Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
 _MAX_ROUNDS = 10
@@ -38,7 +37,6 @@ _LIKELY = 48
 _FIELD_SIZES = 10.0 ** np.arange(-4.0, 1.0)
 
 
-@stage("choice of structures")
 def search(problem: Problem, state: State | None = None) -> State:
     """Lines that are worth their price, and their variances.
 
