@@ -17,13 +17,7 @@ from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import DHTable, check_angles, floats, in_unit, scale_of
 from sklearn_raacmm.arm._files import json_text, read_fields
-from sklearn_raacmm.arm._kinematics import (
-    by_given_angles,
-    frame_poses,
-    parameter_jacobian,
-    points_of,
-    spans_of,
-)
+from sklearn_raacmm.arm._kinematics import frame_poses, joint_jacobian, points_of, spans_of
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, seen_from, write_into_urdf
 from sklearn_raacmm.utils import Finding, Floats, check_option, check_places, write_whole
@@ -654,10 +648,7 @@ class Arm(DHTable):
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
         """
-        n, angles = self.n_joints, check_angles(angles, self.joint_types, angle_unit)
-        # By theta, and of a joint that slides by d.
-        own = np.arange(n) + n * np.where(scale_of(self.joint_types, 0.0) > 0, 2, 3)
-        return by_given_angles(self, parameter_jacobian(self, angles)[1].take(own, axis=2))
+        return joint_jacobian(self, check_angles(angles, self.joint_types, angle_unit))
 
     def angles_for(
         self,
