@@ -33,12 +33,12 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.arm import Arm, phases
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._blocks import of_blocks, sums_of_blocks
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.error_model._factored import waves
-from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
-from sklearn_raacmm.measurements import Form, known_length
+from sklearn_raacmm.inference import Extra, GramRows, Sums
+from sklearn_raacmm.measurements import Form, known_length, whitening
 from sklearn_raacmm.utils import chunks, group_sums, stage, summing
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
@@ -319,7 +319,7 @@ class _Block:
         arm, offered = columns.arm, columns.terms.harmonics
         n_joints = len(arm.a)
         self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
-        self.angles = phases(arm, X[:, :n_joints])
+        self.angles = arm.phases(X[:, :n_joints])
         self.spans: Any = []  # joint, orders, and which of those offered they are
         for joint in np.unique(offered[:, 0]).tolist():
             pairs = np.flatnonzero(offered[:, 0] == joint)

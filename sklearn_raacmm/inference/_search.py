@@ -26,7 +26,6 @@ from sklearn_raacmm.inference._linear import (
     gains_of,
     root_of,
 )
-from sklearn_raacmm.utils import stage
 
 # Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
 _MAX_ROUNDS = 10
@@ -38,7 +37,6 @@ _LIKELY = 48
 _FIELD_SIZES = 10.0 ** np.arange(-4.0, 1.0)
 
 
-@stage("choice of structures")
 def search(problem: Problem, state: State | None = None) -> State:
     """Lines that are worth their price, and their variances.
 
@@ -154,7 +152,7 @@ def _pruned(problem, state):
     own = len(problem.structures.family) + columns_of(np.flatnonzero(is_line)).reshape(-1, 2)
     root, prior = state.half[own], state.prior[own]
     coef, blocks = state.coef[own], root @ root.swapaxes(1, 2)
-    out = np.zeros(len(lines), dtype=bool)
+    out, seen = np.zeros(len(lines), dtype=bool), None
     while True:
         net = np.where(out, np.inf, gains_of(coef.ravel(), blocks, prior.ravel()) - price)
         needless = np.count_nonzero(net <= 0)
@@ -166,7 +164,7 @@ def _pruned(problem, state):
         coef = state.coef[own] - explained @ seen.pull
         blocks = root @ root.swapaxes(1, 2) - explained @ explained.swapaxes(1, 2)
         blocks[out] = np.eye(2)
-    return seen.state(problem, state, lines[~out]) if out.any() else state
+    return state if seen is None else seen.state(problem, state, lines[~out])
 
 
 class _Nothing:
