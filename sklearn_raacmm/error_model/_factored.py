@@ -11,7 +11,7 @@ from scipy.linalg.blas import dtrmm
 
 def waves(theta: Any, orders: Any, out: Any = None) -> Any:
     """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
-    n = np.count_nonzero(orders == np.arange(1, len(orders) + 1))
+    n = int(np.count_nonzero(orders == np.arange(1, len(orders) + 1)))
     if out is None:
         out = np.empty((len(theta), len(orders)), dtype=complex)
     if n:
