@@ -33,6 +33,7 @@ _DEFAULT = "aacmm6"
 _ROUNDING = 1e-12
 # Arms of fewer joints have no wrist where the default poses suppose it.
 _FEW_JOINTS = 5
+_FIELDS = tuple(field.name for field in fields(DHTable))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,7 +162,7 @@ class Arm(DHTable):
         return self
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in _FIELDS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Through the constructor: arrays restored by pickle would be writable.
