@@ -18,8 +18,8 @@ from sklearn_raacmm.arm._chain import urdf_text
 from sklearn_raacmm.arm._checks import DHTable, check_angles, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import (
-    by_given_angles,
     frame_poses,
+    joint_jacobian,
     parameter_jacobian,
     phase_factors,
     points_of,
@@ -700,10 +700,7 @@ class Arm(DHTable):
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
         """
-        n, angles = self.n_joints, self.check_angles(angles, angle_unit)
-        # By theta, and of a joint that slides by d.
-        own = np.arange(n) + n * np.where(self.by_type(0.0) > 0, 2, 3)
-        return by_given_angles(self, parameter_jacobian(self, angles)[1].take(own, axis=2))
+        return joint_jacobian(self, self.check_angles(angles, angle_unit))
 
     def angles_for(
         self,

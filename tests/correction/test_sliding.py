@@ -32,7 +32,7 @@ def measured(n, seed, scale=0.0):
 @pytest.fixture(scope="module")
 def learnt():
     q, points = measured(200, 1)
-    return learn_correction(RAIL, q, points=points, model=ArmResidualRegressor(orders=20), cv=3)
+    return learn_correction(RAIL, q, points=points, model=ArmResidualRegressor(orders=20), cv=2)
 
 
 def test_a_check_names_the_scale_of_the_rail_and_an_update_takes_it(learnt, tmp_path):
