@@ -203,13 +203,6 @@ class Arm(DHTable):
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<div><p>{escape(repr(self))}</p><table>{table}</table></div>"
 
-    @cached_property
-    def reach_mm(self) -> float:
-        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
-        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
-        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
-
     def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.
 

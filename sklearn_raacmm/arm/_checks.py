@@ -129,6 +129,13 @@ class DHTable:
                 spans[end, i] = limits[1 - end] + (2 * end - 1) * 2 * _TRAVEL_MM
         return spans
 
+    @cached_property
+    def reach_mm(self) -> float:
+        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
+        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
+        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
+        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
+
     def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
         """Give a number for each joint, (n_joints,): one to those that turn, one to slides."""
         return scale_of(self.joint_types, of_turns, of_slides)
