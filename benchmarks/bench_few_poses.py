@@ -345,7 +345,7 @@ def main():
     which = parser.add_mutually_exclusive_group()
     for name in ("gears", "narrow", "constants", "prices", "field", "paths", "stations", "shares"):
         which.add_argument(f"--{name}", action="store_true")
-    words = "20 arms, 1 of constants, 6 of prices, of paths, 4 of stations, 9 of shares"
+    words = "20 arms, 1 of constants, 6 of prices, of paths, of shares, 4 of stations"
     parser.add_argument("--draws", type=int, help=words)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -354,7 +354,7 @@ def main():
     elif options.paths:
         paths(options.draws or 6)
     elif options.shares:
-        shares(options.draws or 9)
+        shares(options.draws or 6)
     elif options.stations:
         stations(options.draws or 4)
     elif options.constants:

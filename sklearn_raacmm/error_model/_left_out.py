@@ -51,8 +51,8 @@ _TOGETHER, _OF_POSITIONS = 2**15, 2**12
 # residuals themselves.
 _LEAST_OF_TABLE = 1e-3
 # What a correction is wrong by falls with the number of positions that it is learnt from: the
-# square of it by this power. With 4 cones 2, 4 and 6 leave 0.93, 0.88 and 0.86 of what 0 does, the
-# worst of nine arms 1.02, 1.05 and 1.06 (``benchmarks/bench_few_poses.py --shares``).
+# square of it by this power. With 4 cones 2, 4 and 6 leave 0.93, 0.89 and 0.87 of what 0 does, the
+# worst of six arms 1.03, 1.05 and 1.08 (``benchmarks/bench_few_poses.py --shares``).
 _POWER = 4
 # A gain of less than this share of the deviation is none.
 _LEAST_GAIN = 1e-3
