@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
-from sklearn_raacmm.arm._checks import DHTable, check_angles, floats, in_unit, scale_of
+from sklearn_raacmm.arm._checks import DHTable, check_angles, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import (
-    by_given_angles,
     frame_poses,
+    joint_jacobian,
     parameter_jacobian,
+    phase_factors,
     points_of,
-    spans_of,
 )
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, seen_from, write_into_urdf
@@ -205,8 +205,8 @@ class Arm(DHTable):
     @cached_property
     def reach_mm(self) -> float:
         """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        at_ends = np.abs(self.d + self.joint_signs * spans_of(self)).max(axis=0)
-        d = np.where(scale_of(self.joint_types, 0.0) > 0, at_ends, self.d)
+        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
+        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
         return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
 
     def replace(self, **changes: Any) -> "Arm":
@@ -399,6 +399,12 @@ class Arm(DHTable):
         check_arm(positioner)
         return seen_from(self, positioner, base)
 
+    def on_trial(self, **changes: object) -> Self:
+        """Change fields that nobody checks: for kinematics, many times a second."""
+        one = object.__new__(type(self))
+        vars(one).update(self.__getstate__() | changes)
+        return one
+
     # -- files ------------------------------------------------------------------------------
 
     @classmethod
@@ -578,6 +584,45 @@ class Arm(DHTable):
             check_places([out])
         return _write_text(write_into_urdf(self, original, base, tip), out)
 
+    # -- joints: what is said of them, and what they may be -----------------------------------
+
+    def check_angles(self, angles: ArrayLike, angle_unit: str = "rad") -> Floats:
+        """Joints (n, n_joints) in rad and mm, checked as :meth:`forward` checks them."""
+        return check_angles(angles, self.joint_types, angle_unit)
+
+    def in_unit(self, angles: Floats, angle_unit: str) -> Floats:
+        """Joints (n, n_joints) in rad and mm with their angles in the unit asked for."""
+        return angles if angle_unit == "rad" else angles * self.by_type(180 / np.pi)
+
+    def phases(self, angles: Floats) -> Floats:
+        """What waves of each joint's error are waves of, (n, n_joints) rad: its `own_angles`.
+
+        For a joint that slides a turn is twice its travel, and a multiple of 200 mm, so that whole
+        numbers of waves have the pitches of usual screws and racks.
+        """
+        own = self.own_angles(angles)
+        return own * phase_factors(self) if self.slides else own
+
+    def points_at(self, angles: Floats, probes: Floats | None = None) -> Floats:
+        """Probe points (n, 3), mm, at angles in rad that have been checked.
+
+        `probes` (n, 3) are those of the rows in the last frame, mm; None: all have the arm's.
+        """
+        return points_of(self, angles, probes)
+
+    def parameter_jacobian(self, angles: Floats) -> tuple[Floats, Floats]:
+        """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's fields.
+
+        The fields are `a`, `alpha`, `d`, `theta_offset` and `probe`; the angles have been checked.
+        """
+        return parameter_jacobian(self, angles)
+
+    def random_poses(self, n: int, rng: np.random.Generator | None = None) -> Floats:
+        """Draw poses (n, n_joints) in rad and mm: any angles, and what slides in its limits."""
+        rng = np.random.default_rng(0) if rng is None else rng
+        low, high = self.spans
+        return rng.uniform(low, high, (n, self.n_joints))
+
     # -- kinematics -------------------------------------------------------------------------
 
     def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
@@ -607,7 +652,7 @@ class Arm(DHTable):
             If an angle is more than two turns, or if all degrees are below 2 pi: most likely
             another unit.
         """
-        return points_of(self, check_angles(angles, self.joint_types, angle_unit))
+        return points_of(self, self.check_angles(angles, angle_unit))
 
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Azimuth of the probe about the base's z axis.
@@ -638,7 +683,7 @@ class Arm(DHTable):
         ndarray of shape (n_samples, n_joints + 1, 3, 4)
             ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
         """
-        return frame_poses(self, check_angles(angles, self.joint_types, angle_unit))
+        return frame_poses(self, self.check_angles(angles, angle_unit))
 
     def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Compute the derivative of the probe's position by each joint angle.
@@ -654,10 +699,7 @@ class Arm(DHTable):
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
         """
-        n, angles = self.n_joints, check_angles(angles, self.joint_types, angle_unit)
-        # By theta, and of a joint that slides by d.
-        own = np.arange(n) + n * np.where(scale_of(self.joint_types, 0.0) > 0, 2, 3)
-        return by_given_angles(self, parameter_jacobian(self, angles)[1].take(own, axis=2))
+        return joint_jacobian(self, self.check_angles(angles, angle_unit))
 
     def angles_for(
         self,
@@ -707,8 +749,8 @@ class Arm(DHTable):
         """
         check_option("angle_unit", angle_unit, ("rad", "deg"))
         if start is not None:
-            start = check_angles(start, self.joint_types, angle_unit)
-        return in_unit(angles_for(self, points, start, orientations), self.joint_types, angle_unit)
+            start = self.check_angles(start, angle_unit)
+        return self.in_unit(angles_for(self, points, start, orientations), angle_unit)
 
 
 def _write_text(text, path):

@@ -21,6 +21,8 @@ _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
 _NO_LIMITS = (-np.inf, np.inf)
 # Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
 _ABSURD_DEG = 3600.0
+# What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
+_TRAVEL_MM = 2000.0
 # No scale of a rail is off by as much: it would be in another unit.
 _MOST_SCALE = 0.1
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
@@ -101,6 +103,44 @@ class DHTable:
     def n_joints(self) -> int:
         """Number of joints."""
         return self.a.size
+
+    @cached_property
+    def slides(self) -> list[int]:
+        """Numbers, from 0, of the joints that slide."""
+        return slides_of(self.joint_types)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest angle of each joint (2, n_joints), rad or mm; infinite without one."""
+        if self.limits is None:
+            return np.full((2, self.n_joints), [[-np.inf], [np.inf]])
+        return self.limits.T
+
+    @property
+    def spans(self) -> np.ndarray:
+        """From where to where joints are taken to go, (2, n_joints): a turn; what a slide may."""
+        spans = np.array([[-np.pi], [np.pi]]) * np.ones(len(self.a))
+        for i in self.slides:
+            limits = self.bounds[:, i]
+            known = np.isfinite(limits)
+            spans[:, i] = np.where(known, limits, (-_TRAVEL_MM, _TRAVEL_MM))
+            if known.sum() == 1:  # so far from the end that is known
+                end = 1 - int(np.argmax(known))
+                spans[end, i] = limits[1 - end] + (2 * end - 1) * 2 * _TRAVEL_MM
+        return spans
+
+    def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
+        """Give a number for each joint, (n_joints,): one to those that turn, one to slides."""
+        return scale_of(self.joint_types, of_turns, of_slides)
+
+    def own_angles(self, angles: np.ndarray) -> np.ndarray:
+        """Angle of each joint itself (n, n_joints), of what the encoders give: see `couplings`."""
+        if not self.couplings:
+            return angles
+        own = angles.copy()
+        for joint, other, factor in self.couplings:
+            own[:, joint - 1] += factor * angles[:, other - 1]
+        return own
 
 
 def check_types(value, n):
@@ -284,11 +324,6 @@ def slides_of(joints: int | str) -> list[int]:
     if isinstance(joints, int) or "P" not in joints:  # nearly all, and a pose takes 20 us
         return []
     return [i for i, kind in enumerate(joints) if kind == "P"]
-
-
-def in_unit(angles: np.ndarray, types: str, angle_unit: str) -> np.ndarray:
-    """Joints (n, n_joints) in rad and mm with their angles in the unit asked for."""
-    return angles if angle_unit == "rad" else angles * scale_of(types, 180 / np.pi)
 
 
 def scale_of(types: str, of_turns: float, of_slides: float = 1.0) -> np.ndarray:

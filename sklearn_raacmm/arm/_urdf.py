@@ -25,7 +25,6 @@ from sklearn_raacmm.arm._chain import (
     with_probe,
 )
 from sklearn_raacmm.arm._checks import are_rotations
-from sklearn_raacmm.arm._solve import limits_of
 from sklearn_raacmm.utils import Finding, floats, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -141,7 +140,7 @@ def seen_from(arm: Any, positioner: Any, base: ArrayLike) -> Any:
         "names": (*own[::-1], *(arm.names or [f"J{i + 1}" for i in range(arm.n_joints)])),
         "joint_types": types,
         "joint_signs": np.concatenate([positioner.joint_signs[::-1], arm.joint_signs]),
-        "limits": np.vstack([np.transpose(limits_of(one)) for one in (positioner, arm)]),
+        "limits": np.vstack([np.transpose(one.bounds) for one in (positioner, arm)]),
         "couplings": [*couplings, *((m + i, m + j, factor) for i, j, factor in arm.couplings)],
         "up_frame": m,
     }

@@ -6,7 +6,6 @@
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.arm import FIELDS, slides_of
+from sklearn_raacmm.arm import FIELDS
 from sklearn_raacmm.calibration._problem import (
     FOUND,
     LONG_SHARE,
@@ -29,12 +28,12 @@ from sklearn_raacmm.calibration._problem import (
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.inference import evidence_variance, whitening
 from sklearn_raacmm.measurements import (
     STILL_MM,
     known_length,
     linearised,
     touch_weights,
+    whitening,
     with_forms,
 )
 from sklearn_raacmm.utils import (
@@ -100,7 +99,7 @@ class Fit:
         self.loss, self.free, self.priors = loss, free, priors
         # Joints that slide, but stand still in all rows.
         ways = np.ptp(self.angles, axis=0) if len(self.angles) else np.zeros(arm.n_joints)
-        self.still = [i for i in slides_of(arm.joint_types) if ways[i] < STILL_MM]
+        self.still = [i for i in arm.slides if ways[i] < STILL_MM]
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -142,7 +141,7 @@ class Fit:
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
         lengths = np.array([not name.startswith(ANGLES) for name in self.names])
         kind = np.full(len(lengths), "angle_rad", dtype=object)
-        slides = slides_of(arm.joint_types)
+        slides = arm.slides
         of_slides = np.isin(np.arange(len(kind)) % arm.n_joints, slides)
         # Where a slide stands says nothing of how long links are.
         long = are_long(np.where(of_slides, 0.0, pack(arm)[: len(lengths)])[lengths])
@@ -232,7 +231,8 @@ class Fit:
             members = is_free & (self.kind == kind)
             if members.any():
                 seen, square = np.sum(1 - share[members]), np.sum(departure[members] ** 2)
-                sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
+                # MacKay's fixed point, with a guess that is worth so many numbers.
+                sd = np.sqrt((square + counts * guess**2) / (seen + counts))
                 sd = np.clip(sd, least, most)
                 settled &= bool(abs(np.log(sd / self.prior_sd[members][0])) < 0.05)
                 self.prior_sd[members] = sd
@@ -362,17 +362,12 @@ class Fit:
         """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
         arm, problem, angles = self.nominal_arm, self.problem, self.angles[rows]
         n_table, n_parameters = len(pack(arm)) - 3, len(self.nominal)
-        # On trial: an `Arm` would check its fields at every step.
-        trial = SimpleNamespace(
-            convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings,
-            joint_types=arm.joint_types,
-        )  # fmt: skip
         points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
         tools = None if problem.tools is None else problem.tools[rows]
         for tool in range(problem.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
-            vars(trial).update(unpack(x, arm, tool))
-            points[of], own = table_jacobian(trial, angles[of])
+            one = arm.on_trial(**unpack(x, arm, tool))
+            points[of], own = table_jacobian(one, angles[of])
             jac[of, :, :n_table] = own[:, :, :n_table]
             jac[of, :, start : start + 3] = own[:, :, n_table:]
         if self.correction is not None:

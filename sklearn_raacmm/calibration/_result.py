@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.measurements import check_features, linearised
 from sklearn_raacmm.utils import Finding, Floats, centred, encode_groups, floats, slip_factors
 
@@ -222,7 +222,7 @@ class CalibrationResult:
         >>> bool(np.abs(result.residuals(angles[40:], tracker[40:])).max() < 1e-3)
         True
         """
-        angles = check_angles(angles, self.arm.joint_types, angle_unit)
+        angles = self.arm.check_angles(angles, angle_unit)
         if (points is None) == (groups is None):
             raise ValueError("Give either points, measured positions, or groups, labels.")
         shown = np.empty((len(angles), 3))

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import FIELDS, Arm, phases, points_of
+from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
@@ -23,10 +23,10 @@ from sklearn_raacmm.measurements import (
     known_length,
     linearised,
     order_explained_by,
+    position_residuals,
     with_forms,
 )
 from sklearn_raacmm.metrics import gauge_lengths
-from sklearn_raacmm.residuals import last_step_of, position_residuals
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
@@ -34,6 +34,7 @@ from sklearn_raacmm.utils import (
     centred,
     encode_groups,
     ignored_findings,
+    last_step_of,
     listed,
 )
 
@@ -199,7 +200,7 @@ class Data:
 
     def shown(self, calibration, rows):
         """Points (n, 3) that the calibrated arm shows in these rows, mm, in the base frame."""
-        return points_of(calibration.arm, self.angles[rows], self.probes(calibration, rows))
+        return calibration.arm.points_at(self.angles[rows], self.probes(calibration, rows))
 
     def _forms(self, rows):
         """Labels of these rows, their codes, and the kind of each label."""
@@ -458,7 +459,7 @@ def _causes(arm, measured, codes):
     """
     given, angles = measured.extra, measured.angles
     check_extra(tuple(given), angles.shape[1])
-    turns = phases(arm, angles)
+    turns = arm.phases(angles)
     if "time" in given and (explained := order_explained_by(turns, codes)) > _MOST_EXPLAINED:
         raise ValueError(
             f"time cannot be learnt from this run: the angles explain the number of the row (R2 "

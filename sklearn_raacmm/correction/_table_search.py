@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, carried, check_angles, check_arm, points_of, scale_of
+from sklearn_raacmm.arm import Arm, carried, check_arm
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.correction._zeros import trial, with_found_zeros
+from sklearn_raacmm.correction._zeros import with_found_zeros
 from sklearn_raacmm.measurements import LEAST_ROWS
 from sklearn_raacmm.utils import (
     Finding,
@@ -169,7 +169,7 @@ def search_table(
     raw = np.asarray(angles, dtype=float)
     points = None if points is None else np.asarray(points, dtype=float)
     rows, codes, few_points = _few_rows(len(raw), positions, points)
-    largest = np.abs(raw * scale_of(arm.joint_types, 1.0, 0.0)).max()
+    largest = np.abs(raw * arm.by_type(1.0, 0.0)).max()
     candidates = _candidates(arm, angle_unit, largest, points is not None)
     few = raw[rows]
     ranked = [(_quick_scatter(one, few, codes, few_points), one) for one in candidates]
@@ -299,7 +299,7 @@ def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
             raise ValueError(
                 "zeros are found from labels of positions, or from a tracker's points."
             )
-        angles = check_angles(angles, arm.joint_types, unit)
+        angles = arm.check_angles(angles, unit)
         rows, codes, few_points = _few_rows(len(angles), positions, points)
         return with_found_zeros(arm, angles[rows], codes, few_points)
     word, *numbers = code.split("-")
@@ -487,8 +487,8 @@ def _quick_scatter(one, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
     angles = angles[:, one.columns]
     if one.angle_unit == "deg":
-        angles = angles * scale_of(one.given.joint_types, np.pi / 180)
-    arm = trial(one.given, **one.changed)
+        angles = angles * one.given.by_type(np.pi / 180)
+    arm = one.given.on_trial(**one.changed)
     if points is None:
         # Points are linear in the probe: origin + turn @ probe.
         ends = [(len(arm.a), probe) for probe in np.vstack([np.zeros(3), np.eye(3)]).tolist()]
@@ -497,7 +497,7 @@ def _quick_scatter(one, angles, codes, points):
         A, left = parts[:, :, 1:].reshape(-1, 3), parts[:, :, 0]
         left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
-        ours, points = points_of(arm, angles), points[:, one.axes]
+        ours, points = arm.points_at(angles), points[:, one.axes]
         rotation, shift = align(ours, points)
         left = ours @ rotation.T + shift - points
     return float(np.linalg.norm(left, axis=1).mean())

@@ -21,16 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg.blas import dtrmm
 
-from sklearn_raacmm.arm import (
-    FIELDS,
-    Arm,
-    axis_vectors,
-    joint_axes,
-    phases,
-    points_of,
-    scale_of,
-    slides_of,
-)
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, joint_axes
 from sklearn_raacmm.utils import chunks
 
 ARCSEC = np.pi / 180 / 3600
@@ -219,7 +210,7 @@ def _kinematics(arm):
     changes += [(f"beta{i + 1}", TURN, i + of_x, 1) for i in range(n)]
     for name, kind, frame, axis in changes:
         yield Column(name, KINEMATICS, kind, frame, axis, length if kind == SHIFT else ARCSEC)
-    for j in slides_of(arm.joint_types):  # what a millimetre of its scale is longer by
+    for j in arm.slides:  # what a millimetre of its scale is longer by
         yield Column(f"scale{j + 1}", KINEMATICS, GROW, j + of_z, 2, ARCSEC, load=j + 1)
 
 
@@ -234,7 +225,7 @@ def _wobble(arm):
     # linear axis (ISO 230-1).
     moves = [(SHIFT, axis, "is off along") for axis in range(2)]
     moves += [(TURN, axis, "tilts about") for axis in range(3)]
-    of = slides_of(arm.joint_types), moves, _GUIDE_ORDERS, waves
+    of = arm.slides, moves, _GUIDE_ORDERS, waves
     for j, (kind, axis, does), order, (part, sign) in product(*of):
         name = f"joint {j + 1} {does} {'xyz'[axis]}, {part}({order} way)"
         unit = ARCSEC / order**2 * (arm.reach_mm if kind == SHIFT else 1.0)
@@ -337,7 +328,7 @@ def _of_users(arm, terms, taken):
 def _lengths(arm):
     """Lengths of the table by the names of their columns, mm."""
     lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
-    for j in slides_of(arm.joint_types):  # grows by its scale, with the way that it goes
+    for j in arm.slides:  # grows by its scale, with the way that it goes
         lengths |= {f"d{j + 1}": 0.0, f"scale{j + 1}": 1.0}
     return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
 
@@ -448,7 +439,7 @@ class Columns:
     def points(self, rows: np.ndarray) -> np.ndarray:
         """Probe points (n, 3) of rows, mm."""
         angles, _, probes = self._parts(rows)
-        return points_of(self.arm, angles, probes)
+        return self.arm.points_at(angles, probes)
 
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
@@ -458,7 +449,7 @@ class Columns:
             own = None if probes is None else probes[part]
             levers[part] = axis_vectors(self.arm, angles[part], own)[0][:, :, axes]
         if "P" in self.arm.joint_types:
-            levers *= scale_of(self.arm.joint_types, 1.0, _METRE)
+            levers *= self.arm.by_type(1.0, _METRE)
         return levers
 
     def upright(self, vectors: np.ndarray) -> np.ndarray:
@@ -481,7 +472,7 @@ class Columns:
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
-        phase = phases(self.arm, angles)[:, plan.wave_joint] * plan.wave_order
+        phase = self.arm.phases(angles)[:, plan.wave_joint] * plan.wave_order
         wave = np.empty((len(angles), 2 * phase.shape[1]))
         np.cos(phase, out=wave[:, 0::2])
         np.sin(phase, out=wave[:, 1::2])

@@ -223,6 +223,7 @@ class Task(NamedTuple):
     length_scale: np.ndarray | None = None  # (d,) given widths
     alpha: np.ndarray | None = None  # (q,) given ridges
     constants: bool = False  # whether groups have constants
+    ranks: np.ndarray | None = None  # if these are the inputs, as `mid_ranks` makes them
 
     @property
     def n_widths(self):

@@ -57,7 +57,7 @@ def test_a_million_rows_would_fit_in_a_gibibyte(monkeypatch, tmp_path):
     for limit, rows in ((_fit, {"_BLOCK": 256, "_HELD": 0}), (_set_ups, {"_MOST_ROWS": 1000})):
         for name, value in rows.items():
             monkeypatch.setattr(limit, name, value)
-    angles, points = tracked(20_000)
+    angles, points = tracked(10_000)
     for name, array in (("angles", angles), ("points", points)):
         np.save(tmp_path / name, array)
     mapped = [np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in ("angles", "points")]

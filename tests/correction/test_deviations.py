@@ -93,7 +93,7 @@ def test_three_deviations_have_three_names(learned):
 def test_draws_hold_the_scale_of_the_arm():
     """Lengths of drawn points scatter as is said of distances, by the table's scale above all."""
     test = make_single_point(6, 12, random_state=0)
-    correction = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
+    correction = learn_correction(test.nominal_arm, test.data, test.groups, cv=2)
     first, second = test.data[:12], test.data[-12:]
     points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
     drawn = np.linalg.norm(points[12:] - points[:12], axis=1)
@@ -107,7 +107,7 @@ def test_draws_hold_the_scale_of_the_arm():
     # Of a table whose model holds no lengths the scale is drawn beside it.
     plain = ArmResidualRegressor(orders=2, causes=[])
     with pytest.warns(UserWarning, match="nothing holds the distances"):
-        correction = learn_correction(test.nominal_arm, test.data, test.groups, model=plain, cv=3)
+        correction = learn_correction(test.nominal_arm, test.data, test.groups, model=plain, cv=2)
     points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
     drawn = np.linalg.norm(points[12:] - points[:12], axis=1).std(axis=1)
     assert np.all(drawn > 0.9 * correction.calibration.scale_sd * lengths)
@@ -138,7 +138,7 @@ def by_tracker():
     points = true + rng.normal(0, 0.02, true.shape)
     given = (arm, angles[:200], None, points[:200])
     model = ArmResidualRegressor(orders=2, causes=[])
-    of = {sd: learn_correction(*given, model=model, cv=3, points_sd=sd) for sd in (0.0, 0.02)}
+    of = {sd: learn_correction(*given, model=model, cv=2, points_sd=sd) for sd in (0.0, 0.02)}
     return of, angles[200:], true[200:], points[200:], given, model
 
 
