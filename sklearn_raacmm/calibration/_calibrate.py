@@ -177,9 +177,7 @@ def calibrate(
     result does not depend on the directions of the axes, and known lengths.
 
     Touches count by their distance from the plane or sphere, whose unknowns are projected out, too.
-    A stated size counts as a known length. What the table does not explain, taken as eccentric
-    joints and gravity, is told apart from it: the table is then the one that serves best at these
-    poses in all directions, not only in those that the touches show.
+    A stated size counts as a known length.
 
     A single-point test cannot see the common scale of all lengths, but a smaller arm scatters less,
     so that least squares alone would shrink it. The distances are therefore divided by the scale of
