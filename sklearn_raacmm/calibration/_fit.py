@@ -28,9 +28,9 @@ from sklearn_raacmm.calibration._problem import (
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.measurements import (
     STILL_MM,
+    base_motions,
     known_length,
     linearised,
     touch_weights,
@@ -217,6 +217,8 @@ class Fit:
             )
             if self.converged:
                 break
+        if self.problem.features and mask[: -3 * self.problem.n_tools].any():
+            self._take_best_table(mask)
         return self
 
     def _judge(self, mask, find_priors):
@@ -382,7 +384,7 @@ class Fit:
     def _free_columns(self, x, mask):
         """Yield blocks of rows, and derivatives by what is free, the points as the last column.
 
-        Where the mask is longer than x, those by what `moved_by_misfit` tries stand between.
+        Where the mask is longer than x, those by what `_misfit` tries stand between.
         """
         free, joints = np.flatnonzero(mask[: len(self.nominal)]), self.turning
         for part, points, jac in self.located(x):
@@ -613,37 +615,80 @@ class Fit:
             covariance = covariance + spread @ spread.T
         return covariance
 
-    def moved_by_misfit(self, mask):
-        r"""By how much what the table does not explain moves free parameters, and the common scale.
+    def _misfit(self, mask):
+        r"""What the table does not explain, and what it moves the free parameters by.
 
         It is no noise: at poses that are alike it is much the same. Angles of joints that turn are
         taken to be off by a cosine and a sine of themselves, as an eccentric scale makes them, and
         by the lever of gravity: A w, of one variance by the evidence. With C their covariance the
-        parameters move by :math:`-C J'A w`. Returned is that for each of w of one standard
-        deviation, (k, 3 n_turning), and by which part they and what the parameters then do against
-        them enlarge the distances between the rows' points, (3 n_turning,).
+        parameters move by :math:`-C J'A w`. Returned are w, its standard deviation before the data,
+        rad, and C J'A (k, n_w).
         """
-        k, every = np.count_nonzero(mask), np.r_[mask, np.ones(3 * len(self.turning), dtype=bool)]
+        k, every = np.count_nonzero(mask), self._with_misfit(mask)
         root = triangle(self.rows(self.x, every))
         # Beside the parameters; the last row is what neither explains.
-        _, size, axes = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
-        strength, square = np.square(size), np.square(axes @ root[k:, -1])
-        variance, seen = _MISFIT_RAD**2, np.ones(1)
+        axes, size, seen_by = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
+        strength, seen = np.square(size), seen_by @ root[k:, -1]
+        variance, share, found = _MISFIT_RAD**2, np.ones(1), seen
         for _ in range(_MISFIT_ROUNDS):
-            total = 1 + variance * strength  # of noise and misfit
-            seen = variance * strength / total
-            squares = np.sum(seen * variance * square / total)
-            variance = evidence_variance(squares, max(seen.sum(), 1e-300))
+            share = variance * strength / (1 + variance * strength)  # beside noise
+            found = variance * size * seen / (1 + variance * strength)
+            variance = np.square(found).sum() / max(share.sum(), 1e-300)
         # Of a variance that so many numbers show the mean is larger than the likeliest.
-        sd = np.sqrt(variance * (1 + 2 / max(seen.sum(), 1e-300)))
+        sd = np.sqrt(variance * (1 + 2 / max(share.sum(), 1e-300)))
         covariance = inverse_normal(root[:, :k])
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-        moved = covariance @ root[:k, :k].T @ root[:k, k:-1]
+        return -axes @ found, sd, covariance @ root[:k, :k].T @ root[:k, k:-1]
+
+    def _with_misfit(self, mask):
+        """A mask of parameters and of what `_misfit` tries beside them."""
+        return np.r_[mask, np.ones(3 * len(self.turning), dtype=bool)]
+
+    def _take_best_table(self, mask):
+        """Of touches, go on to the table that serves best at their poses.
+
+        Surfaces show some directions only, and fitted to these a table follows what it does not
+        explain along them. Where both are told apart, the table is that which moves the points as
+        both do: within every feature, and between their means, beside a motion of the base. Known
+        lengths count, and the prior.
+        """
+        misfit, _, pulled = self._misfit(mask)
+        every, index, k = self._with_misfit(mask), self.problem.index, pulled.shape[0]
+        count = np.bincount(index)[:, None, None]
+        means: Any = sum(
+            group_sums(columns, index[part], None, len(count))
+            for part, columns in self._free_columns(self.x, every)
+        )
+        means = means / count
+        base = base_motions(means[:, :, -1], self.nominal_arm.reach_mm).reshape(-1, 6)
+        base, flat = np.linalg.qr(base)[0], means.reshape(-1, means.shape[2])
+
+        def rows():
+            yield (flat - base @ (base.T @ flat)) / self.sigma
+            for part, columns in self._free_columns(self.x, every):
+                yield (columns - means[index[part]]).reshape(-1, flat.shape[1]) / self.sigma
+            if self.problem.lengths:
+                yield self._length_rows(self.touched(self.x, every))
+
+        root = triangle(rows())[:, :-1]
+        both = np.vstack([root[:, :k], np.diag(1 / self.prior_sd[mask])])
+        target = np.r_[root[:, k:] @ misfit, np.zeros(k)]
+        x = self.x.copy()
+        x[mask] += np.linalg.lstsq(both, target, rcond=1e-12)[0] - pulled @ misfit
+        self._take(x)
+
+    def moved_by_misfit(self, mask):
+        """By how much what the table does not explain moves free parameters, and the common scale.
+
+        For each of w of one standard deviation, (k, n_w), and by which part it and what the
+        parameters then do against it enlarge the distances between the rows' points, (n_w,).
+        """
+        _, sd, moved = self._misfit(mask)
         points, n_table = self.points(), np.count_nonzero(mask[: len(self.nominal)])
         away = points - points.mean(axis=0)
         slopes: Any = sum(
             np.einsum("nc,ncp->p", away[part], columns[:, :, :-1])
-            for part, columns in self._free_columns(self.x, every)
+            for part, columns in self._free_columns(self.x, self._with_misfit(mask))
         )
         # Places that are all near one another show nothing of the scale.
         least = len(away) * (_NEAR_SHARE * self.nominal_arm.reach_mm) ** 2

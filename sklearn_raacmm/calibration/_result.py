@@ -31,7 +31,9 @@ class CalibrationResult:
     Attributes
     ----------
     arm : Arm
-        The calibrated arm; with several tools, with the probe of the first.
+        The calibrated arm; with several tools, with the probe of the first. Of touches of surfaces
+        its table is that which serves best in all directions at their poses. What it does not
+        explain, taken as eccentric joints and gravity, is told apart for that.
     names : tuple of str
         Names of the parameters: the field of `Arm` and the row of the table from 1, such as
         ``"a2"`` or ``"theta_offset4"``; ``"scale1"``, by which the ways of joint 1 are multiplied
