@@ -627,12 +627,12 @@ class Fit:
         # Beside the parameters; the last row is what neither explains.
         _, size, axes = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
         strength, square = np.square(size), np.square(axes @ root[k:, -1])
-        variance = _MISFIT_RAD**2
+        variance, seen = _MISFIT_RAD**2, strength
         for _ in range(_MISFIT_ROUNDS):
             total = 1 + variance * strength  # of noise and misfit
             seen = variance * strength / total
             squares = np.sum(seen * variance * square / total)
-            variance = evidence_variance(squares, max(seen.sum(), 1e-300))
+            variance = squares / max(seen.sum(), 1e-300)  # MacKay's fixed point
         # Of a variance that so many numbers show the mean is larger than the likeliest.
         sd = np.sqrt(variance * (1 + 2 / max(seen.sum(), 1e-300)))
         covariance = inverse_normal(root[:, :k])
