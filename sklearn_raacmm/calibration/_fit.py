@@ -28,6 +28,7 @@ from sklearn_raacmm.calibration._problem import (
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
+from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.measurements import (
     STILL_MM,
     known_length,
@@ -627,12 +628,12 @@ class Fit:
         # Beside the parameters; the last row is what neither explains.
         _, size, axes = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
         strength, square = np.square(size), np.square(axes @ root[k:, -1])
-        variance, seen = _MISFIT_RAD**2, strength
+        variance, seen = _MISFIT_RAD**2, np.ones(1)
         for _ in range(_MISFIT_ROUNDS):
             total = 1 + variance * strength  # of noise and misfit
             seen = variance * strength / total
             squares = np.sum(seen * variance * square / total)
-            variance = squares / max(seen.sum(), 1e-300)  # MacKay's fixed point
+            variance = evidence_variance(squares, max(seen.sum(), 1e-300))
         # Of a variance that so many numbers show the mean is larger than the likeliest.
         sd = np.sqrt(variance * (1 + 2 / max(seen.sum(), 1e-300)))
         covariance = inverse_normal(root[:, :k])
