@@ -22,10 +22,10 @@ from sklearn_raacmm.error_model._columns import (
     LOAD,
     OF_LOADS,
     Columns,
-    Root,
     Terms,
     columns_of,
 )
+from sklearn_raacmm.error_model._factored import Root
 from sklearn_raacmm.utils import check_shapes, chunks, group_means
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -267,13 +267,13 @@ class LinearModel:
 
     @cached_property
     def _std_root(self):
-        return Root(self.gauge_free_half, self.layout)
+        return Root(self.gauge_free_half, self.layout.spans)
 
     @cached_property
     def _fading_root(self):
         if self.informed_half is None:
             return self._std_root
-        return Root(self.informed_half, self.layout)
+        return Root(self.informed_half, self.layout.spans)
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""

@@ -36,6 +36,7 @@ from scipy.sparse import csr_array
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._blocks import of_blocks, sums_of_blocks
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
+from sklearn_raacmm.error_model._factored import waves
 from sklearn_raacmm.inference import Extra, GramRows, Sums
 from sklearn_raacmm.measurements import Form, known_length, whitening
 from sklearn_raacmm.utils import chunks, group_sums, stage, summing
@@ -410,24 +411,6 @@ class _Block:
         for i in np.flatnonzero(self.is_on_grid):
             found[i] = _of_orders(found[i], self.spans[i][1])
         return np.concatenate(found).T
-
-
-def waves(theta, orders):
-    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
-    n = np.count_nonzero(orders == np.arange(1, len(orders) + 1))
-    out: Any = np.empty((len(theta), len(orders)), dtype=complex)
-    if n:
-        out[:, 0] = np.exp(1j * theta)
-    have = 1
-    while have < n:
-        more = min(have, n - have)
-        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
-        have += more
-    if n < len(orders):
-        phase = theta[:, None] * orders[n:]
-        np.cos(phase, out=out.real[:, n:])
-        np.sin(phase, out=out.imag[:, n:])
-    return out
 
 
 def _spread(theta, orders):

@@ -152,7 +152,7 @@ def _pruned(problem, state):
     own = len(problem.structures.family) + columns_of(np.flatnonzero(is_line)).reshape(-1, 2)
     root, prior = state.half[own], state.prior[own]
     coef, blocks = state.coef[own], root @ root.swapaxes(1, 2)
-    out = np.zeros(len(lines), dtype=bool)
+    out, seen = np.zeros(len(lines), dtype=bool), None
     while True:
         net = np.where(out, np.inf, gains_of(coef.ravel(), blocks, prior.ravel()) - price)
         needless = np.count_nonzero(net <= 0)
@@ -164,7 +164,7 @@ def _pruned(problem, state):
         coef = state.coef[own] - explained @ seen.pull
         blocks = root @ root.swapaxes(1, 2) - explained @ explained.swapaxes(1, 2)
         blocks[out] = np.eye(2)
-    return seen.state(problem, state, lines[~out]) if out.any() else state
+    return state if seen is None else seen.state(problem, state, lines[~out])
 
 
 class _Nothing:

@@ -140,8 +140,9 @@ def search(
             used = spread > 0
         spread = np.where(used, spread, 1.0)
         rows = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
+        few, many = map(rows.some, drawn)
         task = Task(spread, used, q, isotropic, length_scale, alpha, constants, ranks)
-        return task, *map(rows.some, drawn)
+        return task, few, many
 
     def look(task, few, many):
         same_inputs = start is not None and (start.ranks is None) == (task.ranks is None)

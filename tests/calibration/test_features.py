@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 from sklearn_raacmm import calibrate, position_residuals
-from sklearn_raacmm.datasets import make_features, make_single_point
-from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.datasets import ArmErrors, make_features, make_gauge, make_single_point
+from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 
 
 def calibrated(test, features=None, **given):
@@ -114,6 +114,29 @@ def test_the_ball_of_the_probe_counts_on_the_side_that_was_touched():
     inside = [(*one, "inside") if one[1] == "sphere" else one for one in test.features]
     result = calibrated(test, inside, tip_diameter=4.0, accept="wrong-length")
     assert "wrong-length" in {finding.code for finding in result.findings}
+
+
+def test_the_scale_is_as_unsure_as_an_arm_that_bends_makes_it():
+    """Errors of the scale, by gauges elsewhere, over its standard deviation, of three arms each."""
+    noise = ArmErrors.only(length_mm=0.4, encoder_noise_arcsec=1)
+    found = {}
+    for name, machine in (("typical", "typical"), ("noise", noise)):
+        off = []
+        for seed in range(3):
+            test = make_features(0, 0, 5, 15, blocks=[500.0], machine=machine, random_state=seed)
+            result = calibrated(test, accept=["poses-alike", "wrong-length"])
+            own = test.simulation.machine
+            gauge = make_gauge([500.0], 6, 5, machine=own, random_state=seed + 50)
+            shown = gauge_lengths(result.arm.forward(gauge.data), gauge.groups, gauge.pairs)
+            scale = (shown / gauge.lengths - 1).mean()
+            off.append(scale / np.array([result.scale_sd, result.scale_sd_corrected]))
+        found[name] = np.sqrt(np.square(off).mean(axis=0))
+    # Taken as independent, as behind a correction, what bends the arm would hide.
+    (z, independent), (z_of_noise, same) = found.values()
+    assert 0.4 < z < 1.7
+    assert independent > 3 * z
+    assert 0.4 < z_of_noise < 1.7
+    assert same < 1.1 * z_of_noise
 
 
 def test_a_touch_of_another_ball_is_an_outlier():
