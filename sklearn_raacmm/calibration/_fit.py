@@ -28,6 +28,7 @@ from sklearn_raacmm.calibration._problem import (
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
+from sklearn_raacmm.inference import evidence_variance
 from sklearn_raacmm.measurements import (
     STILL_MM,
     known_length,
@@ -627,7 +628,7 @@ class Fit:
         # Beside the parameters; the last row is what neither explains.
         _, size, axes = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
         strength, square = np.square(size), np.square(axes @ root[k:, -1])
-        variance = _MISFIT_RAD**2
+        variance, seen = _MISFIT_RAD**2, np.ones(1)
         for _ in range(_MISFIT_ROUNDS):
             total = 1 + variance * strength  # of noise and misfit
             seen = variance * strength / total
