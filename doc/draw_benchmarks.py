@@ -93,7 +93,7 @@ def rows(figure, results):
     ax.legend(fontsize=8, loc="upper left")
     ax.set_ylim(top=2e4)
     ax.set_xticks(
-        [1e3, 1e4, 1e5, 1e6, 1e7], ["1000", "10 000", "100 000", "a million", "ten millions"]
+        [1e3, 1e4, 1e5, 1e6, 1e7], ["1000", "10 000", "100 000", "a million", "ten million"]
     )
     ax.set_yticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
 
@@ -106,7 +106,7 @@ def one_row(figure, results):
     for i, ((model, times), colour) in enumerate(zip(found.items(), (PROCESS, OURS), strict=True)):
         place = np.arange(len(ways)) + (0.2 if i else -0.2)
         bars = ax.barh(place, [times[way] for way in ways], 0.38, color=colour, label=model)
-        ax.bar_label(bars, fmt=" %g", fontsize=9)
+        ax.bar_label(bars, fmt="%g", padding=3, fontsize=9)
     ridge = results["one_row"]["ridge_predict"]
     ax.axvline(ridge, color="0.4", ls="--", lw=1)
     ax.text(ridge * 1.15, 1.9, "predict of a\nbare Ridge", va="center", fontsize=8, color="0.3")

@@ -33,6 +33,7 @@ _DEFAULT = "aacmm6"
 _ROUNDING = 1e-12
 # Arms of fewer joints have no wrist where the default poses suppose it.
 _FEW_JOINTS = 5
+_FIELDS = tuple(field.name for field in fields(DHTable))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,6 +104,11 @@ class Arm(DHTable):
         Number of joints.
     reach_mm : float
         Length of the stretched arm with its slides run out, an upper bound of its reach.
+    slides : list of int
+        Numbers, from 0, of the joints that slide.
+    bounds, spans : ndarray of shape (2, n_joints)
+        Least and largest angle of each joint, rad, or mm of what slides: the `limits`, infinite
+        where there is none; and where joints are taken to go, a turn or the travel of a slide.
 
     Notes
     -----
@@ -161,7 +167,7 @@ class Arm(DHTable):
         return self
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in _FIELDS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Through the constructor: arrays restored by pickle would be writable.
@@ -201,13 +207,6 @@ class Arm(DHTable):
         lines = ("".join(f"<{tag}>{cell}</{tag}>" for cell in row) for tag, row in rows)
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<div><p>{escape(repr(self))}</p><table>{table}</table></div>"
-
-    @cached_property
-    def reach_mm(self) -> float:
-        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
-        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
-        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
 
     def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.
@@ -400,7 +399,17 @@ class Arm(DHTable):
         return seen_from(self, positioner, base)
 
     def on_trial(self, **changes: object) -> Self:
-        """Change fields that nobody checks: for kinematics, many times a second."""
+        """Change fields that nobody checks: for kinematics, many times a second.
+
+        Parameters
+        ----------
+        **changes : object
+            Fields as :meth:`replace` leaves them.
+
+        Returns
+        -------
+        Arm
+        """
         one = object.__new__(type(self))
         vars(one).update(self.__getstate__() | changes)
         return one
@@ -587,38 +596,115 @@ class Arm(DHTable):
     # -- joints: what is said of them, and what they may be -----------------------------------
 
     def check_angles(self, angles: ArrayLike, angle_unit: str = "rad") -> Floats:
-        """Joints (n, n_joints) in rad and mm, checked as :meth:`forward` checks them."""
+        """Check joint angles as :meth:`forward` does.
+
+        Parameters
+        ----------
+        angles, angle_unit
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`forward`.
+        """
         return check_angles(angles, self.joint_types, angle_unit)
 
     def in_unit(self, angles: Floats, angle_unit: str) -> Floats:
-        """Joints (n, n_joints) in rad and mm with their angles in the unit asked for."""
+        """Joint angles in the unit asked for.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+        angle_unit : {"rad", "deg"}
+            What is asked for.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            What slides is in mm with either.
+        """
         return angles if angle_unit == "rad" else angles * self.by_type(180 / np.pi)
 
     def phases(self, angles: Floats) -> Floats:
-        """What waves of each joint's error are waves of, (n, n_joints) rad: its `own_angles`.
+        """Angles of which harmonics of each joint's error are sines and cosines.
 
-        For a joint that slides a turn is twice its travel, and a multiple of 200 mm, so that whole
-        numbers of waves have the pitches of usual screws and racks.
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            In rad: the :meth:`own_angles`. For a joint that slides a turn is twice its travel, and
+            a multiple of 200 mm, so that whole numbers of waves have the pitches of usual screws
+            and racks.
         """
         own = self.own_angles(angles)
         return own * phase_factors(self) if self.slides else own
 
     def points_at(self, angles: Floats, probes: Floats | None = None) -> Floats:
-        """Probe points (n, 3), mm, at angles in rad that have been checked.
+        """Position of the probe at angles that have been checked.
 
-        `probes` (n, 3) are those of the rows in the last frame, mm; None: all have the arm's.
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides.
+        probes : ndarray of shape (n_samples, 3), default=None
+            Vector of each row's probe in the last frame, mm. None: all rows have the arm's.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            In the base frame, mm.
         """
         return points_of(self, angles, probes)
 
     def parameter_jacobian(self, angles: Floats) -> tuple[Floats, Floats]:
-        """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's fields.
+        """Position of the probe, and its derivatives by the numbers of the table.
 
-        The fields are `a`, `alpha`, `d`, `theta_offset` and `probe`; the angles have been checked.
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            In the base frame, mm.
+        derivatives : ndarray of shape (n_samples, 3, 4 * n_joints + 3)
+            By `a`, `alpha`, `d`, `theta_offset` and `probe`, mm per mm and mm per rad.
         """
         return parameter_jacobian(self, angles)
 
     def random_poses(self, n: int, rng: np.random.Generator | None = None) -> Floats:
-        """Draw poses (n, n_joints) in rad and mm: any angles, and what slides in its limits."""
+        """Draw poses at random: any angles, and what slides within its limits.
+
+        Parameters
+        ----------
+        n : int
+            Number of poses.
+        rng : numpy.random.Generator, default=None
+            Draws them. None: the same poses each time.
+
+        Returns
+        -------
+        ndarray of shape (n, n_joints)
+            In rad, and mm of what slides, which goes 2 m to either side where it has no limits.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> Arm.from_name("ur10").random_poses(100).shape
+        (100, 6)
+        """
         rng = np.random.default_rng(0) if rng is None else rng
         low, high = self.spans
         return rng.uniform(low, high, (n, self.n_joints))

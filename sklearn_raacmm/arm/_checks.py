@@ -129,12 +129,42 @@ class DHTable:
                 spans[end, i] = limits[1 - end] + (2 * end - 1) * 2 * _TRAVEL_MM
         return spans
 
+    @cached_property
+    def reach_mm(self) -> float:
+        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
+        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
+        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
+        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
+
     def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
-        """Give a number for each joint, (n_joints,): one to those that turn, one to slides."""
+        """Give a number for each joint: one to those that turn, one to those that slide.
+
+        Parameters
+        ----------
+        of_turns : float
+            For joints that turn.
+        of_slides : float, default=1.0
+            For joints that slide.
+
+        Returns
+        -------
+        ndarray of shape (n_joints,)
+        """
         return scale_of(self.joint_types, of_turns, of_slides)
 
     def own_angles(self, angles: np.ndarray) -> np.ndarray:
-        """Angle of each joint itself (n, n_joints), of what the encoders give: see `couplings`."""
+        """Angle of each joint itself, of what the encoders give.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            The same where the arm has no `couplings`; else with the angles that are added.
+        """
         if not self.couplings:
             return angles
         own = angles.copy()

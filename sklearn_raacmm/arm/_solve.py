@@ -4,13 +4,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._checks import are_rotations
+from sklearn_raacmm.arm._checks import DHTable, are_rotations
 from sklearn_raacmm.arm._kinematics import (
     axis_vectors,
     by_given_angles,
@@ -34,7 +33,7 @@ _STARTS, _TRIES, _ASIDE = 20, 4, 0.1
 
 
 def angles_for(
-    arm: Any,
+    arm: DHTable,
     points: ArrayLike,
     start: np.ndarray | None,
     orientations: ArrayLike | None,
@@ -79,7 +78,7 @@ def angles_for(
 
 
 def solve(
-    arm: Any,
+    arm: DHTable,
     points: np.ndarray,
     start: np.ndarray,
     orientations: np.ndarray | None = None,

@@ -255,7 +255,7 @@ def learn_correction(
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept)
     if (linear := getattr(fitted, "linear_model_", None)) is not None:
-        fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd)
+        fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd_corrected)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
     base = (
         None if data.points is None else (calibration.base_rotation, calibration.base_translation)
@@ -333,7 +333,7 @@ def _facts(data, calibration, scores):
     return {name: getattr(scores, name) for name in _KEPT} | {
         "written_by": f"sklearn_raacmm {__version__}",
         "findings": [finding.facts() for finding in scores.findings],
-        "scale_sd": calibration.scale_sd,
+        "scale_sd": calibration.scale_sd_corrected,
         "scale_set_by": _scale_of(data),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),

@@ -189,10 +189,6 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
-    def lengths_of_model(self, rows):
-        """Those that a model is fitted with: where the positions are, a tracker knows."""
-        return [] if self.points is not None else self.lengths_among(rows)
-
     def calibrate(self, rows=None, accept=(), free=FIELDS):
         """Calibrate on some rows, the fields `free`; on None on all, as they were given."""
         measured = self.measured if rows is None else self.measured.at(rows)
@@ -320,7 +316,9 @@ class Data:
         if self.like and model is None:
             fitted = transferred_model(self.like, calibration.arm, X, y, positions)
         if fitted is None:
-            fitted = self._fitted(model, calibration, rows, y, self.lengths_of_model(rows))
+            # Where the positions are, a tracker knows.
+            lengths = [] if self.points is not None else self.lengths_among(rows)
+            fitted = self._fitted(model, calibration, rows, y, lengths)
         expected = self.at_probes(fitted, calibration, rows).predict(X)
         left = y - expected
         if self.kinds:

@@ -364,12 +364,22 @@ def _are_mirrored(places, others):
 
 def _with_questions(ones, angles):
     """Changed arms with the questions that tell them apart, and with their answers."""
-    heights = [_heights(one, angles) for one in ones]
+    grows, heights = [], []
+    for one in ones:
+        arm, unit = one.arm, one.angle_unit
+        frames = arm.frames(np.zeros((1, arm.n_joints)))[0]
+        axis = frames[int(arm.convention == "modified"), :, 2]
+        up = frames[arm.up_frame, :, :3] @ arm.up
+        # A table that carries the part turns the other way than what is seen from it.
+        turn = arm.joint_signs[0] * axis @ up * (-1 if arm.up_frame else 1)
+        grows.append(round(turn) > 0)
+        # Of the probe, from the frame that stands still.
+        still = arm.frames(angles[:, one.columns], angle_unit=unit)[:, arm.up_frame]
+        off = _places(one, angles) - still[..., 3]
+        heights.append(np.einsum("ni,nij,j->n", off, still[..., :3], arm.up))
     high, low = np.argmax(heights[0]), np.argmin(heights[0])
     asked = {
-        "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": [
-            _sense_of_first_joint(one.arm) > 0 for one in ones
-        ],
+        "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": grows,
         "Was the probe higher in row {} than in row {}?".format(*row_numbers([high, low])): [
             height[high] > height[low] for height in heights
         ],
@@ -380,21 +390,6 @@ def _with_questions(ones, angles):
         answers = tuple("yes" if said[i] else "no" for said in asked.values())
         found.append(replace(one, questions=tuple(asked), answers=answers))
     return found
-
-
-def _heights(one, angles):
-    """Heights (n,) of the probe of an arm that was changed, from its frame that stands still."""
-    arm, unit = one.arm, one.angle_unit
-    still = arm.frames(angles[:, one.columns], angle_unit=unit)[:, arm.up_frame]
-    return np.einsum("ni,nij,j->n", _places(one, angles) - still[..., 3], still[..., :3], arm.up)
-
-
-def _sense_of_first_joint(arm):
-    """1 where the angle of joint 1 grows counter-clockwise, seen from above; -1 where it falls."""
-    frames = arm.frames(np.zeros((1, arm.n_joints)))[0]
-    axis, up = frames[int(arm.convention == "modified"), :, 2], frames[arm.up_frame, :, :3] @ arm.up
-    # A table that carries the part turns the other way than what is seen from it.
-    return round(arm.joint_signs[0] * axis @ up) * (-1 if arm.up_frame else 1)
 
 
 def _calibrated(arm, angles, positions, points, unit, stations=None):

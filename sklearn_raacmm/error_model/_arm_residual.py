@@ -18,7 +18,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_raacmm.arm import Arm, angles_for, check_arm
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
-from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
+from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, fit_rows, offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
     Fading,
     Judgement,
@@ -86,7 +86,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not
-        at all. "auto": 1, or less where four positions or more have offsets.
+        at all. "auto": 1, or less where there are four positions or more.
 
     Attributes
     ----------
@@ -301,7 +301,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         centre = beside_table(fitted.rows)
-        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale, centre)
+        widening = model.std_scale if model.n_positions >= LEAST_POSITIONS else np.inf
+        fading = find_fading(rows.y, robust, rows.codes, self.fade, widening, centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
             judged = *left_out[:2], fading, robust, rows.codes, positions, None, centre

@@ -225,7 +225,8 @@ def _wobble(arm):
     # linear axis (ISO 230-1).
     moves = [(SHIFT, axis, "is off along") for axis in range(2)]
     moves += [(TURN, axis, "tilts about") for axis in range(3)]
-    of = arm.slides, moves, _GUIDE_ORDERS, waves
+    slides: list[int] = arm.slides
+    of = slides, moves, _GUIDE_ORDERS, waves
     for j, (kind, axis, does), order, (part, sign) in product(*of):
         name = f"joint {j + 1} {does} {'xyz'[axis]}, {part}({order} way)"
         unit = ARCSEC / order**2 * (arm.reach_mm if kind == SHIFT else 1.0)
