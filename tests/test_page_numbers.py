@@ -148,6 +148,19 @@ def test_times_of_one_row_in_the_figure_are_those_of_the_log():
     assert_said("log.md", "bare `Ridge` @ \u00b5s", [measured["ridge_predict"]])
 
 
+def test_reductions_of_length_errors_are_those_of_the_log():
+    text = (DOC / "log.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| sim-\w+ \|.*% \| ([\d.]+), ([\d.]+), ([\d.]+) \|$", text, re.MULTILINE)
+    before, model, known = np.array(cells, dtype=float).T
+    assert len(before) == 3
+    less = [100 * (1 - left / before) for left in (model, known)]
+    ranges = [end for share in less for end in (share.min(), share.max())]
+    assert_said("log.md", "takes @ to @ % off the error of 500 mm gauges", ranges[:2], 0.01)
+    assert_said("log.md", "known to 3 \u00b5m, it is @ to @ %", ranges[2:], 0.01)
+    pattern = "Length errors shrink by @ to @ %, and by @ to @ %"
+    assert_said("beyond_the_paper.md", pattern, ranges, 0.01)
+
+
 def test_reductions_of_the_paper_follow_from_its_millimetres():
     page = "paper_and_ours.md"
     for row in ("| @ / @ | @ / @ | 22.5 % / 15 % |", "| @ / @ | @ / @ | 50 % / 55.5 % |",

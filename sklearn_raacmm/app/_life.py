@@ -444,9 +444,11 @@ def save_step(correction, out, step, today, page="", contents=()):
     step = {"date": date.today().isoformat(), **step}
     if step["what"] in _LEARNT:
         step["rows"] = "".join(digests_of(today))
+    card = describe(correction.model)
+    if card["fingerprint"]:
+        step["model"] = card["fingerprint"]
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
-    card = describe(correction.model)
     findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
     known = {"findings": findings}
     known |= {name: correction.facts.get(name) for name in ("scale_set_by", "training")}

@@ -629,7 +629,7 @@ class Fit:
         # Beside the parameters; the last row is what neither explains.
         axes, size, seen_by = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
         strength, seen = np.square(size), seen_by @ root[k:, -1]
-        variance, share, found = _MISFIT_RAD**2, strength, seen
+        variance, share, found = _MISFIT_RAD**2, np.ones(1), seen
         for _ in range(_MISFIT_ROUNDS):
             share = variance * strength / (1 + variance * strength)  # beside noise
             found = variance * size * seen / (1 + variance * strength)

@@ -118,7 +118,7 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     return 0.5 * value, gradient, signal, by_theta / n_total
 
 
-def solve_and_invert(C, y, invert=True) -> tuple[Any, Any, Any]:
+def solve_and_invert(C, y, invert=True) -> tuple[np.ndarray, float, Any]:
     """Solution of C x = y, log determinant, and half of the inverse: with its transpose all.
 
     C, symmetric, is overwritten.

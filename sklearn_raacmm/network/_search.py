@@ -12,7 +12,7 @@ leave-one-out predictions on these rows (`judge`).
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
@@ -298,7 +298,7 @@ def _coarse(task, kernel, data, start=None):
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
     found.sort(key=lambda end: end.value)
     limit = found[0].value + HOPELESS * data.n_total * task.n_outputs
-    best: dict[bool, Any] = {}
+    best: dict[bool, np.ndarray] = {}
     for end in found:
         if end.value <= limit:
             best.setdefault(middle is not None and bool(end.theta[0] < middle), end.theta)
