@@ -70,13 +70,17 @@ class Counts:
         self.of.setdefault(change, []).append((not found.holds, right, found.p_value < CLEAR))
 
     def show(self):
-        """Print a line for each change."""
+        """Print a line for each change; return the counts by their names."""
+        table = {}
         for change, checks in self.of.items():
-            (alarms, right, clear), n = np.sum(checks, axis=0), len(checks)
+            alarms, right, clear = map(int, np.sum(checks, axis=0))
+            n = len(checks)
             low, high = binomtest(alarms, n).proportion_ci(method="wilson")
             named = f"named rightly {right}, p < {CLEAR}: {clear}"
             rate = f"{alarms / n:.1%} ({low:.1%} to {high:.1%})"
             print(f"{self.kind}, {change}: {alarms} of {n}, {rate}; {named}", flush=True)
+            table[change] = {"checks": n, "alarms": alarms, "named rightly": right, "clear": clear}
+        return {f"checks, {self.kind}": table}
 
 
 def knock(arm, arcsec):
@@ -121,7 +125,7 @@ def ur10(n_learned):
 
 
 def changes(options):
-    arms = {"simulated": (*simulated_tracker(), 0.015)}
+    tables, arms = {}, {"simulated": (*simulated_tracker(), 0.015)}
     if options.real:
         arm, model, poses = ur10(3000)
         noise_mm = model.linear_model_.noise_scale * model.noise_sd_
@@ -145,7 +149,8 @@ def changes(options):
                 rng = np.random.default_rng([1, run])
                 moved, cause = change(angles, rng, 1 + run % 3 if refitted else run)
                 counts.check(name, cause, model, angles, y + moved, refitted=refitted)
-        counts.show()
+        tables |= counts.show()
+    return tables
 
 
 def kind_of_arm(kind, errors, options):
@@ -162,7 +167,7 @@ def kind_of_arm(kind, errors, options):
                 ("corrected twice", -model.predict(new.data), "corrected already"),
             ):
                 counts.check(name, what, model, new.data, new.target + by, groups=new.groups)
-    counts.show()
+    return counts.show()
 
 
 def kind_of_series(kind, arm, model, poses, runs):
@@ -179,7 +184,7 @@ def kind_of_series(kind, arm, model, poses, runs):
             ("knock of 10 arc s", *knock(arm, 10)(angles, None, 1 + run % 3)),
         ):
             counts.check(name, cause, model, angles, y + moved)
-    counts.show()
+    return counts.show()
 
 
 def kind_of_panda(name, runs):
@@ -203,13 +208,14 @@ def kind_of_panda(name, runs):
 
 
 def kinds(options):
-    kind_of_series("tracker", *simulated_tracker(), options.runs)
+    tables = kind_of_series("tracker", *simulated_tracker(), options.runs)
     for kind, errors in KINDS.items():
-        kind_of_arm(kind, errors, options)
+        tables |= kind_of_arm(kind, errors, options)
     if options.real:
         kind_of_series("UR10", *ur10(5956), options.runs)
         for name in ("panda_2", "panda_3", "panda_6", "panda_7"):
             kind_of_panda(name, max(options.runs // 10, 5))
+    return tables
 
 
 def dwells(options):

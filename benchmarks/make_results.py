@@ -2,12 +2,13 @@
 
 ``doc/results.json`` holds every measured number of the README and of the pages "Evidence",
 "Which estimator?" and "The paper's experiment and ours", and the tables of "After the lab",
-"Lengths" and "Other causes". This command measures them again, writes
-the file and the README's tables, and says which numbers have moved: without options what the README
-shows, in about ten CPU minutes, ``--all`` all of it over night, ``--all --missing`` only what the
-file lacks, ``--only panda --models ridge trees`` a part. Numbers that are not made again stay as
-they are; each entry says when it was made. Whoever stops the job with Ctrl-C keeps what was
-finished. Real data are downloaded the first time.
+"Lengths", "Other causes" and of alarms. This command measures them again, writes the file and the
+README's tables, and says which numbers have moved by more than a hundredth: without options what
+the README shows, in about ten CPU minutes, ``--all`` all of it over night, ``--all --missing`` only
+what the file lacks, ``--only panda --models ridge trees`` a part. ``--print`` writes nothing, and
+ends with exit code 1 where a number has moved. Numbers that are not made again stay as they are;
+each entry says when it was made. Whoever stops the job with Ctrl-C keeps what was finished. Real
+data are downloaded the first time.
 
 Lengths are in mm. mean, max: deviation from the position's mean point (UR10: from the tracker's
 point); two_s: single-point repeatability; less: reduction of its mean (UR10: of the deviation);
@@ -28,6 +29,7 @@ from types import SimpleNamespace
 import _data_sets
 import bench_after_the_lab
 import bench_beyond_the_paper
+import bench_check
 import bench_lengths
 import numpy as np
 from _arm_folds import MIXES
@@ -60,6 +62,7 @@ SHOWN = [*INDIVIDUALS, (PAPER, "kernel ridge"), (PAPER, "extra trees")]
 # Parts of other scripts whose tables pages show, with what their commands take; quick ones first.
 PARTS = {
     "scale": (bench_lengths.scale, {"arms": 10}),
+    "changes": (bench_check.changes, {"runs": 60, "real": True}),
     "plan": (bench_after_the_lab.plan, {"seeds": None}),
     "lengths": (bench_lengths.lengths, {"arms": 12}),
     "extra": (bench_beyond_the_paper.extra, {"seeds": 8, "real": False}),
@@ -67,6 +70,7 @@ PARTS = {
     "probes": (bench_after_the_lab.probes, {"seeds": None}),
     "transfer": (bench_after_the_lab.transfer, {"seeds": None, "panda": False}),
     "months": (bench_after_the_lab.months, {"seeds": None}),
+    "kinds": (bench_check.kinds, {"arms": 20, "days": 10, "runs": 60, "real": False}),
 }
 SEEDS = 3
 # Positions, poses at each, and outer folds of the simulated arms: the paper's ten positions.
@@ -212,7 +216,9 @@ def parsed(argv):
     parser.add_argument("--only", nargs="*", help="data sets whose name holds one of these")
     parser.add_argument("--models", nargs="*", help="models whose name holds one of these")
     parser.add_argument("--missing", action="store_true", help="only what the file does not have")
-    parser.add_argument("--print", action="store_true", help="write nothing")
+    parser.add_argument(
+        "--print", action="store_true", help="write nothing; exit code 1 if numbers moved"
+    )
     parser.add_argument(
         "--data-home",
         default=os.environ.get("SKLEARN_RAACMM_DATA"),
@@ -267,7 +273,7 @@ def measure(args, results, save):
 
 
 def main(argv=None):
-    """Run the job."""
+    """Run the job; return 1 where nothing was to be written and a number has moved."""
     args = parsed(argv)
     old = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
     new = json.loads(json.dumps(old))
@@ -284,7 +290,8 @@ def main(argv=None):
         print(*lines, sep="\n")
         if not args.print:
             write_readme()
+    return int(args.print and bool(lines))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,14 +1,17 @@
-"""Numbers of `results.json` as the README and the pages show them.
+"""Numbers of `results.json` and `benchmarks.json` as the README and the pages show them.
 
-``benchmarks/make_results.py`` writes the file. Pages take numbers and tables from here when the
-site is built, as MyST substitutions such as ``{{ table_regressors }}``. The README is read without
-a build: it has them in blocks that :func:`write_readme` writes and a test compares.
+``benchmarks/make_results.py`` writes the first file; the second says which command measured each
+of its entries, and when. Pages take numbers and tables from here when the site is built, as MyST
+substitutions such as ``{{ table_regressors }}``. The README is read without a build: it has them in
+blocks that :func:`write_readme` writes and a test compares.
 """
 
 import json
+import math
 from pathlib import Path
 
 FILE = Path(__file__).resolve().parent / "results.json"
+BENCHMARKS = FILE.with_name("benchmarks.json")
 README = FILE.parent.parent / "README.md"
 
 MIXES = ("gravity", "typical", "eccentricity")
@@ -60,6 +63,16 @@ class Results:
         """Numbers of the individuals of a simulated arm on which a model was run."""
         return [seed for seed in range(SEEDS) if self.has(simulated(mix, seed), model)]
 
+    def days(self, data_sets, models):
+        """Days on which some models were measured on some data sets: one, or the first and last."""
+        made = [
+            self.of(data, model)["made"]["date"]
+            for data in data_sets
+            for model in models
+            if self.has(data, model)
+        ]
+        return " to ".join(sorted({min(made), max(made)}))
+
     def less(self, data, model, measure="mean_mm"):
         """Reduction of a measure, in per cent of what was uncorrected."""
         before = self.of(data, UNCORRECTED)[measure]
@@ -80,6 +93,11 @@ def markdown(head, rows):
     """A table in Markdown."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def dated(head, rows, days):
+    """A table, and below it the day on which its numbers were measured, or the first and last."""
+    return f"{markdown(head, rows)}\n\n*Measured on {days}.*"
 
 
 def per_cent(value):
@@ -108,10 +126,11 @@ def headline_table(results):
     head = ["data", "uncorrected", "`ArmResidualRegressor`"]
     head += ["RBF network, all joints", "RBF network, three inputs"]
     rows = []
+    models = (UNCORRECTED, LINEAR, ALL, THREE)
     for data, title in HEADLINE_ROWS.items():
-        values = (results.of(data, m)["mean_mm"] for m in (UNCORRECTED, LINEAR, ALL, THREE))
+        values = (results.of(data, model)["mean_mm"] for model in models)
         rows.append([title.format(**results.comparisons[data]), *(f"{v:.3f}" for v in values)])
-    return markdown(head, rows)
+    return dated(head, rows, results.days(HEADLINE_ROWS, models))
 
 
 def readme_blocks(results):
@@ -158,7 +177,7 @@ def paper_table(results):
             rows.append([mix, NAMES[model], _pair(r, "two_s"), *share])
             rows[-1] += [_pair(r, "length_300"), _pair(r, "length_500")]
             rows[-1] += [f"{1000 * r['scaled_mean_mm']:.1f}"]
-    return markdown(head, rows)
+    return dated(head, rows, results.days(map(simulated, MIXES), models))
 
 
 def _pair(record, name):
@@ -180,16 +199,20 @@ def individuals_table(results):
         ]
         rows.append([mix, *(f"{cell}{SPACE}%" for cell in cells)])
     heads = ("arm's model", "paper's network", "one width", "widths by feature", "all joints")
-    return markdown(["mix", *heads, "perfect"], rows)
+    arms = [simulated(mix, seed) for mix in MIXES for seed in range(SEEDS)]
+    return dated(["mix", *heads, "perfect"], rows, results.days(arms, models))
 
 
 def regressors_table(results):
     """Every regressor on three simulated arms, with its costs."""
     head = ["inputs", "regressor", *MIXES, "fit (s)", "predict (µs)", "size (kB)"]
-    rows = []
-    for model in results.comparisons[simulated("typical")]["models"]:
-        if not all(results.has(simulated(mix), model) for mix in MIXES):
-            continue
+    sets, rows = [simulated(mix) for mix in MIXES], []
+    shown = [
+        model
+        for model in results.comparisons[simulated("typical")]["models"]
+        if all(results.has(data, model) for data in sets)
+    ]
+    for model in shown:
         inputs, name = model.split(": ")
         cells = []
         for mix in MIXES:
@@ -202,7 +225,7 @@ def regressors_table(results):
             costs = [f"{r['fit_seconds']:.2g}", f"{1e6 * r['predict_seconds_per_row']:.0f}"]
             costs += [f"{r['pickle_bytes'] / 1000:.0f}"]
         rows.append([inputs, name, *cells, *costs])
-    return markdown(head, _in_order(rows))
+    return dated(head, _in_order(rows), results.days(sets, shown))
 
 
 def real_table(results):
@@ -210,16 +233,16 @@ def real_table(results):
     head = ["inputs", "regressor"]
     head += [f"{data.removeprefix('real, ')}: mean / max, 2S" for data in REAL]
     rows = []
-    for model in results.comparisons[REAL[0]]["models"]:
-        if not all(results.has(data, model) for data in REAL):
-            continue
+    models = results.comparisons[REAL[0]]["models"]
+    shown = [model for model in models if all(results.has(data, model) for data in REAL)]
+    for model in shown:
         cells = []
         for data in REAL:
             r = results.of(data, model)
             cell = f"{r['mean_mm']:.3f} / {r['max_mm']:.3f}, {r['two_s_mean_mm']:.3f}"
             cells.append(cell.replace(" ", SPACE))
         rows.append([*model.split(": "), *cells])
-    return markdown(head, _in_order(rows))
+    return dated(head, _in_order(rows), results.days(REAL, shown))
 
 
 def _in_order(rows):
@@ -247,7 +270,8 @@ def r2_table(results):
     for model in models:
         found = [results.of(simulated(mix), model) for mix in MIXES]
         rows.append([NAMES[model], *(f"{r['r2']:.2f}, {r['r2_within']:.2f}" for r in found)])
-    return markdown(["model", *(f"{mix}: R2, within" for mix in MIXES)], rows)
+    head = ["model", *(f"{mix}: R2, within" for mix in MIXES)]
+    return dated(head, rows, results.days(map(simulated, MIXES), models))
 
 
 def published_table(results):
@@ -264,7 +288,7 @@ def published_table(results):
         ["UR10, `ArmResidualRegressor`", "500, judged at goals without any pose", *_few(unseen)],
     ]
     head = ["robot and model", "poses to learn from", "before (mm)", "after: mean (sd) (mm)"]
-    return markdown(head, rows)
+    return dated(head, rows, results.few_poses["made"]["date"])
 
 
 def authors_table(results):
@@ -276,9 +300,11 @@ def authors_table(results):
         ["`calibrate`", "no", left_out[UNCORRECTED]],
         ["`calibrate`, then `ArmResidualRegressor`", "no", left_out[LINEAR]],
     ]
-    return markdown(
+    days = {results.authors["made"]["date"], *(r["made"]["date"] for r in left_out.values())}
+    return dated(
         ["from", "has seen the sockets it is judged at", "mean (mm)", "largest (mm)"],
         [[*row, f"{r['mean_mm']:.3f}", f"{r['max_mm']:.3f}"] for *row, r in rows],
+        " to ".join(sorted({min(days), max(days)})),
     )
 
 
@@ -294,7 +320,8 @@ def choice_table(results):
         [title, *(f"{results.of(data, model)['mean_mm']:.3f}" for data in REAL)]
         for model, title in models.items()
     ]
-    return markdown(["estimator", *(data.removeprefix("real, ") for data in REAL)], rows)
+    head = ["estimator", *(data.removeprefix("real, ") for data in REAL)]
+    return dated(head, rows, results.days(REAL, models))
 
 
 # Tables of parts of the benchmarks: part, title of its table there, head, columns there, how their
@@ -375,11 +402,7 @@ def part_table(results, part):
         [*cells, *(format(tables[title][name][column], form) for column in columns)]
         for cells, (title, name) in rows.items()
     ]
-    return f"{markdown(head, lines)}\n\n{_measured(results, part)}"
-
-
-def _measured(results, part):
-    return f"*Measured on {results.parts[part]['made']['date']}.*"
+    return dated(head, lines, results.parts[part]["made"]["date"])
 
 
 def extra_table(results):
@@ -390,8 +413,116 @@ def extra_table(results):
         ways = (found[f"{case}, {how}, as cause"] for how in ("single-point", "tracker"))
         cells = (f"{way['median']:.3f}, {way['worst']:.3f}" for way in ways)
         rows.append([case if case != "direction" else "direction, six joints", *cells])
-    table = markdown(["column", "single-point test", "tracker"], rows)
-    return f"{table}\n\n{_measured(results, 'extra')}"
+    date = results.parts["extra"]["made"]["date"]
+    return dated(["column", "single-point test", "tracker"], rows, date)
+
+
+# Alarms of checks: names of the pages, and of `benchmarks/bench_check.py`.
+CHANGED = {
+    "none": "none",
+    "knock of 20 arc seconds": "knock of 20 arc seconds",
+    "5 K warmer, steel": "5 K warmer",
+}
+CHECKED = {
+    "typical": "typical",
+    "gravity": "gravity",
+    "soft, nonlinear elbow": "soft elbow",
+    "wobble of 12 arc seconds": "wobble",
+    "backlash of 6 arc seconds": "hysteresis",
+}
+
+
+def changes_table(results):
+    """Share of checks with an alarm, and how many of these named the right cause."""
+    tables = results.parts["changes"]["tables"]
+    rows = []
+    for change, name in CHANGED.items():
+        cells = []
+        for arm in ("simulated", "UR10"):
+            found = tables[f"checks, {arm}"][name]
+            alarms = found["alarms"]
+            cells.append(f"{100 * alarms / found['checks']:.1f}{SPACE}%")
+            right = f"{found['named rightly']:.0f} of {alarms:.0f}"
+            cells.append("" if name == "none" else right)
+        rows.append([change, *cells])
+    head = ["change", "alarm, simulated", "named rightly", "alarm, UR10", "named rightly"]
+    return dated(head, rows, results.parts["changes"]["made"]["date"])
+
+
+def kinds_table(results):
+    """Alarms of checks by the kind of arm."""
+    tables = results.parts["kinds"]["tables"]
+
+    def of(arm, change, part="alarms", among="checks"):
+        found = tables[f"checks, {arm}"][change]
+        return f"{found[part]:.0f}/{found[among]:.0f}"
+
+    knocked, twice, rows = "knock of 10 arc s", "corrected twice", []
+    for title, arm in CHECKED.items():
+        cells = [of(arm, "none"), of(arm, knocked), of(arm, knocked, "named rightly", "alarms")]
+        rows.append([title, *cells, of(arm, twice), of(arm, twice, "clear")])
+    for title, change in (
+        ("settled", "base settled by 40 um"),
+        ("drifting", "base drifts by 40 um"),
+    ):
+        cells = [of("tracker", change), of("tracker", change, "named rightly", "alarms")]
+        rows.append([f"tracker: base {title} by 40 µm", of("tracker", "none"), *cells, "", ""])
+    head = ["kind of arm", "false alarms", "knock of 10 arc seconds found", "cause named rightly"]
+    head += ["corrected twice: found", "p < 1e-4"]
+    return dated(head, rows, results.parts["kinds"]["made"]["date"])
+
+
+# -- benchmarks.json ------------------------------------------------------------------------------
+
+
+def problems_table(measured):
+    """Error of the network over that of a Gaussian process, and what its intervals hold."""
+    error, inside = (measured[key]["of"] for key in ("over_gaussian_process", "inside_95_percent"))
+    sizes = [str(n) for n in measured["over_gaussian_process"]["rows"]]
+    rows = [
+        [f"`{name}`", *(f"{e:.3f}" for e in error[name]), *(f"{i:.1f}" for i in inside[name])]
+        for name in error
+    ]
+    means = [
+        math.exp(sum(map(math.log, values)) / len(error))
+        for values in zip(*error.values(), strict=True)
+    ]
+    rows.append(["geometric mean", *(f"{mean:.3f}" for mean in means), *[""] * len(sizes)])
+    head = ["problem", f"error: {sizes[0]} rows", *sizes[1:]]
+    head += [f"in 95 %: {sizes[0]} rows", *sizes[1:]]
+    return dated(head, rows, measured["date"])
+
+
+def large_table(measured, kinds):
+    """What fits of many rows take: those of some `kinds`, by their names in the file."""
+    names = {"given": "given", "found_by_itself": "found by itself"}
+    rows = [
+        [
+            f"{one['rows']:,}".replace(",", SPACE),
+            names[kind],
+            f"{one['cpu_seconds']:.3g}",
+            f"{one['memory_mib']}",
+            f"{one['centers']}",
+            f"{one['mean_squared_residual']:.5f}",
+        ]
+        for kind in kinds
+        for one in measured[kind]
+    ]
+    head = ["rows", "widths and ridge", "CPU (s)", "memory above imports (MiB)", "centres"]
+    head += ["mean squared residual"]
+    return dated(head, rows, measured["date"])
+
+
+def ideas_table(measured):
+    """Mean and largest deviation as causes join the arm's model."""
+    rows = []
+    for name, means in measured["mean_mm"].items():
+        pairs = list(zip(means, measured["max_mm"][name], strict=True))
+        pairs += [measured["default_without_offsets_mean_and_max_mm"].get(name, ())]
+        cells = [" / ".join(f"{v:.{4 - i}f}" for i, v in enumerate(pair)) for pair in pairs]
+        rows.append([name, *(cell.replace(" ", SPACE) for cell in cells)])
+    head = [step.replace("\n", " ") for step in measured["steps"]]
+    return dated(["", *head, "default, no offsets"], rows, measured["date"])
 
 
 def _few(record):
@@ -481,6 +612,7 @@ def _three_inputs(model):
 def substitutions():
     """Tables and numbers of the pages by name."""
     results = read()
+    measured = json.loads(BENCHMARKS.read_text(encoding="utf-8"))
     return {
         "table_headline": headline_table(results),
         "table_choice": choice_table(results),
@@ -494,5 +626,11 @@ def substitutions():
         "sentence_300": _three_hundred(results),
         **{f"table_{part}": part_table(results, part) for part in PART_TABLES},
         "table_extra": extra_table(results),
+        "table_changes": changes_table(results),
+        "table_kinds": kinds_table(results),
+        "table_problems": problems_table(measured["problems"]),
+        "table_large": large_table(measured["rows"], ["found_by_itself"]),
+        "table_large_given": large_table(measured["rows"], ["given", "found_by_itself"]),
+        "table_ideas": ideas_table(measured["ideas"]),
         **sentences(results),
     }

@@ -1,16 +1,29 @@
 """Draw the figures of measured results: ``python doc/draw_benchmarks.py``.
 
 Reads ``doc/benchmarks.json``, which says with which command each number was measured, and
-``doc/results.json``; writes ``doc/images/bench_*.svg``.
+``doc/results.json``; writes ``doc/images/bench_*.svg``. Each file says by a digest which numbers it
+shows, so that a test finds a figure that is older than its numbers.
 """
 
+import hashlib
 import json
 from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import ALL, LINEAR, MIXES, PERFECT, REAL, THREE, UNCORRECTED, read, simulated
+from _results import (
+    ALL,
+    BENCHMARKS,
+    LINEAR,
+    MIXES,
+    PERFECT,
+    REAL,
+    THREE,
+    UNCORRECTED,
+    read,
+    simulated,
+)
 
 DOC = Path(__file__).resolve().parent
 OURS, PROCESS = "#D55E00", "#0072B2"  # safe for colour-blind readers
@@ -72,14 +85,15 @@ def rows(figure, results):
         ax.plot(found["rows"], np.exp(np.log(seconds[..., i]).mean(0)), "o-", color=colour,
                 label=f"{name}, ten problems: mean and range")  # fmt: skip
     large = results["rows"]
-    ax.plot(*np.array(large["found_by_itself"]).T, "s--", color=OURS,
+    points = [(one["rows"], one["cpu_seconds"]) for one in large["found_by_itself"]]
+    ax.plot(*np.transpose(points), "s--", color=OURS,
             label="RBFNetRegressor, a smooth function of 6 features")  # fmt: skip
     ax.set(xscale="log", yscale="log", xlabel="rows", ylabel="CPU time of a fit (s), one thread")
     ax.grid(alpha=0.3)
     ax.legend(fontsize=8, loc="upper left")
     ax.set_ylim(top=2e4)
     ax.set_xticks(
-        [1e3, 1e4, 1e5, 1e6, 1e7], ["1000", "10 000", "100 000", "a million", "ten millions"]
+        [1e3, 1e4, 1e5, 1e6, 1e7], ["1000", "10 000", "100 000", "a million", "ten million"]
     )
     ax.set_yticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
 
@@ -92,7 +106,7 @@ def one_row(figure, results):
     for i, ((model, times), colour) in enumerate(zip(found.items(), (PROCESS, OURS), strict=True)):
         place = np.arange(len(ways)) + (0.2 if i else -0.2)
         bars = ax.barh(place, [times[way] for way in ways], 0.38, color=colour, label=model)
-        ax.bar_label(bars, fmt=" %g", fontsize=9)
+        ax.bar_label(bars, fmt="%g", padding=3, fontsize=9)
     ridge = results["one_row"]["ridge_predict"]
     ax.axvline(ridge, color="0.4", ls="--", lw=1)
     ax.text(ridge * 1.15, 1.9, "predict of a\nbare Ridge", va="center", fontsize=8, color="0.3")
@@ -157,25 +171,40 @@ def simulated_arms(figure, _):
     ax.set_ylim(top=0.05)
 
 
-FIGURES = {  # narrow enough to be read on a telephone
-    "error": (error, (6, 6)),
-    "rows": (rows, (5.6, 4)),
-    "one_row": (one_row, (5.6, 3)),
-    "ideas": (ideas, (5.6, 4)),
-    "real_arms": (real_arms, (5.6, 3.6)),
-    "simulated_arms": (simulated_arms, (5.6, 3.6)),
+FIGURES = {  # narrow enough to be read on a telephone; what of both files each one shows
+    "error": (error, (6, 6), ["problems", "tables"]),
+    "rows": (rows, (5.6, 4), ["problems", "rows"]),
+    "one_row": (one_row, (5.6, 3), ["one_row"]),
+    "ideas": (ideas, (5.6, 4), ["ideas"]),
+    "real_arms": (real_arms, (5.6, 3.6), REAL),
+    "simulated_arms": (simulated_arms, (5.6, 3.6), [simulated(mix) for mix in MIXES]),
 }
+
+
+def digest(shown, measured, results):
+    """SHA-256 of the numbers that a figure shows."""
+    numbers = [
+        measured[name]
+        if name in measured
+        else [
+            [results.of(name, model).get(key) for key in ("mean_mm", "half_mm")]
+            for model in (UNCORRECTED, THREE, ALL, LINEAR, PERFECT)
+            if results.has(name, model)
+        ]
+        for name in shown
+    ]
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()
 
 
 def main(folder=DOC / "images"):
     """Draw and write the files."""
-    results = json.loads((DOC / "benchmarks.json").read_text(encoding="utf-8"))
+    measured, results = json.loads(BENCHMARKS.read_text(encoding="utf-8")), read()
     with mpl.rc_context(STYLE):
-        for name, (draw, size) in FIGURES.items():
+        for name, (draw, size, shown) in FIGURES.items():
             figure = plt.figure(figsize=size, layout="constrained")
-            draw(figure, results)
-            figure.savefig(folder / f"bench_{name}.svg", metadata={"Date": None, "Creator": None},
-                           facecolor="white")  # fmt: skip
+            draw(figure, measured)
+            said = {"Date": None, "Creator": None, "Source": digest(shown, measured, results)}
+            figure.savefig(folder / f"bench_{name}.svg", metadata=said, facecolor="white")
             plt.close(figure)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         update_correction,
     )
     from sklearn_raacmm.error_model import ArmResidualRegressor
-    from sklearn_raacmm.measurements import Measurements, directions_of
+    from sklearn_raacmm.measurements import Measurements, directions_of, position_residuals
     from sklearn_raacmm.network import RBFNetRegressor
     from sklearn_raacmm.residuals import (
         CylindricalResidualTarget,
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         cartesian_to_cylindrical,
         cylindrical_to_cartesian,
         elbow_angle,
-        position_residuals,
         shoulder_wrist_distance,
     )
     from sklearn_raacmm.utils import FindingError, FindingWarning
@@ -63,7 +62,7 @@ __all__ = [
 
 # From the lowest layer up, so that a name costs no more than the subpackages below it.
 _SUBPACKAGES = (
-    "utils", "inference", "arm", "network", "residuals", "metrics", "calibration", "measurements",
+    "utils", "inference", "arm", "network", "measurements", "residuals", "metrics", "calibration",
     "error_model", "correction", "acceptance", "datasets", "display", "export", "app",
 )  # fmt: skip
 

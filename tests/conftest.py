@@ -1,8 +1,11 @@
 """Fixtures of the whole suite: the real data sets, read once, and skipped clearly where absent."""
 
+import hashlib
 import importlib
 import os
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +18,8 @@ from threadpoolctl import threadpool_limits
 # Before pytest collects a module of the package for its examples: one that came first would be
 # imported twice, and what the tests call would not know its classes.
 import sklearn_raacmm  # noqa: F401
+from sklearn_raacmm import Arm
+from sklearn_raacmm.datasets import _acceptance, _generators
 from sklearn_raacmm.utils import _rows
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -55,6 +60,36 @@ def pytest_xdist_make_scheduler(config, log):
 
 def pytest_configure(config):
     _rows.LIMIT = config.getoption("--chunk-rows")
+    if not hasattr(config, "workerinput"):  # the workers of xdist are started with this variable
+        os.environ[CALIBRATED] = tempfile.mkdtemp()
+    _acceptance.calibrated_arm = _generators.calibrated_arm = calibrated_once
+
+
+def pytest_unconfigure(config):
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ.pop(CALIBRATED), ignore_errors=True)
+
+
+# The folder of arms that were calibrated in this run of pytest.
+CALIBRATED = "SKLEARN_RAACMM_CALIBRATED"
+_calibrated_arm = _generators.calibrated_arm
+
+
+def calibrated_once(machine):
+    """Calibrate a simulated arm, or read what another file of tests or worker made of its equal.
+
+    A calibration takes as long as ten usual tests, and many files simulate the same arm.
+    """
+    tables = [
+        getattr(arm, name).tolist()
+        for arm in (machine.nominal_arm, machine.true_arm)
+        for name in ("a", "alpha", "d", "theta_offset", "probe", "up")
+    ]
+    what = repr((_rows.LIMIT, machine.errors, machine.calibration_seed, tables))
+    path = Path(os.environ[CALIBRATED], hashlib.sha256(what.encode()).hexdigest())
+    if not path.exists():
+        _calibrated_arm(machine).to_json(path)  # in one step, should both workers be here
+    return Arm.from_json(path)
 
 
 def pytest_collection_modifyitems(config, items):

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.acceptance._checks import find_faults
 from sklearn_raacmm.acceptance._run import AcceptanceRun
 from sklearn_raacmm.acceptance._values import FUNCTIONS, LAYOUTS, VALUES, Readings
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.utils import Finding, check_option, floats
 
 # One-sided 95 % of a normal error, the guard of ISO 14253-1.
@@ -245,7 +245,7 @@ def _points(run, arm, model, found):
         if model is not None:
             raise ValueError("a correction needs the joint angles of the run, and the arm.")
         return [(run.points, None)]
-    angles = check_angles(run.angles, arm.joint_types, "rad")
+    angles = arm.check_angles(run.angles, "rad")
     believed = (found or arm).forward(angles)
     sides = [(believed if run.points is None else run.points, believed)]
     if model is not None:

@@ -12,7 +12,6 @@ from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.acceptance._run import AcceptanceRun
 from sklearn_raacmm.acceptance._values import BARS, FUNCTIONS, LAYOUTS, SPHERES, Readings
-from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.metrics import fit_sphere
 
 # Of the interval of 95 %, and the median.
@@ -82,7 +81,7 @@ def predict_acceptance(
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
     arm = known.arm if known else regressor.arm_
-    X = check_angles(plan.angles, arm.joint_types, "rad")
+    X = arm.check_angles(plan.angles, "rad")
     points = arm.forward(X)
     X = known.inputs(X) if known else X
     rng, mean = check_random_state(random_state), regressor.predict(X)

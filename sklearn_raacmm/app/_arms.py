@@ -13,7 +13,7 @@ import numpy as np
 from sklearn_raacmm.app._columns import Columns
 from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
 from sklearn_raacmm.app._sources import TableError, parse_number
-from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, scale_of, usual_pose
+from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
 from sklearn_raacmm.correction import arm_from_data
 from sklearn_raacmm.utils import check_places, write_whole
 
@@ -101,8 +101,8 @@ def _with_encoders(shown, options):
         shown = shown.replace(joint_signs=shown.joint_signs * np.array(signs))
     if options.zero:
         moved = shown.joint_signs * parse_numbers("--zero", options.zero, *given)
-        turned = scale_of(shown.joint_types, np.pi / 180, 0.0) * moved
-        slid = scale_of(shown.joint_types, 0.0) * moved  # mm
+        turned = shown.by_type(np.pi / 180, 0.0) * moved
+        slid = shown.by_type(0.0) * moved  # mm
         shown = shown.replace(theta_offset=shown.theta_offset - turned, d=shown.d - slid)
     return shown
 

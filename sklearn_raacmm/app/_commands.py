@@ -43,7 +43,7 @@ from sklearn_raacmm.app._terminal import (
     print_verdict,
     say,
 )
-from sklearn_raacmm.arm import in_unit, scale_of, without_first
+from sklearn_raacmm.arm import without_first
 from sklearn_raacmm.correction import learn_correction, plan_poses, search_table
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import describe, export_c, to_onnx
@@ -218,7 +218,7 @@ def plan(options):
         given = parse_numbers(
             "--limits", options.limits, 2 * arm.n_joints, "LOW,HIGH of each joint"
         )
-        factor = scale_of(arm.joint_types, np.pi / 180)[:, None]
+        factor = arm.by_type(np.pi / 180)[:, None]
         arm = arm.replace(limits=factor * np.reshape(given, (-1, 2)))
     if arm.limits is None:
         print_notes(["The arm's file has no limits of the joints: --limits gives them in degrees."])
@@ -231,7 +231,7 @@ def plan(options):
     cones = [seats.get(i, f"cone {i}") for i in range(1, options.cones + 1)]
     units = ["mm" if kind == "P" else "deg" for kind in arm.joint_types]
     names = [f"q{i} [{unit}]" for i, unit in enumerate(units, start=1)]
-    degrees = in_unit(sheet.angles, arm.joint_types, "deg").tolist()
+    degrees = arm.in_unit(sheet.angles, "deg").tolist()
     poses = [(cones[i - 1], row) for i, row in zip(sheet.groups, degrees, strict=True)]
     lines = [",".join(["cone", *names])]
     lines += [",".join([cone, *(f"{value:.2f}" for value in row)]) for cone, row in poses]

@@ -23,7 +23,6 @@ from sklearn_raacmm.app._files import (
     read_labels,
 )
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
-from sklearn_raacmm.arm import check_angles
 from sklearn_raacmm.utils import check_places, numbered_rows
 
 # Endings of files that no CSV may have.
@@ -60,7 +59,7 @@ def correct(options):
     to_file = open_beside(options.out, layout.source.encoding)
     with nullcontext(options.stdout) if options.out == "-" else to_file as file:
         n_rows, largest = write_corrected(layout, saved, options, file, options.std)
-    check_angles(largest, saved.arm.joint_types, layout.angle_unit)
+    saved.arm.check_angles(largest, layout.angle_unit)
     print(f"{n_rows} rows corrected, written to {options.out}")
     return 0, {"rows": n_rows}
 

@@ -28,10 +28,9 @@ from sklearn_raacmm.app._files import (
     print_notes,
 )
 from sklearn_raacmm.app._sources import TableError, check_installed
-from sklearn_raacmm.arm import check_angles, random_poses
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
+from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import check_places, digest_of, ignored_findings, natural_order
 
 OK, CHANGED = 0, 3
@@ -138,7 +137,7 @@ def move(options):
     new = saved.move(probe)
     facts = _print_moves(saved, new)
     _print_lack(saved, new)
-    _print_doubts(new, random_poses(new.arm, 200))
+    _print_doubts(new, new.arm.random_poses(200))
     print("The vector of a drawing is off by tenths of a millimetre: register the probe first.")
     facts = step_of("move", None, facts)
     _save(new, options, facts)
@@ -147,7 +146,7 @@ def move(options):
 
 def _print_lack(saved, new):
     """Say so where the new probe is known by less than the one before, for its size."""
-    X = saved.inputs(random_poses(saved.arm, 200))
+    X = saved.inputs(saved.arm.random_poses(200))
     models = saved.model.linear_model_, new.model.linear_model_
     old, old_sd, now, now_sd = (_rms(p) for one in models for p in one.predict(X, return_std=True))
     if now_sd * old > old_sd * now:
@@ -376,7 +375,7 @@ def _read_today(options, arm):
     if by_tracker and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     # Warns of what seems another unit.
-    check_angles(table.angles, arm.joint_types, table.angle_unit)
+    arm.check_angles(table.angles, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
     return layout, today, (today.angles, today.positions, today.points, lengths)
 
@@ -445,9 +444,11 @@ def save_step(correction, out, step, today, page="", contents=()):
     step = {"date": date.today().isoformat(), **step}
     if step["what"] in _LEARNT:
         step["rows"] = "".join(digests_of(today))
+    card = describe(correction.model)
+    if card["fingerprint"]:
+        step["model"] = card["fingerprint"]
     history = [*correction.facts.get("history", []), step]
     correction = replace(correction, facts=correction.facts | {"history": history})
-    card = describe(correction.model)
     findings = [f"{finding.weight}: {finding}" for finding in correction.findings]
     known = {"findings": findings}
     known |= {name: correction.facts.get(name) for name in ("scale_set_by", "training")}

@@ -180,7 +180,9 @@ def _facts(result):
         "rows": rows["rows"],
         "positions": rows["positions"],
         "fingerprint of the data": rows["data_fingerprint"][:16],
-        "fingerprint of the model": model[:16] if model else "none for a model of this kind",
+        "fingerprint of the model as learnt": model[:16]
+        if model
+        else "none for a model of this kind",
         "model": type(result.model).__name__,
         "versions": f"{card['written_by']}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Python {platform.python_version()}",

@@ -14,11 +14,10 @@ import numpy as np
 from sklearn_raacmm.app._files import correction_files, find_rows, in_rad, load_arm, load_correction
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
-from sklearn_raacmm.arm import phases
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.error_model import ArmResidualRegressor
+from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.residuals import position_residuals
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     check_places,
@@ -116,7 +115,7 @@ class _Seen:
             with suppress(ValueError):  # what no calibration explains leaves the arm as it was
                 self.arm = calibrate(self._nominal, self._angles, self._codes).arm
         self._judge(self.arm.forward(self._angles) - change, labels, table.rows)
-        bins = np.floor(np.rad2deg(phases(self.arm, self._angles)) / _BIN_DEG).astype(int)
+        bins = np.floor(np.rad2deg(self.arm.phases(self._angles)) / _BIN_DEG).astype(int)
         self.joints = [np.unique(column).tolist() for column in bins.T]
 
     def _judge(self, points, labels, rows):

@@ -16,7 +16,6 @@ from sklearn_raacmm.arm._checks import (
     MAX_LENGTH_MM,
     MIN_LENGTH_MM,
     check_angles,
-    in_unit,
     scale_of,
     slides_of,
 )
@@ -25,16 +24,10 @@ from sklearn_raacmm.arm._kinematics import (
     axis_vectors,
     carried,
     joint_axes,
-    own_angles,
-    parameter_jacobian,
     phase_factors,
-    phases,
-    points_of,
-    random_poses,
-    spans_of,
     turn_mm,
 )
-from sklearn_raacmm.arm._solve import angles_for, limits_of, solve
+from sklearn_raacmm.arm._solve import angles_for, solve
 from sklearn_raacmm.arm._urdf import read_far_axes
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm._built_in import BUILT_IN, TWISTS, usual_pose
 from sklearn_raacmm.arm._chain import urdf_text
-from sklearn_raacmm.arm._checks import DHTable, check_angles, floats, in_unit, scale_of
+from sklearn_raacmm.arm._checks import DHTable, check_angles, floats
 from sklearn_raacmm.arm._files import json_text, read_fields
 from sklearn_raacmm.arm._kinematics import (
-    by_given_angles,
     frame_poses,
+    joint_jacobian,
     parameter_jacobian,
+    phase_factors,
     points_of,
-    spans_of,
 )
 from sklearn_raacmm.arm._solve import angles_for
 from sklearn_raacmm.arm._urdf import read_urdf, seen_from, write_into_urdf
@@ -33,6 +33,7 @@ _DEFAULT = "aacmm6"
 _ROUNDING = 1e-12
 # Arms of fewer joints have no wrist where the default poses suppose it.
 _FEW_JOINTS = 5
+_FIELDS = tuple(field.name for field in fields(DHTable))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,6 +104,11 @@ class Arm(DHTable):
         Number of joints.
     reach_mm : float
         Length of the stretched arm with its slides run out, an upper bound of its reach.
+    slides : list of int
+        Numbers, from 0, of the joints that slide.
+    bounds, spans : ndarray of shape (2, n_joints)
+        Least and largest angle of each joint, rad, or mm of what slides: the `limits`, infinite
+        where there is none; and where joints are taken to go, a turn or the travel of a slide.
 
     Notes
     -----
@@ -161,7 +167,7 @@ class Arm(DHTable):
         return self
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in _FIELDS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Through the constructor: arrays restored by pickle would be writable.
@@ -201,13 +207,6 @@ class Arm(DHTable):
         lines = ("".join(f"<{tag}>{cell}</{tag}>" for cell in row) for tag, row in rows)
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<div><p>{escape(repr(self))}</p><table>{table}</table></div>"
-
-    @cached_property
-    def reach_mm(self) -> float:
-        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
-        at_ends = np.abs(self.d + self.joint_signs * spans_of(self)).max(axis=0)
-        d = np.where(scale_of(self.joint_types, 0.0) > 0, at_ends, self.d)
-        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
 
     def replace(self, **changes: Any) -> "Arm":
         """Return a new arm with some fields changed.
@@ -399,6 +398,22 @@ class Arm(DHTable):
         check_arm(positioner)
         return seen_from(self, positioner, base)
 
+    def on_trial(self, **changes: object) -> Self:
+        """Change fields that nobody checks: for kinematics, many times a second.
+
+        Parameters
+        ----------
+        **changes : object
+            Fields as :meth:`replace` leaves them.
+
+        Returns
+        -------
+        Arm
+        """
+        one = object.__new__(type(self))
+        vars(one).update(self.__getstate__() | changes)
+        return one
+
     # -- files ------------------------------------------------------------------------------
 
     @classmethod
@@ -578,6 +593,122 @@ class Arm(DHTable):
             check_places([out])
         return _write_text(write_into_urdf(self, original, base, tip), out)
 
+    # -- joints: what is said of them, and what they may be -----------------------------------
+
+    def check_angles(self, angles: ArrayLike, angle_unit: str = "rad") -> Floats:
+        """Check joint angles as :meth:`forward` does.
+
+        Parameters
+        ----------
+        angles, angle_unit
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`forward`.
+        """
+        return check_angles(angles, self.joint_types, angle_unit)
+
+    def in_unit(self, angles: Floats, angle_unit: str) -> Floats:
+        """Joint angles in the unit asked for.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+        angle_unit : {"rad", "deg"}
+            What is asked for.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            What slides is in mm with either.
+        """
+        return angles if angle_unit == "rad" else angles * self.by_type(180 / np.pi)
+
+    def phases(self, angles: Floats) -> Floats:
+        """Angles of which harmonics of each joint's error are sines and cosines.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            In rad: the :meth:`own_angles`. For a joint that slides a turn is twice its travel, and
+            a multiple of 200 mm, so that whole numbers of waves have the pitches of usual screws
+            and racks.
+        """
+        own = self.own_angles(angles)
+        return own * phase_factors(self) if self.slides else own
+
+    def points_at(self, angles: Floats, probes: Floats | None = None) -> Floats:
+        """Position of the probe at angles that have been checked.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides.
+        probes : ndarray of shape (n_samples, 3), default=None
+            Vector of each row's probe in the last frame, mm. None: all rows have the arm's.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3)
+            In the base frame, mm.
+        """
+        return points_of(self, angles, probes)
+
+    def parameter_jacobian(self, angles: Floats) -> tuple[Floats, Floats]:
+        """Position of the probe, and its derivatives by the numbers of the table.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        points : ndarray of shape (n_samples, 3)
+            In the base frame, mm.
+        derivatives : ndarray of shape (n_samples, 3, 4 * n_joints + 3)
+            By `a`, `alpha`, `d`, `theta_offset` and `probe`, mm per mm and mm per rad.
+        """
+        return parameter_jacobian(self, angles)
+
+    def random_poses(self, n: int, rng: np.random.Generator | None = None) -> Floats:
+        """Draw poses at random: any angles, and what slides within its limits.
+
+        Parameters
+        ----------
+        n : int
+            Number of poses.
+        rng : numpy.random.Generator, default=None
+            Draws them. None: the same poses each time.
+
+        Returns
+        -------
+        ndarray of shape (n, n_joints)
+            In rad, and mm of what slides, which goes 2 m to either side where it has no limits.
+
+        Examples
+        --------
+        >>> from sklearn_raacmm import Arm
+        >>> Arm.from_name("ur10").random_poses(100).shape
+        (100, 6)
+        """
+        rng = np.random.default_rng(0) if rng is None else rng
+        low, high = self.spans
+        return rng.uniform(low, high, (n, self.n_joints))
+
     # -- kinematics -------------------------------------------------------------------------
 
     def forward(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
@@ -607,7 +738,7 @@ class Arm(DHTable):
             If an angle is more than two turns, or if all degrees are below 2 pi: most likely
             another unit.
         """
-        return points_of(self, check_angles(angles, self.joint_types, angle_unit))
+        return points_of(self, self.check_angles(angles, angle_unit))
 
     def azimuth(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Azimuth of the probe about the base's z axis.
@@ -638,7 +769,7 @@ class Arm(DHTable):
         ndarray of shape (n_samples, n_joints + 1, 3, 4)
             ``[R | t]`` of frames 0 (the base) to `n_joints`; t in mm.
         """
-        return frame_poses(self, check_angles(angles, self.joint_types, angle_unit))
+        return frame_poses(self, self.check_angles(angles, angle_unit))
 
     def jacobian(self, angles: ArrayLike, *, angle_unit: str = "rad") -> Floats:
         """Compute the derivative of the probe's position by each joint angle.
@@ -654,10 +785,7 @@ class Arm(DHTable):
             ``d probe / d angle`` in mm/rad: for each joint the cross product of its axis with the
             vector from the axis to the probe. Of a joint that slides its axis, mm/mm.
         """
-        n, angles = self.n_joints, check_angles(angles, self.joint_types, angle_unit)
-        # By theta, and of a joint that slides by d.
-        own = np.arange(n) + n * np.where(scale_of(self.joint_types, 0.0) > 0, 2, 3)
-        return by_given_angles(self, parameter_jacobian(self, angles)[1].take(own, axis=2))
+        return joint_jacobian(self, self.check_angles(angles, angle_unit))
 
     def angles_for(
         self,
@@ -707,8 +835,8 @@ class Arm(DHTable):
         """
         check_option("angle_unit", angle_unit, ("rad", "deg"))
         if start is not None:
-            start = check_angles(start, self.joint_types, angle_unit)
-        return in_unit(angles_for(self, points, start, orientations), self.joint_types, angle_unit)
+            start = self.check_angles(start, angle_unit)
+        return self.in_unit(angles_for(self, points, start, orientations), angle_unit)
 
 
 def _write_text(text, path):

@@ -21,6 +21,8 @@ _WARN_DEG, _STANDS_STILL_DEG = 2 * np.pi, 0.2
 _NO_LIMITS = (-np.inf, np.inf)
 # Ten turns: no arm's encoder counts as many, and no log in degrees holds them.
 _ABSURD_DEG = 3600.0
+# What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
+_TRAVEL_MM = 2000.0
 # No scale of a rail is off by as much: it would be in another unit.
 _MOST_SCALE = 0.1
 # 100 m: larger than any arm, small enough to catch micrometres or encoder counts given as mm.
@@ -101,6 +103,74 @@ class DHTable:
     def n_joints(self) -> int:
         """Number of joints."""
         return self.a.size
+
+    @cached_property
+    def slides(self) -> list[int]:
+        """Numbers, from 0, of the joints that slide."""
+        return slides_of(self.joint_types)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest angle of each joint (2, n_joints), rad or mm; infinite without one."""
+        if self.limits is None:
+            return np.full((2, self.n_joints), [[-np.inf], [np.inf]])
+        return self.limits.T
+
+    @property
+    def spans(self) -> np.ndarray:
+        """From where to where joints are taken to go, (2, n_joints): a turn; what a slide may."""
+        spans = np.array([[-np.pi], [np.pi]]) * np.ones(len(self.a))
+        for i in self.slides:
+            limits = self.bounds[:, i]
+            known = np.isfinite(limits)
+            spans[:, i] = np.where(known, limits, (-_TRAVEL_MM, _TRAVEL_MM))
+            if known.sum() == 1:  # so far from the end that is known
+                end = 1 - int(np.argmax(known))
+                spans[end, i] = limits[1 - end] + (2 * end - 1) * 2 * _TRAVEL_MM
+        return spans
+
+    @cached_property
+    def reach_mm(self) -> float:
+        """Length of the stretched arm with its slides run out, an upper bound of its reach."""
+        at_ends = np.abs(self.d + self.joint_signs * self.spans).max(axis=0)
+        d = np.where(self.by_type(0.0) > 0, at_ends, self.d)
+        return float(np.hypot(self.a, d).sum() + np.linalg.norm(self.probe))
+
+    def by_type(self, of_turns: float, of_slides: float = 1.0) -> np.ndarray:
+        """Give a number for each joint: one to those that turn, one to those that slide.
+
+        Parameters
+        ----------
+        of_turns : float
+            For joints that turn.
+        of_slides : float, default=1.0
+            For joints that slide.
+
+        Returns
+        -------
+        ndarray of shape (n_joints,)
+        """
+        return scale_of(self.joint_types, of_turns, of_slides)
+
+    def own_angles(self, angles: np.ndarray) -> np.ndarray:
+        """Angle of each joint itself, of what the encoders give.
+
+        Parameters
+        ----------
+        angles : ndarray of shape (n_samples, n_joints)
+            In rad, and mm of what slides; not checked.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_joints)
+            The same where the arm has no `couplings`; else with the angles that are added.
+        """
+        if not self.couplings:
+            return angles
+        own = angles.copy()
+        for joint, other, factor in self.couplings:
+            own[:, joint - 1] += factor * angles[:, other - 1]
+        return own
 
 
 def check_types(value, n):
@@ -284,11 +354,6 @@ def slides_of(joints: int | str) -> list[int]:
     if isinstance(joints, int) or "P" not in joints:  # nearly all, and a pose takes 20 us
         return []
     return [i for i, kind in enumerate(joints) if kind == "P"]
-
-
-def in_unit(angles: np.ndarray, types: str, angle_unit: str) -> np.ndarray:
-    """Joints (n, n_joints) in rad and mm with their angles in the unit asked for."""
-    return angles if angle_unit == "rad" else angles * scale_of(types, 180 / np.pi)
 
 
 def scale_of(types: str, of_turns: float, of_slides: float = 1.0) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm._checks import DHTable, slides_of
+from sklearn_raacmm.arm._checks import DHTable
 from sklearn_raacmm.utils import chunks
 
 # Fields of `Arm` that are its static parameters, in the order of `parameter_jacobian`.
@@ -16,70 +16,26 @@ FIELDS = ("a", "alpha", "d", "theta_offset", "probe")
 CHUNK_ROWS = 4096
 # Along x, y and z of the base: its own axes and its origin.
 _BASE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
-# What slides without limits is taken to go so far to either side, mm: the longest usual tracks.
-_TRAVEL_MM = 2000.0
-
-
-def own_angles(arm: DHTable, angles: np.ndarray) -> np.ndarray:
-    """Angle of each joint itself (n, n_joints), of what the encoders give: see `Arm.couplings`."""
-    if not arm.couplings:
-        return angles
-    own = angles.copy()
-    for joint, other, factor in arm.couplings:
-        own[:, joint - 1] += factor * angles[:, other - 1]
-    return own
 
 
 def joint_axes(arm: DHTable) -> np.ndarray:
     """Place of what each joint does to the probe, (n_joints,), among the `axis_vectors`."""
     n, turns = len(arm.a), 3 * (np.arange(len(arm.a)) + (arm.convention == "modified")) + 2
-    turns[slides_of(arm.joint_types)] += 3 * (n + 1)
+    turns[arm.slides] += 3 * (n + 1)
     return turns
-
-
-def phases(arm: DHTable, angles: np.ndarray) -> np.ndarray:
-    """What waves of each joint's error are waves of, (n, n_joints) rad: its `own_angles`.
-
-    For a joint that slides a turn is twice its travel, and a multiple of 200 mm, so that whole
-    numbers of waves have the pitches of usual screws and racks.
-    """
-    own = own_angles(arm, angles)
-    return own * phase_factors(arm) if slides_of(arm.joint_types) else own
 
 
 def phase_factors(arm: DHTable) -> np.ndarray:
     """What makes `phases` of the `own_angles` of each joint, (n_joints,): rad for rad or mm."""
-    slides = slides_of(arm.joint_types)
     factors = np.ones(len(arm.a))
-    factors[slides] = 2 * np.pi / turn_mm(arm)[slides]
+    factors[arm.slides] = 2 * np.pi / turn_mm(arm)[arm.slides]
     return factors
 
 
 def turn_mm(arm: DHTable) -> np.ndarray:
     """Travel in mm (n_joints,) that counts as one turn in `phases`, of the joints that slide."""
-    low, high = spans_of(arm)
+    low, high = arm.spans
     return 200.0 * np.maximum(np.ceil((high - low) / 100.0), 1.0)
-
-
-def spans_of(arm: DHTable) -> np.ndarray:
-    """From where to where joints are taken to go, (2, n_joints): a turn; the limits of a slide."""
-    spans = np.array([[-np.pi], [np.pi]]) * np.ones(len(arm.a))
-    if slides := slides_of(arm.joint_types):
-        limits = np.full((2, len(arm.a)), np.nan) if arm.limits is None else arm.limits.T
-        for i in slides:
-            known = np.isfinite(limits[:, i])
-            spans[:, i] = np.where(known, limits[:, i], (-_TRAVEL_MM, _TRAVEL_MM))
-            if known.sum() == 1:  # so far from the end that is known
-                end = 1 - int(np.argmax(known))
-                spans[end, i] = limits[1 - end, i] + (2 * end - 1) * 2 * _TRAVEL_MM
-    return spans
-
-
-def random_poses(arm: DHTable, n: int, rng: np.random.Generator | None = None) -> np.ndarray:
-    """Poses (n, n_joints) anywhere in the `spans_of` an arm, in rad and mm."""
-    rng = np.random.default_rng(0) if rng is None else rng
-    low, high = spans_of(arm)
-    return rng.uniform(low, high, (n, len(arm.a)))
 
 
 def by_given_angles(arm: DHTable, jacobian: np.ndarray) -> np.ndarray:
@@ -99,11 +55,11 @@ def _rows_of_table(arm, angles):
 
     Of a joint that slides d is (n_samples,), where there are several.
     """
-    angles = own_angles(arm, angles)
+    angles = arm.own_angles(angles)
     theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
     links = [part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))]
-    for i in slides_of(arm.joint_types):
+    for i in arm.slides:
         theta[i] = arm.theta_offset[i]
         d = arm.d[i] + arm.joint_signs[i] * angles[:, i]
         links[1][i] = float(d[0]) if len(d) == 1 else d
@@ -228,6 +184,20 @@ def axis_vectors(
     return vectors, places.transpose(2, 0, 1)
 
 
+def joint_jacobian(arm: DHTable, angles: np.ndarray) -> np.ndarray:
+    """Derivative of the probe (n, 3, n_joints) by what the encoders give, mm per rad or per mm.
+
+    Bit for bit that of `parameter_jacobian`, of which only these columns are made.
+    """
+    jac = np.empty((len(angles), 3, len(arm.a)))
+    for rows in chunks(len(angles), CHUNK_ROWS):
+        frames = frame_columns(arm, angles[rows])
+        axes, turned = _along_and_about(frames, 2, arm, probe_from_frames(arm, frames))
+        turned[:, arm.slides] = axes[:, arm.slides]
+        jac[rows] = turned.transpose(2, 0, 1)
+    return by_given_angles(arm, jac)
+
+
 def parameter_jacobian(arm: DHTable, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Probe points (n, 3) and their derivatives (n, 3, 4 n_joints + 3) by the arm's `FIELDS`."""
     n = len(arm.a)
@@ -237,14 +207,19 @@ def parameter_jacobian(arm: DHTable, angles: np.ndarray) -> tuple[np.ndarray, np
         frames = frame_columns(arm, angles[rows])
         probe = probe_from_frames(arm, frames)
         points[rows] = probe.T
-        for i in range(n):
-            # Row i goes along and about z of one of its two frames, and x of the other.
-            of_x, of_z = frames[i + 1], frames[i]
-            if arm.convention == "modified":
-                of_x, of_z = of_z, of_x
-            jac[rows, :, i] = of_x[0].T
-            jac[rows, :, n + i] = cross(of_x[0], probe - of_x[3]).T
-            jac[rows, :, 2 * n + i] = of_z[2].T
-            jac[rows, :, 3 * n + i] = cross(of_z[2], probe - of_z[3]).T
+        of_x, of_z = (_along_and_about(frames, axis, arm, probe) for axis in (0, 2))
+        for i, moved in enumerate([*of_x, *of_z]):
+            jac[rows, :, i * n : (i + 1) * n] = moved.transpose(2, 0, 1)
         jac[rows, :, 4 * n :] = frames[-1, :3].transpose(2, 1, 0)
     return points, jac
+
+
+def _along_and_about(frames, axis, arm, probe):
+    """What shifts along and turns about x or z (0 or 2) in each row of the table do to the probe.
+
+    Both (3, n_joints, n_samples). A row goes along and about z of one of its two frames, and x of
+    the other.
+    """
+    own = frames[1:] if (axis == 0) == (arm.convention == "standard") else frames[:-1]
+    along, origins = own[:, axis].swapaxes(0, 1), own[:, 3].swapaxes(0, 1)
+    return along, cross(along, probe[:, None] - origins)

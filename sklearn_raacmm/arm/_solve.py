@@ -4,20 +4,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm._checks import DHTable, are_rotations, scale_of
+from sklearn_raacmm.arm._checks import DHTable, are_rotations
 from sklearn_raacmm.arm._kinematics import (
     axis_vectors,
     by_given_angles,
     frame_poses,
     joint_axes,
     points_of,
-    spans_of,
 )
 from sklearn_raacmm.utils import floats, warn_user
 
@@ -35,7 +33,7 @@ _STARTS, _TRIES, _ASIDE = 20, 4, 0.1
 
 
 def angles_for(
-    arm: Any,
+    arm: DHTable,
     points: ArrayLike,
     start: np.ndarray | None,
     orientations: ArrayLike | None,
@@ -44,14 +42,14 @@ def angles_for(
     """See `Arm.angles_for`; angles and starts (n or 1, n_joints) in rad, correction as below."""
     points = floats("points", points, 3)
     turns = None if orientations is None else _check_orientations(orientations, len(points))
-    low, high = limits_of(arm)
+    low, high = arm.bounds
     if start is not None and len(start) not in (1, len(points)):
         raise ValueError(
             f"start has {len(start)} poses for {len(points)} points: give one, or one each."
         )
     rng, shape = np.random.default_rng(0), (len(points), arm.n_joints)
-    first, last = np.clip(spans_of(arm), low, high)  # limits may be beyond half a turn
-    aside = _ASIDE * scale_of(arm.joint_types, 1.0, arm.reach_mm)
+    first, last = np.clip(arm.spans, low, high)  # limits may be beyond half a turn
+    aside = _ASIDE * arm.by_type(1.0, arm.reach_mm)
     angles, off = np.full(shape, np.nan), np.full((len(points), 2), np.inf)
     open_ = np.arange(len(points))
     for again in range(_STARTS if start is None else _TRIES):
@@ -80,7 +78,7 @@ def angles_for(
 
 
 def solve(
-    arm: Any,
+    arm: DHTable,
     points: np.ndarray,
     start: np.ndarray,
     orientations: np.ndarray | None = None,
@@ -94,7 +92,7 @@ def solve(
     (m, 3) rad. A row that is not reached has NaN; the second value returned is how far off each row
     was, (n, 2) in mm and rad.
     """
-    low, high = limits_of(arm)
+    low, high = arm.bounds
     angles, off = np.clip(start, low, high), np.zeros((len(points), 2))
     open_ = np.arange(len(points))
     for _ in range(_ROUNDS):
@@ -115,13 +113,6 @@ def solve(
         angles[open_] = _bare(arm, aim, turned, angles[open_], low, high)
     angles[open_] = np.nan
     return angles, off
-
-
-def limits_of(arm: DHTable) -> np.ndarray:
-    """Lowest and highest angle of each joint, rad or mm, infinite where there are no limits."""
-    if arm.limits is None:
-        return np.full((2, arm.n_joints), [[-np.inf], [np.inf]])
-    return arm.limits.T
 
 
 def _check_orientations(orientations, n):
@@ -153,10 +144,10 @@ def _gaps(arm, aim, turned, angles):
 
 def _bare(arm, aim, turned, angles, low, high):
     """The same for the arm without a correction, by shortest steps."""
-    moves, turns = joint_axes(arm), scale_of(arm.joint_types, 1.0, 0.0)
+    moves, turns = joint_axes(arm), arm.by_type(1.0, 0.0)
     n_turns = 3 * (arm.n_joints + 1)
     about = moves % n_turns + n_turns
-    unit = scale_of(arm.joint_types, 1.0, arm.reach_mm)  # of a slide: as large as one radian
+    unit = arm.by_type(1.0, arm.reach_mm)  # of a slide: as large as one radian
     angles, open_ = angles.copy(), np.arange(len(aim))
     for _ in range(_STEPS):
         own = angles[open_]

@@ -24,8 +24,8 @@ from sklearn_raacmm.arm._chain import (
     warn_of_losses,
     with_probe,
 )
-from sklearn_raacmm.arm._checks import are_rotations
-from sklearn_raacmm.arm._solve import limits_of
+from sklearn_raacmm.arm._checks import DHTable, are_rotations
+from sklearn_raacmm.arm._kinematics import frame_poses
 from sklearn_raacmm.utils import Finding, floats, warn_user
 
 # Axes whose directions differ by less are parallel: rounding of products of rotations.
@@ -141,7 +141,7 @@ def seen_from(arm: Any, positioner: Any, base: ArrayLike) -> Any:
         "names": (*own[::-1], *(arm.names or [f"J{i + 1}" for i in range(arm.n_joints)])),
         "joint_types": types,
         "joint_signs": np.concatenate([positioner.joint_signs[::-1], arm.joint_signs]),
-        "limits": np.vstack([np.transpose(limits_of(one)) for one in (positioner, arm)]),
+        "limits": np.vstack([np.transpose(one.bounds) for one in (positioner, arm)]),
         "couplings": [*couplings, *((m + i, m + j, factor) for i, j, factor in arm.couplings)],
         "up_frame": m,
     }
@@ -152,7 +152,7 @@ def seen_from(arm: Any, positioner: Any, base: ArrayLike) -> Any:
 
 
 def write_into_urdf(
-    arm: Any, original: str | PathLike[str], base: str | None, tip: str | None
+    arm: DHTable, original: str | PathLike[str], base: str | None, tip: str | None
 ) -> str:
     """Text of a robot's own file with the numbers of an arm: see `Arm.update_urdf`."""
     nominal, placed, joints, mount, text, where = read_urdf(type(arm), original, base, tip)
@@ -222,7 +222,7 @@ def _axis_frames(arm):
 def _frames_at_zero(arm):
     """All frames of the table at zero angles, (n + 1, 4, 4)."""
     frames = np.tile(np.eye(4), (arm.n_joints + 1, 1, 1))
-    frames[:, :3] = arm.frames(np.zeros((1, arm.n_joints)))[0]
+    frames[:, :3] = frame_poses(arm, np.zeros((1, arm.n_joints)))[0]
     return frames
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from sklearn_raacmm.arm import FIELDS, Arm, check_angles
+from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration._checks import (
     check_correction,
     check_measured,
@@ -43,7 +43,6 @@ from sklearn_raacmm.utils import (
     one_warning,
     param_checks,
     stage,
-    validate_params,
 )
 
 # A parameter whose standard deviation the data did not halve is the prior's, not the data's.
@@ -63,7 +62,7 @@ _PRIOR = [
 
 
 @one_blas_thread
-@validate_params(
+@param_checks.validate_params(
     {
         "arm": [Arm],
         "loss": [param_checks.StrOptions(set(WEIGHTS))],
@@ -211,10 +210,7 @@ def calibrate(
     if not all(isinstance(name, str) and name in FIELDS for name in free):
         raise ValueError(f"free must name some of {', '.join(FIELDS)}, got {free!r:.60}.")
     asked: Any = angles.angles if isinstance(angles, Measurements) else angles
-    if correction is None:
-        asked = None
-    else:
-        asked = check_correction(correction, asked, angle_unit, arm.joint_types)
+    asked = None if correction is None else check_correction(correction, asked, angle_unit, arm)
     if groups is not None and points is not None:
         raise ValueError("give either groups, or points that were measured.")
     lengths = listed("lengths", lengths)
@@ -223,7 +219,7 @@ def calibrate(
     given: dict[str, Any] = {"points": points, "lengths": lengths, "features": features}
     given |= {"tip_diameter": tip_diameter, "tools": tools, "stations": stations}
     if groups is None and points is None and not isinstance(angles, Measurements):
-        angles = check_angles(angles, arm.joint_types, angle_unit)
+        angles = arm.check_angles(angles, angle_unit)
         angles = within_turn(angles, arm.joint_types)
         groups, angle_unit = find_places(arm, angles), "rad"
     given |= {"angle_unit": angle_unit, "joint_types": arm.joint_types}
@@ -373,18 +369,23 @@ def _identified(fit, names):
     seen = observability(root, n_rows, free_names, wide[mask], unit[mask], fit.sigma)
     sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
     covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
+    moved, larger = fit.moved_by_misfit(mask) if mask.any() else (np.zeros((0, 1)), np.zeros(1))
     sd[mask] = np.sqrt(np.diag(covariance))
+    is_open = mask & ~(sd <= _IDENTIFIED * wide)
+    sd[mask] = np.hypot(sd[mask], np.linalg.norm(moved, axis=1))
     scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
-    scale_sd = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
+    corrected = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
+    scale_sd = float(np.hypot(corrected, np.linalg.norm(larger)))
     prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
-    scale_is_open = prior > 0 and scale_sd > _IDENTIFIED * prior
+    scale_is_open = prior > 0 and corrected > _IDENTIFIED * prior
     if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
-        sd[mask], scale_sd = np.nan, np.nan
-    is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
+        sd[mask] = scale_sd = corrected = np.nan
+        is_open[:] = False
     unidentified = tuple(name for name, is_in in zip(names, is_open, strict=True) if is_in)
     return seen | {
         "standard_deviations": sd,
         "unidentified": unidentified + (("scale",) if scale_is_open else ()),
         "n_free": len(free_names),
         "scale_sd": scale_sd,
+        "scale_sd_corrected": corrected,
     }

@@ -5,7 +5,6 @@
 
 import numpy as np
 
-from sklearn_raacmm.arm import scale_of
 from sklearn_raacmm.calibration._problem import rows_of
 from sklearn_raacmm.measurements import UNITS, angle_faults, touch_findings
 from sklearn_raacmm.utils import Finding
@@ -43,7 +42,7 @@ def check_measured(arm, measured):
         Finding("lonely-position", text, positions=names).report()
 
 
-def check_correction(correction, angles, angle_unit, types):
+def check_correction(correction, angles, angle_unit, arm):
     """Angles as a fitted model takes them; one that cannot predict them is refused."""
     if not hasattr(correction, "predict"):
         raise TypeError(
@@ -52,7 +51,7 @@ def check_correction(correction, angles, angle_unit, types):
         )
     angles, unit = np.asarray(angles, dtype=float), getattr(correction, "angle_unit", "rad")
     if unit != angle_unit:
-        angles = angles * scale_of(types, 180 / np.pi if unit == "deg" else np.pi / 180)
+        angles = angles * arm.by_type(180 / np.pi if unit == "deg" else np.pi / 180)
     residuals = np.asarray(correction.predict(angles), dtype=float)
     if residuals.shape != (len(angles), 3) or not np.all(np.isfinite(residuals)):
         raise ValueError(

@@ -5,7 +5,6 @@
 
 import numpy as np
 
-from sklearn_raacmm.arm import phases, random_poses
 from sklearn_raacmm.calibration._fit import MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
@@ -76,7 +75,7 @@ def findings_of_fit(fit, result, bare, poses):
         groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
         held = held[thinned(fit.problem.index[held], len(held))]
-        turns = phases(fit.nominal_arm, fit.angles[held])
+        turns = fit.nominal_arm.phases(fit.angles[held])
         yield from moved_positions(left[held], turns, groups[held], poses.first[held])
     yield from moved_set_up(fit, poses.first)
     yield from _poses_alike(fit)
@@ -210,7 +209,7 @@ def _poses_alike(fit):
     # Of too few rows another finding tells.
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
         return
-    angles = random_poses(arm, _TRIED)
+    angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
     points, jac = table_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]

@@ -6,7 +6,6 @@
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 from scipy.stats import chi, norm
 
-from sklearn_raacmm.arm import FIELDS, slides_of
+from sklearn_raacmm.arm import FIELDS
 from sklearn_raacmm.calibration._problem import (
     FOUND,
     LONG_SHARE,
@@ -29,12 +28,13 @@ from sklearn_raacmm.calibration._problem import (
     unpack,
 )
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.inference import evidence_variance, whitening
 from sklearn_raacmm.measurements import (
     STILL_MM,
+    base_motions,
     known_length,
     linearised,
     touch_weights,
+    whitening,
     with_forms,
 )
 from sklearn_raacmm.utils import (
@@ -68,6 +68,9 @@ _LEAST_PIVOT = 1e-8
 # Rows whose Jacobian is made at a time, and most rows of which it is held for the next look: 11 MB
 # for 27 parameters. Of more rows sums over blocks are held, and a few numbers of each row.
 _BLOCK, _HELD = 4096, 2**14
+# Where the search for the size of what the table does not explain begins, rad, and its steps; a
+# part of the reach that is near.
+_MISFIT_RAD, _MISFIT_ROUNDS, _NEAR_SHARE = 1e-4, 30, 0.1
 # What is held of parameters that were looked at, before any was: see `Fit.located`.
 NOT_EVALUATED: Any = None, None, None
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
@@ -100,7 +103,8 @@ class Fit:
         self.loss, self.free, self.priors = loss, free, priors
         # Joints that slide, but stand still in all rows.
         ways = np.ptp(self.angles, axis=0) if len(self.angles) else np.zeros(arm.n_joints)
-        self.still = [i for i in slides_of(arm.joint_types) if ways[i] < STILL_MM]
+        self.turning = np.setdiff1d(np.arange(arm.n_joints), arm.slides)
+        self.still = [i for i in arm.slides if ways[i] < STILL_MM]
         self._name_parameters(free)
         nominal = self.nominal
         self.x = nominal.copy()
@@ -142,7 +146,7 @@ class Fit:
         self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
         lengths = np.array([not name.startswith(ANGLES) for name in self.names])
         kind = np.full(len(lengths), "angle_rad", dtype=object)
-        slides = slides_of(arm.joint_types)
+        slides = arm.slides
         of_slides = np.isin(np.arange(len(kind)) % arm.n_joints, slides)
         # Where a slide stands says nothing of how long links are.
         long = are_long(np.where(of_slides, 0.0, pack(arm)[: len(lengths)])[lengths])
@@ -213,6 +217,8 @@ class Fit:
             )
             if self.converged:
                 break
+        if self.problem.features and mask[: -3 * self.problem.n_tools].any():
+            self._take_best_table(mask)
         return self
 
     def _judge(self, mask, find_priors):
@@ -232,7 +238,8 @@ class Fit:
             members = is_free & (self.kind == kind)
             if members.any():
                 seen, square = np.sum(1 - share[members]), np.sum(departure[members] ** 2)
-                sd = np.sqrt(evidence_variance(square, seen, guess**2, counts))
+                # MacKay's fixed point, with a guess that is worth so many numbers.
+                sd = np.sqrt((square + counts * guess**2) / (seen + counts))
                 sd = np.clip(sd, least, most)
                 settled &= bool(abs(np.log(sd / self.prior_sd[members][0])) < 0.05)
                 self.prior_sd[members] = sd
@@ -362,17 +369,12 @@ class Fit:
         """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
         arm, problem, angles = self.nominal_arm, self.problem, self.angles[rows]
         n_table, n_parameters = len(pack(arm)) - 3, len(self.nominal)
-        # On trial: an `Arm` would check its fields at every step.
-        trial = SimpleNamespace(
-            convention=arm.convention, joint_signs=arm.joint_signs, couplings=arm.couplings,
-            joint_types=arm.joint_types,
-        )  # fmt: skip
         points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
         tools = None if problem.tools is None else problem.tools[rows]
         for tool in range(problem.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
-            vars(trial).update(unpack(x, arm, tool))
-            points[of], own = table_jacobian(trial, angles[of])
+            one = arm.on_trial(**unpack(x, arm, tool))
+            points[of], own = table_jacobian(one, angles[of])
             jac[of, :, :n_table] = own[:, :, :n_table]
             jac[of, :, start : start + 3] = own[:, :, n_table:]
         if self.correction is not None:
@@ -380,10 +382,20 @@ class Fit:
         return points, jac
 
     def _free_columns(self, x, mask):
-        """Yield blocks of rows, and derivatives by what is free, the points as the last column."""
-        free = np.flatnonzero(mask[: len(self.nominal)])
+        """Yield blocks of rows, and derivatives by what is free, the points as the last column.
+
+        Where the mask is longer than x, those by what `_misfit` tries stand between.
+        """
+        free, joints = np.flatnonzero(mask[: len(self.nominal)]), self.turning
         for part, points, jac in self.located(x):
-            yield part, np.concatenate([np.take(jac, free, axis=2), points[:, :, None]], axis=2)
+            columns = [np.take(jac, free, axis=2), points[:, :, None]]
+            if len(mask) > len(self.x):
+                turns = jac[:, :, 3 * self.angles.shape[1] + joints]
+                angles = self.angles[part, None][:, :, joints]
+                lever = self.nominal_arm.up @ turns / (self.nominal_arm.reach_mm / 2)
+                by = np.cos(angles), np.sin(angles), lever[:, None]
+                columns[1:1] = [turns * factor for factor in by]
+            yield part, np.concatenate(columns, axis=2)
 
     def touched(self, x, mask, index=None) -> Any:
         """What was touched, and what the free parameters move it by; None for measured points.
@@ -437,29 +449,26 @@ class Fit:
         """
         problem = self.problem
         if problem.points is None:
-            scale, by_length = self.scale @ x, np.flatnonzero(self.scale[mask])
-            slope = self.scale[mask][by_length]
+            slope = self.scale[mask[: len(self.scale)]]
+            scale, by_length = self.scale @ x, np.flatnonzero(slope)
             for part, rows in self._beside_touched(x, mask, at, problem.index):
                 if scale > 0:
                     rows /= scale
-                    rows[:, :, by_length] -= rows[:, :, -1:] * (slope / scale)
+                    rows[:, :, by_length] -= rows[:, :, -1:] * (slope[by_length] / scale)
                 yield part, rows
             return
-        n_free = np.count_nonzero(mask)
-        place = np.cumsum(mask) - 1  # of each parameter among those that are free
-        free = np.flatnonzero(mask[: len(self.nominal)])
-        for part, points, jac in self.located(x):
-            rows = np.zeros((len(points), 3, n_free + 1))
+        n_table = np.count_nonzero(mask[: len(self.nominal)])
+        for part, columns in self._free_columns(x, mask):
+            rows = np.insert(columns, [n_table] * 6 * problem.n_stations, 0.0, axis=2)
             stations = None if problem.stations is None else problem.stations[part]
             for s in range(problem.n_stations):
-                of, base = rows_of(stations, s), self.base_columns(s)
-                turn = self._rotation(x, s)
-                turned = points[of] @ turn.T
-                rows[of, :, -1] = turned + x[base[3:]] - problem.points[part][of]
-                rows[of, :, : len(free)] = turn @ np.take(jac[of], free, axis=2)
-                for column, axis in zip(place[base[:3]], np.eye(3), strict=True):
-                    rows[of, :, column] = np.cross(axis, turned)
-                rows[of, :, place[base[3]] : place[base[5]] + 1] = np.eye(3)
+                of, shift = rows_of(stations, s), x[self.base_columns(s)[3:]]
+                rows[of] = self._rotation(x, s) @ rows[of]
+                turned, first = rows[of, :, -1], n_table + 6 * s
+                for i, axis in enumerate(np.eye(3)):
+                    rows[of, :, first + i] = np.cross(axis, turned)
+                rows[of, :, first + 3 : first + 6] = np.eye(3)
+                rows[of, :, -1] += shift - problem.points[part][of]
             yield part, rows
 
     def known(self, lengths, at):
@@ -605,6 +614,87 @@ class Fit:
             spread = finite @ slopes.T @ ends.reshape(len(sd), -1)
             covariance = covariance + spread @ spread.T
         return covariance
+
+    def _misfit(self, mask):
+        r"""What the table does not explain, and what it moves the free parameters by.
+
+        It is no noise: at poses that are alike it is much the same. Angles of joints that turn are
+        taken to be off by a cosine and a sine of themselves, as an eccentric scale makes them, and
+        by the lever of gravity: A w, of one variance by the evidence. With C their covariance the
+        parameters move by :math:`-C J'A w`. Returned are w, its standard deviation before the data,
+        rad, and C J'A (k, n_w).
+        """
+        k, every = np.count_nonzero(mask), self._with_misfit(mask)
+        root = triangle(self.rows(self.x, every))
+        # Beside the parameters; the last row is what neither explains.
+        axes, size, seen_by = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
+        strength, seen = np.square(size), seen_by @ root[k:, -1]
+        variance, share, found = _MISFIT_RAD**2, np.ones(1), seen
+        for _ in range(_MISFIT_ROUNDS):
+            share = variance * strength / (1 + variance * strength)  # beside noise
+            found = variance * size * seen / (1 + variance * strength)
+            variance = np.square(found).sum() / max(share.sum(), 1e-300)
+        # Of a variance that so many numbers show the mean is larger than the likeliest.
+        sd = np.sqrt(variance * (1 + 2 / max(share.sum(), 1e-300)))
+        covariance = inverse_normal(root[:, :k])
+        covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+        return -axes @ found, sd, covariance @ root[:k, :k].T @ root[:k, k:-1]
+
+    def _with_misfit(self, mask):
+        """A mask of parameters and of what `_misfit` tries beside them."""
+        return np.r_[mask, np.ones(3 * len(self.turning), dtype=bool)]
+
+    def _take_best_table(self, mask):
+        """Of touches, go on to the table that serves best at their poses.
+
+        Surfaces show some directions only, and fitted to these a table follows what it does not
+        explain along them. Where both are told apart, the table is that which moves the points as
+        both do: within every feature, and between their means, beside a motion of the base. Known
+        lengths count, and the prior.
+        """
+        misfit, _, pulled = self._misfit(mask)
+        every, index, k = self._with_misfit(mask), self.problem.index, pulled.shape[0]
+        count = np.bincount(index)[:, None, None]
+        means: Any = sum(
+            group_sums(columns, index[part], None, len(count))
+            for part, columns in self._free_columns(self.x, every)
+        )
+        means = means / count
+        base = base_motions(means[:, :, -1], self.nominal_arm.reach_mm).reshape(-1, 6)
+        base, flat = np.linalg.qr(base)[0], means.reshape(-1, means.shape[2])
+
+        def rows():
+            yield (flat - base @ (base.T @ flat)) / self.sigma
+            for part, columns in self._free_columns(self.x, every):
+                yield (columns - means[index[part]]).reshape(-1, flat.shape[1]) / self.sigma
+            if self.problem.lengths:
+                yield self._length_rows(self.touched(self.x, every))
+
+        root = triangle(rows())[:, :-1]
+        both = np.vstack([root[:, :k], np.diag(1 / self.prior_sd[mask])])
+        target = np.r_[root[:, k:] @ misfit, np.zeros(k)]
+        x = self.x.copy()
+        x[mask] += np.linalg.lstsq(both, target, rcond=1e-12)[0] - pulled @ misfit
+        self._take(x)
+
+    def moved_by_misfit(self, mask):
+        """By how much what the table does not explain moves free parameters, and the common scale.
+
+        For each of w of one standard deviation, (k, n_w), and by which part it and what the
+        parameters then do against it enlarge the distances between the rows' points, (n_w,).
+        """
+        _, sd, moved = self._misfit(mask)
+        points, n_table = self.points(), np.count_nonzero(mask[: len(self.nominal)])
+        away = points - points.mean(axis=0)
+        slopes: Any = sum(
+            np.einsum("nc,ncp->p", away[part], columns[:, :, :-1])
+            for part, columns in self._free_columns(self.x, self._with_misfit(mask))
+        )
+        # Places that are all near one another show nothing of the scale.
+        least = len(away) * (_NEAR_SHARE * self.nominal_arm.reach_mm) ** 2
+        slopes /= max(np.square(away).sum(), least)
+        larger = slopes[n_table:] - slopes[:n_table] @ moved[:n_table]
+        return sd * moved, sd * larger
 
 
 def triangle(blocks):

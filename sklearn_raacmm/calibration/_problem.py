@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import FIELDS, own_angles, parameter_jacobian, slides_of
+from sklearn_raacmm.arm import FIELDS
 
 # Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
 # how many parameters that were seen the guess is worth, and its bounds
@@ -39,12 +39,12 @@ def rows_of(numbers, one):
 def pack(arm):
     """The arm's parameters as one vector: the table, scales of what slides, and the probe."""
     table = [getattr(arm, name) for name in FIELDS[:-1]]
-    return np.concatenate([*table, np.abs(arm.joint_signs[slides_of(arm.joint_types)]), arm.probe])
+    return np.concatenate([*table, np.abs(arm.joint_signs[arm.slides]), arm.probe])
 
 
 def unpack(x, arm, tool=0) -> dict[str, Any]:
     """The parameters of one vector by their names; further tools follow the first one's probe."""
-    start, slides = 4 * arm.n_joints, slides_of(arm.joint_types)
+    start, slides = 4 * arm.n_joints, arm.slides
     parts = [*np.split(x[:start], 4), x[start + len(slides) + 3 * tool :][:3]]
     found: dict[str, Any] = dict(zip(FIELDS, parts, strict=True))
     if slides:
@@ -56,11 +56,11 @@ def unpack(x, arm, tool=0) -> dict[str, Any]:
 
 def table_jacobian(arm, angles):
     """Points (n, 3) in mm, and their derivatives (n, 3, n_parameters) by what `pack` holds."""
-    points, jac = parameter_jacobian(arm, angles)
-    if slides := slides_of(arm.joint_types):
+    points, jac = arm.parameter_jacobian(angles)
+    if slides := arm.slides:
         n = len(arm.a)
         along = jac[:, :, 2 * n : 3 * n][:, :, slides]
-        scales = along * (np.sign(arm.joint_signs) * own_angles(arm, angles))[:, None, slides]
+        scales = along * (np.sign(arm.joint_signs) * arm.own_angles(angles))[:, None, slides]
         jac = np.concatenate([jac[:, :, : 4 * n], scales, jac[:, :, 4 * n :]], axis=2)
     return points, jac
 

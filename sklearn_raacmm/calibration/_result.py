@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.measurements import check_features, linearised
 from sklearn_raacmm.utils import Finding, Floats, centred, encode_groups, floats, slip_factors
 
@@ -31,7 +31,9 @@ class CalibrationResult:
     Attributes
     ----------
     arm : Arm
-        The calibrated arm; with several tools, with the probe of the first.
+        The calibrated arm; with several tools, with the probe of the first. Of touches of surfaces
+        its table is that which serves best in all directions at their poses. What it does not
+        explain, taken as eccentric joints and gravity, is told apart for that.
     names : tuple of str
         Names of the parameters: the field of `Arm` and the row of the table from 1, such as
         ``"a2"`` or ``"theta_offset4"``; ``"scale1"``, by which the ways of joint 1 are multiplied
@@ -44,7 +46,7 @@ class CalibrationResult:
     standard_deviations : ndarray of shape (n_parameters,)
         Standard deviations of `values`, the prior included, mm and rad; 0 for parameters that were
         not free, infinite where nothing is known of one, NaN where there are no more coordinates
-        than parameters. They suppose independent errors: where the arm bends, they are too small.
+        than parameters. They hold what eccentric joints and gravity do to them, as residuals show.
     unidentified : tuple of str
         Parameters that stay where the prior has them because the data do not know better, and
         ``"scale"`` if this is so of the common scale of all links.
@@ -64,8 +66,9 @@ class CalibrationResult:
     observability_index : float
         O1 of Borm and Menq [1]_ in the same units: the geometric mean of the singular values that
         are not zero, over the square root of the number of rows. Larger is better.
-    scale_sd : float
-        Relative standard deviation of the common scale of all links.
+    scale_sd, scale_sd_corrected : float
+        Relative standard deviation of the common scale of all links; and of that where a correction
+        takes away what the table does not explain.
     scatter_given_mm, scatter_before_mm, scatter_after_mm : float
         Mean distance of the points, outliers included, from the mean of their group, or from their
         measured positions: with the arm as it was given, with nothing but the probe (and the base)
@@ -125,6 +128,7 @@ class CalibrationResult:
     condition_number: float = field(repr=False)
     observability_index: float = field(repr=False)
     scale_sd: float
+    scale_sd_corrected: float = field(repr=False)
     scatter_given_mm: float
     scatter_before_mm: float
     scatter_after_mm: float
@@ -222,7 +226,7 @@ class CalibrationResult:
         >>> bool(np.abs(result.residuals(angles[40:], tracker[40:])).max() < 1e-3)
         True
         """
-        angles = check_angles(angles, self.arm.joint_types, angle_unit)
+        angles = self.arm.check_angles(angles, angle_unit)
         if (points is None) == (groups is None):
             raise ValueError("Give either points, measured positions, or groups, labels.")
         shown = np.empty((len(angles), 3))

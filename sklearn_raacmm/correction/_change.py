@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.arm import random_poses, slides_of
 from sklearn_raacmm.correction._condition import Evidence, condition, narrowed, rows_of, thin
 from sklearn_raacmm.correction._rows import (
     Expected,
@@ -277,7 +276,7 @@ def with_names(linear, part):
     part = part.astype("U32")
     for i, name in enumerate(linear.layout.names, start=linear.layout.n_waves):
         field = name.rstrip("0123456789")
-        slides = name[len(field) :] in [str(j + 1) for j in slides_of(linear.arm.joint_types)]
+        slides = name[len(field) :] in [str(j + 1) for j in linear.arm.slides]
         if field == ("d" if slides else "theta_offset"):
             part[i] = f"offset of joint {name.removeprefix(field)}"
         elif field == "scale":
@@ -308,7 +307,7 @@ def _into_kinematics(linear, n_free):
     if not (terms.kinematics and n_free):
         return fold
     angles = np.zeros((40, arm.n_joints + len(terms.extra)))  # extra columns move no kinematics
-    angles[:, : arm.n_joints] = random_poses(arm, 40)
+    angles[:, : arm.n_joints] = arm.random_poses(40)
     of = parts_of(linear) == "kinematics"
     columns = linear.columns(angles)[:, :, of]
     place = place_columns(arm, angles, n_free > 3)

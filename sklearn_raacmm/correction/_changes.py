@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import logsumexp
 
-from sklearn_raacmm.arm import own_angles, phases, slides_of
 from sklearn_raacmm.correction._change import changes_of, parts_of, with_names
 from sklearn_raacmm.correction._condition import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Expected, place_columns, slipped_rows
@@ -151,7 +150,7 @@ def causes_of(rows: Rows) -> dict[str, np.ndarray]:
     encoders give is coupled.
     """
     arm, codes = rows.arm.replace(couplings=()), rows.codes
-    angles = own_angles(rows.arm, rows.X[:, : arm.n_joints])
+    angles = rows.arm.own_angles(rows.X[:, : arm.n_joints])
     jacobian, place = arm.jacobian(angles), place_columns(arm, angles, with_base=True)
     causes = {"probe": place[:, :, :3]}
     # Of a single-point test the base shows nothing, and within a position time is the order of
@@ -169,9 +168,9 @@ def causes_of(rows: Rows) -> dict[str, np.ndarray]:
     causes["scale"] = points[:, :, None]
     for j in range(arm.n_joints):
         causes[f"offset of joint {j + 1}"] = jacobian[:, :, [j]]
-        phase = phases(arm, angles)[:, [j]] * np.array(_ORDERS)
+        phase = arm.phases(angles)[:, [j]] * np.array(_ORDERS)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
         causes[f"harmonics of joint {j + 1}"] = jacobian[:, :, j, None] * waves[:, None]
-    for j in slides_of(arm.joint_types):
+    for j in arm.slides:
         causes[f"scale of joint {j + 1}"] = jacobian[:, :, [j]] * angles[:, None, [j]]
     return causes

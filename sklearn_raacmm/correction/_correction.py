@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import CalibrationResult, calibrate
 from sklearn_raacmm.correction._change import as_prior, doubts_of
 from sklearn_raacmm.correction._changes import named_changes
@@ -26,8 +26,7 @@ from sklearn_raacmm.correction._rows import Expected, for_centres, new_rows
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
 from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
-from sklearn_raacmm.measurements import Measurements, given_causes
-from sklearn_raacmm.residuals import position_residuals
+from sklearn_raacmm.measurements import Measurements, given_causes, position_residuals
 from sklearn_raacmm.utils import (
     Finding,
     Floats,
@@ -191,7 +190,7 @@ class Correction:
             If `angles` do not fit the arm, or `extra` names what the model does not know.
         """
         check_option("std_of", std_of, ("coordinate", "position"))
-        X = self.inputs(check_angles(angles, self.arm.joint_types, angle_unit), extra)
+        X = self.inputs(self.arm.check_angles(angles, angle_unit), extra)
         points, within = self._within_positions(X)
         if std_of == "position":
             return points, within
@@ -222,7 +221,7 @@ class Correction:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        given = (check_angles(one, self.arm.joint_types, angle_unit) for one in (angles, others))
+        given = (self.arm.check_angles(one, angle_unit) for one in (angles, others))
         ends = tuple(map(self.inputs, given))
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
@@ -298,7 +297,7 @@ class Correction:
         if not hasattr(model, "linear_model_"):
             raise TypeError(f"{type(model).__name__} knows no causes: it draws no corrections.")
         rng = check_random_state(random_state)
-        X = self.inputs(check_angles(angles, self.arm.joint_types, angle_unit), extra)
+        X = self.inputs(self.arm.check_angles(angles, angle_unit), extra)
         points = self.arm.forward(X[:, : self.arm.n_joints])
         drawn = points[:, :, None] - model.sample_y(X, n_samples, rng, with_noise=with_noise)
         scale = self._scale_beside(model.linear_model_) * rng.normal(size=n_samples)
@@ -324,7 +323,7 @@ class Correction:
             Share of the variance of the points by cause, such as "probe" or "offset of joint 3",
             the largest first; empty where no model of causes is in use.
         """
-        X = self.inputs(check_angles(angles, self.arm.joint_types, angle_unit))
+        X = self.inputs(self.arm.check_angles(angles, angle_unit))
         codes = None if positions is None else encode_groups(positions, len(X))[1]
         linear = linear_in_use(self.model)
         return {} if linear is None else doubts_of(linear, X, codes)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import Arm, check_angles, check_arm, phases
+from sklearn_raacmm.arm import Arm, check_arm
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_places
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
@@ -223,7 +223,7 @@ def learn_correction(
         given |= {"features": features, "tip_diameter": tip_diameter}
         if isinstance(angles, Measurements):
             return Measurements.taken(angles, positions, **given)
-        checked = within_turn(check_angles(angles, arm.joint_types, angle_unit), arm.joint_types)
+        checked = within_turn(arm.check_angles(angles, angle_unit), arm.joint_types)
         refuse_one_pose(checked)
         given["joint_types"] = arm.joint_types
         no_labels = positions is None and points is None and not features
@@ -255,7 +255,7 @@ def learn_correction(
 
     (data, calibration, scores, fitted, noise), findings = call_collecting(inside, accept)
     if (linear := getattr(fitted, "linear_model_", None)) is not None:
-        fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd)
+        fitted.linear_model_ = linear.with_scale_sd(calibration.scale_sd_corrected)
     scores = replace(scores, findings=tuple(findings), share=share_of(fitted))
     base = (
         None if data.points is None else (calibration.base_rotation, calibration.base_translation)
@@ -277,7 +277,7 @@ def _say_what_moved(data, calibration, model, rows):
     if data.points is None and "moved-position" not in {f.code for f in calibration.findings}:
         # Of all rows: those after a step may be outliers.
         left = calibration.residuals_mm[data.rows] - expected
-        turns = phases(calibration.arm, data.angles)
+        turns = calibration.arm.phases(data.angles)
         own = (part[held] for part in (left, turns, data.positions, data.rows))
         for finding in moved_positions(*own):
             finding.report()
@@ -333,7 +333,7 @@ def _facts(data, calibration, scores):
     return {name: getattr(scores, name) for name in _KEPT} | {
         "written_by": f"sklearn_raacmm {__version__}",
         "findings": [finding.facts() for finding in scores.findings],
-        "scale_sd": calibration.scale_sd,
+        "scale_sd": calibration.scale_sd_corrected,
         "scale_set_by": _scale_of(data),
         "n_rows": len(data.angles),
         "causes": usual_values(data.causes, data.values),

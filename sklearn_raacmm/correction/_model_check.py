@@ -28,7 +28,6 @@ from sklearn_raacmm.utils import (
     one_blas_thread,
     one_warning,
     param_checks,
-    validate_params,
     write_whole,
 )
 
@@ -147,7 +146,7 @@ class CorrectionCheck:
 
 
 @one_blas_thread
-@validate_params(
+@param_checks.validate_params(
     {
         "false_alarm_rate": [param_checks.Interval(Real, 0, 0.5, closed="neither")],
         "refitted": ["array-like", str],

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
-from sklearn_raacmm.arm import FIELDS, Arm, phases, points_of
+from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
@@ -23,10 +23,10 @@ from sklearn_raacmm.measurements import (
     known_length,
     linearised,
     order_explained_by,
+    position_residuals,
     with_forms,
 )
 from sklearn_raacmm.metrics import gauge_lengths
-from sklearn_raacmm.residuals import last_step_of, position_residuals
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
@@ -34,6 +34,7 @@ from sklearn_raacmm.utils import (
     centred,
     encode_groups,
     ignored_findings,
+    last_step_of,
     listed,
 )
 
@@ -188,10 +189,6 @@ class Data:
         present = set(self.positions[rows].tolist())
         return [entry for entry in self.lengths if {*entry[:2]} <= present]
 
-    def lengths_of_model(self, rows):
-        """Those that a model is fitted with: where the positions are, a tracker knows."""
-        return [] if self.points is not None else self.lengths_among(rows)
-
     def calibrate(self, rows=None, accept=(), free=FIELDS):
         """Calibrate on some rows, the fields `free`; on None on all, as they were given."""
         measured = self.measured if rows is None else self.measured.at(rows)
@@ -199,7 +196,7 @@ class Data:
 
     def shown(self, calibration, rows):
         """Points (n, 3) that the calibrated arm shows in these rows, mm, in the base frame."""
-        return points_of(calibration.arm, self.angles[rows], self.probes(calibration, rows))
+        return calibration.arm.points_at(self.angles[rows], self.probes(calibration, rows))
 
     def _forms(self, rows):
         """Labels of these rows, their codes, and the kind of each label."""
@@ -319,7 +316,9 @@ class Data:
         if self.like and model is None:
             fitted = transferred_model(self.like, calibration.arm, X, y, positions)
         if fitted is None:
-            fitted = self._fitted(model, calibration, rows, y, self.lengths_of_model(rows))
+            # Where the positions are, a tracker knows.
+            lengths = [] if self.points is not None else self.lengths_among(rows)
+            fitted = self._fitted(model, calibration, rows, y, lengths)
         expected = self.at_probes(fitted, calibration, rows).predict(X)
         left = y - expected
         if self.kinds:
@@ -458,7 +457,7 @@ def _causes(arm, measured, codes):
     """
     given, angles = measured.extra, measured.angles
     check_extra(tuple(given), angles.shape[1])
-    turns = phases(arm, angles)
+    turns = arm.phases(angles)
     if "time" in given and (explained := order_explained_by(turns, codes)) > _MOST_EXPLAINED:
         raise ValueError(
             f"time cannot be learnt from this run: the angles explain the number of the row (R2 "

@@ -9,16 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.arm import (
-    Arm,
-    check_arm,
-    limits_of,
-    phases,
-    points_of,
-    random_poses,
-    solve,
-    spans_of,
-)
+from sklearn_raacmm.arm import Arm, check_arm, solve
 from sklearn_raacmm.measurements import within_turn
 from sklearn_raacmm.utils import Floats
 
@@ -163,7 +154,7 @@ def _bar(arm, length, n_poses, lean_deg, rng):
 def _place(arm, rng):
     """A place for a cone, (3,) in mm."""
     if "P" in arm.joint_types:  # not round about the base: where some pose is
-        return points_of(arm, random_poses(arm, 1, rng))[0]
+        return arm.points_at(arm.random_poses(1, rng))[0]
     reach = arm.reach_mm
     azimuth, share = rng.uniform(-np.pi, np.pi), rng.uniform(_NEAREST, _FARTHEST)
     height = rng.uniform(0, _HIGHEST) * reach
@@ -173,9 +164,9 @@ def _place(arm, rng):
 
 def _poses_at(arm, place, n_poses, lean_deg, rng):
     """Poses that reach a place, as different as may be, or None where there are too few."""
-    low, high = limits_of(arm)
+    low, high = arm.bounds
     size = (_STARTS * n_poses, arm.n_joints)
-    start = rng.uniform(*np.clip(spans_of(arm), low, high), size)
+    start = rng.uniform(*np.clip(arm.spans, low, high), size)
     aim = np.broadcast_to(place, (len(start), 3))
     found, _ = solve(arm, aim, start)
     found = found[~np.isnan(found[:, 0])]
@@ -185,7 +176,7 @@ def _poses_at(arm, place, n_poses, lean_deg, rng):
         return None
     if np.isinf([low, high]).all():  # whole turns may be taken off
         found = within_turn(found, arm.joint_types)
-    phase = phases(arm, found)
+    phase = arm.phases(found)
     return found[_spread(np.hstack([np.cos(phase), np.sin(phase)]), n_poses)]
 
 

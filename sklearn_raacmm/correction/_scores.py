@@ -209,7 +209,7 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
     of_given = _summary(_table(data, given, before)[0]["before"], table["before"], blocks)
     summary |= {"given": of_given["before"], "calibration": of_given["ratio"]}
     if "scale" in calibration.unidentified:  # the arm has it from its table alone
-        per_metre = _K * 1000 * calibration.scale_sd
+        per_metre = _K * 1000 * calibration.scale_sd_corrected
         text = f"Lengths are not known to better than {per_metre:.2g} mm per metre (k = {_K:g})."
         advice = (
             "Measure a known distance: a bar in two cones, or a cone plate moved by a known step."

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, carried, check_angles, check_arm, points_of, scale_of
+from sklearn_raacmm.arm import Arm, carried, check_arm
 from sklearn_raacmm.calibration import calibrate
-from sklearn_raacmm.correction._zeros import trial, with_found_zeros
+from sklearn_raacmm.correction._zeros import with_found_zeros
 from sklearn_raacmm.measurements import LEAST_ROWS
 from sklearn_raacmm.utils import (
     Finding,
@@ -169,7 +169,7 @@ def search_table(
     raw = np.asarray(angles, dtype=float)
     points = None if points is None else np.asarray(points, dtype=float)
     rows, codes, few_points = _few_rows(len(raw), positions, points)
-    largest = np.abs(raw * scale_of(arm.joint_types, 1.0, 0.0)).max()
+    largest = np.abs(raw * arm.by_type(1.0, 0.0)).max()
     candidates = _candidates(arm, angle_unit, largest, points is not None)
     few = raw[rows]
     ranked = [(_quick_scatter(one, few, codes, few_points), one) for one in candidates]
@@ -299,7 +299,7 @@ def taken(arm: Arm, code: str, measured: tuple[Any, Any, Any, str]) -> Arm:
             raise ValueError(
                 "zeros are found from labels of positions, or from a tracker's points."
             )
-        angles = check_angles(angles, arm.joint_types, unit)
+        angles = arm.check_angles(angles, unit)
         rows, codes, few_points = _few_rows(len(angles), positions, points)
         return with_found_zeros(arm, angles[rows], codes, few_points)
     word, *numbers = code.split("-")
@@ -364,12 +364,22 @@ def _are_mirrored(places, others):
 
 def _with_questions(ones, angles):
     """Changed arms with the questions that tell them apart, and with their answers."""
-    heights = [_heights(one, angles) for one in ones]
+    grows, heights = [], []
+    for one in ones:
+        arm, unit = one.arm, one.angle_unit
+        frames = arm.frames(np.zeros((1, arm.n_joints)))[0]
+        axis = frames[int(arm.convention == "modified"), :, 2]
+        up = frames[arm.up_frame, :, :3] @ arm.up
+        # A table that carries the part turns the other way than what is seen from it.
+        turn = arm.joint_signs[0] * axis @ up * (-1 if arm.up_frame else 1)
+        grows.append(round(turn) > 0)
+        # Of the probe, from the frame that stands still.
+        still = arm.frames(angles[:, one.columns], angle_unit=unit)[:, arm.up_frame]
+        off = _places(one, angles) - still[..., 3]
+        heights.append(np.einsum("ni,nij,j->n", off, still[..., :3], arm.up))
     high, low = np.argmax(heights[0]), np.argmin(heights[0])
     asked = {
-        "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": [
-            _sense_of_first_joint(one.arm) > 0 for one in ones
-        ],
+        "Turn joint 1 counter-clockwise, seen from above: does its angle grow?": grows,
         "Was the probe higher in row {} than in row {}?".format(*row_numbers([high, low])): [
             height[high] > height[low] for height in heights
         ],
@@ -380,21 +390,6 @@ def _with_questions(ones, angles):
         answers = tuple("yes" if said[i] else "no" for said in asked.values())
         found.append(replace(one, questions=tuple(asked), answers=answers))
     return found
-
-
-def _heights(one, angles):
-    """Heights (n,) of the probe of an arm that was changed, from its frame that stands still."""
-    arm, unit = one.arm, one.angle_unit
-    still = arm.frames(angles[:, one.columns], angle_unit=unit)[:, arm.up_frame]
-    return np.einsum("ni,nij,j->n", _places(one, angles) - still[..., 3], still[..., :3], arm.up)
-
-
-def _sense_of_first_joint(arm):
-    """1 where the angle of joint 1 grows counter-clockwise, seen from above; -1 where it falls."""
-    frames = arm.frames(np.zeros((1, arm.n_joints)))[0]
-    axis, up = frames[int(arm.convention == "modified"), :, 2], frames[arm.up_frame, :, :3] @ arm.up
-    # A table that carries the part turns the other way than what is seen from it.
-    return round(arm.joint_signs[0] * axis @ up) * (-1 if arm.up_frame else 1)
 
 
 def _calibrated(arm, angles, positions, points, unit, stations=None):
@@ -487,8 +482,8 @@ def _quick_scatter(one, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
     angles = angles[:, one.columns]
     if one.angle_unit == "deg":
-        angles = angles * scale_of(one.given.joint_types, np.pi / 180)
-    arm = trial(one.given, **one.changed)
+        angles = angles * one.given.by_type(np.pi / 180)
+    arm = one.given.on_trial(**one.changed)
     if points is None:
         # Points are linear in the probe: origin + turn @ probe.
         ends = [(len(arm.a), probe) for probe in np.vstack([np.zeros(3), np.eye(3)]).tolist()]
@@ -497,7 +492,7 @@ def _quick_scatter(one, angles, codes, points):
         A, left = parts[:, :, 1:].reshape(-1, 3), parts[:, :, 0]
         left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
-        ours, points = points_of(arm, angles), points[:, one.axes]
+        ours, points = arm.points_at(angles), points[:, one.axes]
         rotation, shift = align(ours, points)
         left = ours @ rotation.T + shift - points
     return float(np.linalg.norm(left, axis=1).mean())

@@ -23,7 +23,7 @@ from sklearn_raacmm.correction._rows import (
 )
 from sklearn_raacmm.correction._what_is_wrong import what_is_wrong
 from sklearn_raacmm.error_model import ROUNDED, ArmResidualRegressor
-from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, validate_params
+from sklearn_raacmm.utils import Finding, one_blas_thread, one_warning, param_checks
 
 # Noise of the new poses, in units of the old one, that no arm in use comes to: five draws of
 # ``benchmarks/bench_after_the_lab.py series`` have 1.0 to 1.9.
@@ -33,7 +33,7 @@ _KNOCKED_PROBE_MM, _ANOTHER_PROBE_MM = 1.0, 100.0
 
 
 @one_blas_thread
-@validate_params(
+@param_checks.validate_params(
     {"date": [str, calendar, None], "accept": ["array-like", str]},
     prefer_skip_nested_validation=True,
 )

@@ -10,7 +10,6 @@ from itertools import islice
 
 import numpy as np
 
-from sklearn_raacmm.arm import parameter_jacobian
 from sklearn_raacmm.correction._change import LEAST_NOISE_MM, LOG_NOISE, changes_of
 from sklearn_raacmm.correction._condition import (
     NOISE_LOG_SD,
@@ -169,7 +168,7 @@ def _gain_of_another(expected):
 
 def _table_columns(arm, angles):
     """What 1 mm and 1 mrad in each parameter of the table do to the probe, (n, 3, 4 n_joints)."""
-    jac = parameter_jacobian(arm, angles[:, : arm.n_joints])[1][:, :, :-3]
+    jac = arm.parameter_jacobian(angles[:, : arm.n_joints])[1][:, :, :-3]
     return jac * np.repeat([1.0, 1e-3] * 2, arm.n_joints)
 
 

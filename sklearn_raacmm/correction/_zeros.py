@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from sklearn_raacmm.arm import FIELDS, Arm, check_angles, parameter_jacobian, slides_of
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.measurements import base_motions, check_length
 from sklearn_raacmm.utils import align, centred, encode_groups, group_means, listed
@@ -40,7 +40,7 @@ def with_found_zeros(
     """
     order = np.arange(len(angles)) if codes is None else np.argsort(codes, kind="stable")
     few = order[np.linspace(0, len(order) - 1, min(len(order), _ROWS)).astype(int)]
-    angles, free = angles[few], np.setdiff1d(range(1, arm.n_joints - 1), slides_of(arm.joint_types))
+    angles, free = angles[few], np.setdiff1d(range(1, arm.n_joints - 1), arm.slides)
     codes = None if codes is None else np.unique(codes[few], return_inverse=True)[1]
     points = None if points is None else points[few]
     columns = np.r_[3 * arm.n_joints + free, 4 * arm.n_joints + np.arange(3)]
@@ -52,7 +52,7 @@ def with_found_zeros(
 
     @lru_cache(1)  # what is left and its slope are asked for one after the other
     def both(key):
-        ours, slope = parameter_jacobian(trial(arm, **fields(np.frombuffer(key))), angles)
+        ours, slope = arm.on_trial(**fields(np.frombuffer(key))).parameter_jacobian(angles)
         slope = slope[:, :, columns]
         if points is None:
             return centred(ours, codes), centred(slope, codes)
@@ -72,14 +72,6 @@ def with_found_zeros(
     good = 0.5 * len(angles) * (_FOUND * arm.reach_mm) ** 2
     scale = np.repeat(_SIZES, [len(free), 3])
     return arm.replace(**fields(_best_of_starts(left, start, len(free), good, slope_of, scale)))
-
-
-def trial(arm: Arm, **changes: object) -> Arm:
-    """An arm with some fields changed that nobody checks: for kinematics, many times a second."""
-    one = object.__new__(Arm)
-    names = (*FIELDS, "joint_signs", "convention", "couplings", "joint_types")
-    vars(one).update({name: getattr(arm, name) for name in names} | changes)
-    return one
 
 
 def _best_of_starts(left, start, n_free, good, jac, scale):
@@ -157,7 +149,7 @@ def arm_from_data(
     n = arm.n_joints
     if not lengths:
         raise ValueError("lengths are empty: without a known distance nothing shows the scale.")
-    angles = check_angles(angles, n, angle_unit)
+    angles = arm.check_angles(angles, angle_unit)
     labels, codes = encode_groups(positions, len(angles))
     known = [check_length(entry, labels.tolist()) for entry in lengths]
     order = np.argsort(codes, kind="stable")
@@ -167,8 +159,8 @@ def arm_from_data(
     last = np.zeros(len(columns))
 
     def parts(zeros, rows):
-        one = trial(arm, theta_offset=np.r_[0.0, zeros, 0.0])
-        slope = parameter_jacobian(one, angles[rows])[1][:, :, columns]
+        one = arm.on_trial(theta_offset=np.r_[0.0, zeros, 0.0])
+        slope = one.parameter_jacobian(angles[rows])[1][:, :, columns]
         means = group_means(slope, codes[rows])[codes[rows]]
         return [
             part.reshape(-1, len(columns)) for part in (slope - means, means - means.mean(axis=0))
@@ -191,7 +183,7 @@ def arm_from_data(
             "what positions are apart. Look at the labels, and the order and unit of the angles."
         )
     found = {"theta_offset": np.r_[0.0, zeros, 0.0]}
-    slope = parameter_jacobian(arm.replace(**found), angles)[1][:, :, columns]
+    slope = arm.replace(**found).parameter_jacobian(angles)[1][:, :, columns]
     places = group_means(slope @ last, codes)
     last *= np.mean([mm / np.linalg.norm(places[i] - places[j]) for i, j, mm, _ in known])
 

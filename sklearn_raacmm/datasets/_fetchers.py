@@ -19,8 +19,8 @@ from sklearn.utils import Bunch
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._simulation import directions_of
-from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import param_checks, validate_params
+from sklearn_raacmm.measurements import position_residuals
+from sklearn_raacmm.utils import param_checks
 
 # Checksum of each file, by its name.
 _LINES = Path(__file__).with_name("_sha256.txt").read_text(encoding="utf-8").splitlines()
@@ -39,7 +39,7 @@ _GOAL, _JOINTS, _TEMPERATURE, _POINT = slice(1, 4), slice(7, 13), 13, slice(14, 
 _CONSTRAINTS = {"data_home": [str, PathLike, None], "download_if_missing": ["boolean"]}
 
 
-@validate_params(
+@param_checks.validate_params(
     _CONSTRAINTS | {"arm": [param_checks.StrOptions({"panda_2", "panda_3"})]},
     prefer_skip_nested_validation=True,
 )
@@ -128,7 +128,7 @@ def fetch_panda_ball_socket(
     )
 
 
-@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def fetch_ur10_tracker(
     *,
     data_home: str | PathLike[str] | None = None,

@@ -16,8 +16,8 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_of
-from sklearn_raacmm.residuals import position_residuals
-from sklearn_raacmm.utils import Floats, floats, validate_params
+from sklearn_raacmm.measurements import position_residuals
+from sklearn_raacmm.utils import Floats, floats, param_checks
 
 _SHARE_OF_REACH = (0.2, 0.8)
 _MAX_ELEVATION = np.deg2rad(35)
@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # scikit-learn's Bunch has no types
         simulation: Any
 
 
-@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_single_point(
     n_positions: int = 10,
     n_poses: int = 100,
@@ -138,7 +138,7 @@ def make_single_point(
     return data
 
 
-@validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
+@param_checks.validate_params(_CONSTRAINTS, prefer_skip_nested_validation=True)
 def make_gauge(
     lengths: ArrayLike = (300.0, 500.0),
     n_placements: int = 10,

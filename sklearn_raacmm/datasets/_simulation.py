@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 
-from sklearn_raacmm.arm import Arm, check_angles
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.utils import floats
 
@@ -264,7 +264,7 @@ class SimulatedArm:
             In rad.
         """
         rng = check_random_state(random_state)
-        angles = check_angles(angles, 6, "rad")
+        angles = self.true_arm.check_angles(angles)
         noise = self.errors.encoder_noise_arcsec * _ARCSEC
         readings = angles + noise * rng.normal(size=angles.shape)
         step = self.errors.quantisation_arcsec * _ARCSEC
@@ -338,7 +338,7 @@ class SimulatedArm:
         ValueError
             If some points are out of reach.
         """
-        angles = check_angles(angles, 6, "rad")
+        angles = self.true_arm.check_angles(angles)
         points = _points("points", points, (len(angles), 3))
         forward: Callable[..., np.ndarray] = partial(self.forward, **state)
         angles = _reach(forward, self.true_arm, angles, points)

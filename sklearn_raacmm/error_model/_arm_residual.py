@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state, check_scalar
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, angles_for, check_arm, in_unit, phases
+from sklearn_raacmm.arm import Arm, angles_for, check_arm
 from sklearn_raacmm.error_model._checks import check_fit, check_poses, poses_of, with_references
 from sklearn_raacmm.error_model._columns import CAUSES, Terms, columns_of
-from sklearn_raacmm.error_model._fit import fit_rows, offered_harmonics
+from sklearn_raacmm.error_model._fit import LEAST_POSITIONS, fit_rows, offered_harmonics
 from sklearn_raacmm.error_model._left_out import (
     Fading,
     Judgement,
@@ -32,10 +32,9 @@ from sklearn_raacmm.error_model._left_out import (
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
-from sklearn_raacmm.residuals import PointCorrectionMixin
+from sklearn_raacmm.measurements import PointCorrectionMixin
 from sklearn_raacmm.utils import (
     Floats,
-    Pair,
     check_flags,
     is_dask,
     many_without_weight,
@@ -87,7 +86,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
     fade : float or "auto", default="auto"
         Shrink the correction by ``r^2 / (r^2 + fade^2 s^2)``, with s the length of its posterior
         standard deviation at this pose and r the root mean square of the training residuals. 0: not
-        at all. "auto": 1, or less where four positions or more have offsets.
+        at all. "auto": 1, or less where there are four positions or more.
 
     Attributes
     ----------
@@ -284,7 +283,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
         positions = np.unique(positions[used][dwells.first], return_inverse=True)[1].ravel()
         values = rows.X[:, arm.n_joints :][:, : len(self.extra)]
         extra = with_references(tuple(self.extra), values, rows.weights)
-        offered = offered_harmonics(phases(arm, rows.X[:, : arm.n_joints]), self.orders, arm)
+        offered = offered_harmonics(arm.phases(rows.X[:, : arm.n_joints]), self.orders, arm)
         gravity, kinematics, wobble = (name in self.causes for name in CAUSES)
         own = tuple(filter(callable, self.causes))
         terms = Terms(offered, gravity, kinematics, wobble, extra, own=own)
@@ -302,7 +301,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         model = with_honest_intervals(fitted.model, left_out, with_constants, positions)
         robust = rows.weights * fitted.pose_weight
         centre = beside_table(fitted.rows)
-        fading = find_fading(rows.y, robust, rows.codes, self.fade, model.std_scale, centre)
+        widening = model.std_scale if model.n_positions >= LEAST_POSITIONS else np.inf
+        fading = find_fading(rows.y, robust, rows.codes, self.fade, widening, centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
             judged = *left_out[:2], fading, robust, rows.codes, positions, None, centre
@@ -358,12 +358,12 @@ class ArmResidualRegressor(PointCorrectionMixin):
     @overload
     def predict(
         self, X: ArrayLike, return_std: Literal[True], with_noise: bool = False
-    ) -> Pair: ...
+    ) -> tuple[Floats, Floats]: ...
     @overload
     def predict(
         self, X: ArrayLike, *, return_cov: Literal[True], with_noise: bool = False,
         with_unseen: bool = True,
-    ) -> Pair: ...  # fmt: skip
+    ) -> tuple[Floats, Floats]: ...  # fmt: skip
     def predict(
         self,
         X: ArrayLike,
@@ -625,7 +625,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 return shift, in_rad.fading(rows)[:, None] * turns_of(linear, rows)
 
         angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
-        return in_unit(angles, self.arm_.joint_types, self.angle_unit)
+        return self.arm_.in_unit(angles, self.angle_unit)
 
     def fading(self, X: ArrayLike) -> Floats:
         """Share of the correction that `predict` returns at each pose.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import arm_for, check_angles, points_of
+from sklearn_raacmm.arm import arm_for
 from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.measurements import (
@@ -18,11 +18,11 @@ from sklearn_raacmm.measurements import (
     check_length,
     check_targets,
     find_dwells,
+    found_positions,
     touch_findings,
     touch_weights,
     with_forms,
 )
-from sklearn_raacmm.residuals import found_positions
 from sklearn_raacmm.utils import (
     CENTRED,
     Finding,
@@ -65,7 +65,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
         raise ValueError(
             f"causes must be some of {', '.join(CAUSES)}, or functions, got {unknown[0]!r:.60}."
         )
-    X = in_rad(X, arm.joint_types, estimator.angle_unit)
+    X = in_rad(X, arm, estimator.angle_unit)
     y = _check_vectors(y, arm)
     weights = _check_repeats(check_weights(sample_weight, X))
     warn_of_constants(extra, X[:, arm.n_joints :], weights)
@@ -74,7 +74,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
         if probes.shape != (len(X), 3):
             raise ValueError(f"probes must have shape ({len(X)}, 3), in mm, got {probes.shape}.")
     if groups is None and not lengths and not features:
-        groups = found_positions(points_of(arm, X[:, : arm.n_joints], probes), y, weights)
+        groups = found_positions(arm.points_at(X[:, : arm.n_joints], probes), y, weights)
     groups = None if groups is False else groups
     labels: Any = None
     positions: Any = None
@@ -88,7 +88,7 @@ def check_fit(estimator, X, y, sample_weight, groups, lengths, probes, features=
                 "features need groups, the label of the feature of each sample, and offsets that "
                 "are not False."
             )
-        points = points_of(arm, X[:, : arm.n_joints], probes)
+        points = arm.points_at(X[:, : arm.n_joints], probes)
         y, touched = touched_rows(features, labels, positions, points, y, weights)
         codes = positions
         deviations = True
@@ -282,11 +282,11 @@ def check_poses(model: Any, X: ArrayLike) -> np.ndarray:
     X = check_features(model, X, dtype=np.float64, reset=False)
     n_joints = linear.arm.n_joints
     check_values(linear.terms.extra, X[:, n_joints:])
-    return in_rad(X, linear.arm.joint_types, model.angle_unit)
+    return in_rad(X, linear.arm, model.angle_unit)
 
 
-def in_rad(X, joint_types, angle_unit):
+def in_rad(X, arm, angle_unit):
     """The same rows with their first columns, the angles, in rad."""
-    n_joints = len(joint_types)
-    angles = check_angles(X[:, :n_joints], joint_types, angle_unit)
-    return angles if n_joints == X.shape[1] else np.hstack([angles, X[:, n_joints:]])
+    n = arm.n_joints
+    angles = arm.check_angles(X[:, :n], angle_unit)
+    return angles if n == X.shape[1] else np.hstack([angles, X[:, n:]])

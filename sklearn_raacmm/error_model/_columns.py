@@ -19,18 +19,9 @@ from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dtrmm
 
-from sklearn_raacmm.arm import (
-    FIELDS,
-    Arm,
-    axis_vectors,
-    joint_axes,
-    phases,
-    points_of,
-    scale_of,
-    slides_of,
-)
+from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, joint_axes
+from sklearn_raacmm.error_model._factored import FactoredColumns, waves
 from sklearn_raacmm.utils import chunks
 
 ARCSEC = np.pi / 180 / 3600
@@ -219,7 +210,7 @@ def _kinematics(arm):
     changes += [(f"beta{i + 1}", TURN, i + of_x, 1) for i in range(n)]
     for name, kind, frame, axis in changes:
         yield Column(name, KINEMATICS, kind, frame, axis, length if kind == SHIFT else ARCSEC)
-    for j in slides_of(arm.joint_types):  # what a millimetre of its scale is longer by
+    for j in arm.slides:  # what a millimetre of its scale is longer by
         yield Column(f"scale{j + 1}", KINEMATICS, GROW, j + of_z, 2, ARCSEC, load=j + 1)
 
 
@@ -234,7 +225,8 @@ def _wobble(arm):
     # linear axis (ISO 230-1).
     moves = [(SHIFT, axis, "is off along") for axis in range(2)]
     moves += [(TURN, axis, "tilts about") for axis in range(3)]
-    of = slides_of(arm.joint_types), moves, _GUIDE_ORDERS, waves
+    slides: list[int] = arm.slides
+    of = slides, moves, _GUIDE_ORDERS, waves
     for j, (kind, axis, does), order, (part, sign) in product(*of):
         name = f"joint {j + 1} {does} {'xyz'[axis]}, {part}({order} way)"
         unit = ARCSEC / order**2 * (arm.reach_mm if kind == SHIFT else 1.0)
@@ -337,7 +329,7 @@ def _of_users(arm, terms, taken):
 def _lengths(arm):
     """Lengths of the table by the names of their columns, mm."""
     lengths = {f"{field}{i + 1}": v for field in "ad" for i, v in enumerate(getattr(arm, field))}
-    for j in slides_of(arm.joint_types):  # grows by its scale, with the way that it goes
+    for j in arm.slides:  # grows by its scale, with the way that it goes
         lengths |= {f"d{j + 1}": 0.0, f"scale{j + 1}": 1.0}
     return lengths | dict(zip(("probe_x", "probe_y", "probe_z"), arm.probe, strict=True))
 
@@ -448,7 +440,7 @@ class Columns:
     def points(self, rows: np.ndarray) -> np.ndarray:
         """Probe points (n, 3) of rows, mm."""
         angles, _, probes = self._parts(rows)
-        return points_of(self.arm, angles, probes)
+        return self.arm.points_at(angles, probes)
 
     def levers(self, rows: np.ndarray) -> np.ndarray:
         """What a radian of each joint does to the probe at rows, or a metre, (n, 3, n_joints)."""
@@ -458,7 +450,7 @@ class Columns:
             own = None if probes is None else probes[part]
             levers[part] = axis_vectors(self.arm, angles[part], own)[0][:, :, axes]
         if "P" in self.arm.joint_types:
-            levers *= scale_of(self.arm.joint_types, 1.0, _METRE)
+            levers *= self.arm.by_type(1.0, _METRE)
         return levers
 
     def upright(self, vectors: np.ndarray) -> np.ndarray:
@@ -476,15 +468,19 @@ class Columns:
             np.multiply(vector, waves, out=out[:, :, start:end])
         return out
 
-    def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> "FactoredColumns":
+    def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> FactoredColumns:
         """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
-        phase = phases(self.arm, angles)[:, plan.wave_joint] * plan.wave_order
-        wave = np.empty((len(angles), 2 * phase.shape[1]))
-        np.cos(phase, out=wave[:, 0::2])
-        np.sin(phase, out=wave[:, 1::2])
+        phase = self.arm.phases(angles)
+        wave = np.empty((len(angles), plan.rest + 2 * len(plan.wave_order)))
+        for start, end in plan.spans:
+            joint, orders = self.terms.harmonics[start // 2 : end // 2].T
+            waves(phase[:, joint[0]], orders, wave[:, start:end].view(complex))
+        phase = phase[:, plan.wave_joint] * plan.wave_order
+        np.cos(phase, out=wave[:, plan.rest :: 2])
+        np.sin(phase, out=wave[:, plan.rest + 1 :: 2])
         factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.load_at):
             up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
@@ -531,9 +527,9 @@ class _Plan:
             self.rest = n_waves  # columns from here on are selected by `which`
         firsts = [start for start, _ in self.spans]
         self.run_which, self.run_unit = which[firsts], table["unit"][firsts]
-        cosines = table[table["order"] > 0]  # of all waves: those of the runs, then the others
-        self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
         rest, axis = table[self.rest :], axis[self.rest :]
+        cosines = rest[rest["order"] > 0]
+        self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
         self.which, self.unit = which[self.rest :], rest["unit"]
         self.waves = _places(rest["order"])
         self.loads = _places(np.isin(rest["kind"], OF_LOADS))
@@ -570,79 +566,3 @@ def _places(wanted):
     found = np.flatnonzero(wanted)
     whole = len(found) and found[-1] - found[0] == len(found) - 1
     return slice(found[0], found[-1] + 1) if whole else found
-
-
-class FactoredColumns:
-    """Columns of the model at n poses, those of many waves of one joint as factors.
-
-    The waves of a joint share the vector by which a turn about its axis moves the probe. Products
-    with the columns are therefore taken with the waves first: one number for each pose, not three.
-    The waves (n, n_waves) come in runs, of which `spans` are the first and last columns and
-    `vectors` (n, 3, n_runs) what they share; `rest` (n, 3, m) are the columns after them.
-    """
-
-    def __init__(self, spans: list[Any], vectors: Any, waves: Any, rest: np.ndarray) -> None:
-        self.spans: list[Any] = spans
-        self.vectors: Any = vectors
-        self.waves: Any = waves
-        self.rest: np.ndarray = rest
-
-    def dot(self, coef: np.ndarray) -> np.ndarray:
-        """``columns @ coef``, (n, 3)."""
-        n, _, m = self.rest.shape
-        out = (self.rest.reshape(3 * n, m) @ coef[len(coef) - m :]).reshape(n, 3)
-        for i, (start, end) in enumerate(self.spans):
-            out += self.vectors[:, :, i] * (self.waves[:, start:end] @ coef[start:end])[:, None]
-        return out
-
-    def squares(self, root: "Root") -> np.ndarray:
-        """Squared lengths (n, 3) of ``columns @ half``, of which `root` is made."""
-        n, _, m = self.rest.shape
-        # One product of all rows takes a quarter of the time of one for each pose.
-        dots = root.product(self.rest.reshape(3 * n, m)).reshape(n, 3, -1)
-        if not self.spans:
-            return np.einsum("ncr,ncr->nc", dots, dots)
-        runs = [slice(*span) for span in self.spans]
-        shared = np.stack([self.waves[:, run] @ root.shared[run] for run in runs], axis=1)
-        dots += self.vectors @ shared
-        squares = np.einsum("ncr,ncr->nc", dots, dots)
-        for i, (run, covariance) in enumerate(zip(runs, root.beside, strict=True)):
-            products = self.waves[:, run] @ covariance
-            products *= self.waves[:, run.start :]
-            starts = [start - run.start for start, _ in self.spans[i:]]
-            of_pairs = np.add.reduceat(products, starts, axis=1)
-            both = self.vectors[:, :, i:] @ of_pairs[:, :, None]
-            squares += self.vectors[:, :, i] * both[:, :, 0]
-        return np.maximum(squares, 0.0, out=squares)
-
-
-class Root:
-    """A root (n_columns, r) of a covariance, arranged for `FactoredColumns.squares`.
-
-    Any root gives the same squares, and a triangle takes half of the products. Where waves come in
-    runs, the first columns of the triangle are those that the other columns of the model have:
-    `own` and, of the waves, `shared`. What the waves have beside that is taken by its covariance:
-    products of two waves are one number for each pose, not three. `beside` has a part for each run,
-    its rows and the columns from its first on: what stands behind the run counts twice.
-    """
-
-    def __init__(self, half: np.ndarray, columns: Columns) -> None:
-        spans, m = columns.spans, len(half)
-        n_waves = spans[-1][1] if spans else 0
-        order = np.roll(np.arange(m), -n_waves)
-        root = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
-        n_own = m - n_waves
-        self.own: np.ndarray = np.ascontiguousarray(root[:n_own, :n_own])
-        self.shared: np.ndarray = np.ascontiguousarray(root[n_own:, :n_own])
-        alone = root[n_own:, n_own:]
-        self.beside: list[np.ndarray] = []
-        for start, end in spans:
-            part = alone[start:end] @ alone[start:].T
-            part[:, end - start :] *= 2.0
-            self.beside.append(part)
-
-    def product(self, rows: np.ndarray) -> np.ndarray:
-        """``rows @ own``: of a triangle, half of the products are none."""
-        if self.own.shape[0] != self.own.shape[1]:
-            return rows @ self.own
-        return np.asarray(dtrmm(1.0, self.own.T, rows.T)).T

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sklearn_raacmm.arm import slides_of, turn_mm
+from sklearn_raacmm.arm import turn_mm
 from sklearn_raacmm.error_model._blocks import of_blocks
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
@@ -105,6 +105,8 @@ ROUNDED = 1e-12
 _C2 = TUKEY_CUT**2
 _SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**2))
 
+_search = stage("choice of structures")(search)
+
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
 # Steps of the other variances at each, and rounds with a fit at what was found
@@ -137,7 +139,7 @@ def offered_harmonics(angles, orders, arm=None):
     if isinstance(orders, Integral):
         n_poses = len(np.unique(np.round(angles / _SAME_TOOTH), axis=0))
         most = np.full(n_joints, int(orders))
-        if arm is not None and orders and (slides := slides_of(arm.joint_types)):
+        if arm is not None and orders and (slides := arm.slides):
             most[slides] = np.maximum(int(orders), turn_mm(arm)[slides] / _LEAST_PITCH_MM)
         named = [_seen_orders(*one, n_poses) for one in zip(angles.T, most.tolist(), strict=True)]
     else:
@@ -367,7 +369,7 @@ def _fit(rows, columns, structures):
     if rows.noise is None:
         rows = rows._replace(noise=even_noise(levers, rows.weights))
     start, sums = factor, rows.weighted(factor).sums(columns)
-    state = search(Problem(sums, structures))
+    state = _search(Problem(sums, structures))
     state, new = _settled(rows, columns, structures, state, factor, sums)
     if structures.share is not None:
         sums, factor = _reweighted(rows, columns, sums, factor, new), new
@@ -384,7 +386,7 @@ def _fit(rows, columns, structures):
         else:
             break
         start = factor = new
-        state = search(Problem(sums, structures), state)
+        state = _search(Problem(sums, structures), state)
         state, new = _settled(rows, columns, structures, state, factor, sums)
         if np.abs(new - start).mean() < _SETTLED_CHOICE:
             break  # of the same weights the noise is nearly the same
@@ -416,6 +418,7 @@ def _some(rows, n):
     return rows.at(codes % max(len(codes) // n, 1) == 0)
 
 
+@stage("variance of the field")
 def _beside_field(rows, columns, structures, sums, state, factor):
     """As `beside_field`, with sums of the field alone."""
     problem = Problem(sums, structures)

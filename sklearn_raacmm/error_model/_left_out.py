@@ -39,9 +39,10 @@ _EFFECTIVE_ROWS = 3.0
 _PER_FEW_POSITIONS = 1.0
 
 # Factor of the standard deviation: Wiener's. With 2 instead 25 simulated errors at poses of real
-# arms leave 3 % and 11 % more. In single-point tests so many times the factor by which errors at
-# positions left out have widened the standard deviation, where that is less
-# (``benchmarks/bench_few_poses.py``).
+# arms leave 3 % and 11 % more. So many times the factor by which errors at positions left out have
+# widened the standard deviation, where that is less (``benchmarks/bench_few_poses.py``): of a UR10
+# learnt from 30, 60 and 100 poses it leaves 0.98, 0.95 and 0.98 of what Wiener's leaves, of
+# simulated robots 0.96, 0.99 and 0.99.
 _MOST, _OF_WIDENED = 1.0, 0.3
 # Rows left out of a block that are predicted together, and where positions have offsets, so that
 # all columns of whole positions are held.
@@ -49,6 +50,10 @@ _TOGETHER, _OF_POSITIONS = 2**15, 2**12
 # Part of what a table does most to touches. What does less is the scale, whose column are the
 # residuals themselves.
 _LEAST_OF_TABLE = 1e-3
+# What a correction is wrong by falls with the number of positions that it is learnt from: the
+# square of it by this power. With 4 cones 2, 4 and 6 leave 0.93, 0.89 and 0.87 of what 0 does, the
+# worst of six arms 1.03, 1.05 and 1.08 (``benchmarks/bench_few_poses.py --shares``).
+_POWER = 4
 # A gain of less than this share of the deviation is none.
 _LEAST_GAIN = 1e-3
 # predict warns where less than this share is left of more than half of the corrections.
@@ -121,18 +126,17 @@ class Judgement(NamedTuple):
     helps: bool
 
 
-def find_fading(y, weights, codes, factor: Any = "auto", widening=1.0, centre=None):
+def find_fading(y, weights, codes, factor: Any = "auto", widening=np.inf, centre=None):
     """Fading of a correction of residuals (n, 3) in mm.
 
-    Errors at positions left out are `widening` times as large as the standard deviation says.
-    `centre` takes out what positions explain, their mean where it is None.
+    Errors at positions left out are `widening` times as large as the standard deviation says;
+    infinite where there are too few to know. `centre` takes out what positions explain, their
+    mean where it is None.
     """
     y = centred(y, codes, weights) if centre is None else centre(y, weights)
     if factor == "auto":
-        factor = _MOST
-        if codes is not None and codes.max() + 1 >= LEAST_POSITIONS:
-            # A flat optimum has few reliable digits; corrections must not depend on the others.
-            factor = min(round(_OF_WIDENED * widening, 3), _MOST)
+        # A flat optimum has few reliable digits; corrections must not depend on the others.
+        factor = min(round(_OF_WIDENED * widening, 3), _MOST)
     size = np.sqrt(np.average(np.square(y).sum(axis=1), weights=weights))
     return Fading(float(size), float(factor))
 
@@ -152,7 +156,9 @@ def judge(
 
     With y the residuals (n, 3) and f what of the `correction` has not faded, the share is ``sum
     y.f / sum f.f``, from 0 to 1: that of least squares. Poses that slipped have no `weights` (n,).
-    With fewer than four `positions` it is 1 or 0, by whether the mean deviation falls at each. A
+    The model of all n `positions` knows more than those that were judged. Of a share ``S / (S +
+    E)``, with S the square of what is right and E of what is wrong, E is then ``(1 - 1/n)^4 E``.
+    With fewer than four positions it is 1 or 0, by whether the mean deviation falls at each. A
     share that was known `before` moves as far as it is more than a standard error away.
 
     `centre` is as `find_fading` takes it.
@@ -190,7 +196,10 @@ def judge(
         most = float(np.clip(most, 0.0, 1.0))
     gains, error = gains_of(most)
     means = float(without.mean()), float((without - gains).mean())
-    return replace(fading, most=most), Judgement(*means, float(error), n, most > 0)
+    judgement = Judgement(*means, float(error), n, most > 0)
+    if before is None and n >= LEAST_POSITIONS:
+        most /= most + (1 - most) * (1 - 1 / n) ** _POWER
+    return replace(fading, most=most), judgement
 
 
 def beside_table(rows):
@@ -309,13 +318,16 @@ def leave_out(fitted, positions, between=False):
 
 def _at_rows(model, rows):
     """What `leave_out` returns, at some rows by a model that has not seen them."""
-    if rows.codes is None:
+    # What makes predictions fast costs as much as those of a row for each coefficient.
+    if rows.codes is None and len(rows.X) > len(model.coef):
         mean, std, doubt = model.predict_with_doubt(rows.X, return_std=True)
         return mean, doubt, std
     columns = model.columns(rows.X)
-    dots = rows.along(rows.whitening().centred(columns) @ model.half)
-    doubts = np.linalg.norm(columns @ model.gauge_free_half, axis=2)
-    return columns @ model.coef, np.linalg.norm(doubts, axis=1), np.linalg.norm(dots, axis=2)
+    doubts = dots = np.tensordot(columns, model.gauge_free_half, 1)
+    if rows.codes is not None:
+        dots = rows.along(np.tensordot(rows.whitening().centred(columns), model.half, 1))
+    doubt, std = np.linalg.norm(doubts, axis=(1, 2)), np.linalg.norm(dots, axis=2)
+    return columns @ model.coef, doubt, std
 
 
 def _blocks(points, positions, weights, between=False):

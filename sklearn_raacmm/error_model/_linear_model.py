@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, own_angles, random_poses
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import (
     ARCSEC,
     FAMILIES,
@@ -22,10 +22,10 @@ from sklearn_raacmm.error_model._columns import (
     LOAD,
     OF_LOADS,
     Columns,
-    Root,
     Terms,
     columns_of,
 )
+from sklearn_raacmm.error_model._factored import Root
 from sklearn_raacmm.utils import check_shapes, chunks, group_means
 
 # Columns times poses that are held at a time: 1 MB for each coordinate, measured between 2^13 and
@@ -267,13 +267,13 @@ class LinearModel:
 
     @cached_property
     def _std_root(self):
-        return Root(self.gauge_free_half, self.layout)
+        return Root(self.gauge_free_half, self.layout.spans)
 
     @cached_property
     def _fading_root(self):
         if self.informed_half is None:
             return self._std_root
-        return Root(self.informed_half, self.layout)
+        return Root(self.informed_half, self.layout.spans)
 
     def noise_root(self, angles: np.ndarray) -> np.ndarray:
         """Root (n, 3, 3 + n_joints) of the noise's covariance at poses, over `noise_variance`."""
@@ -453,14 +453,14 @@ class LinearModel:
 
 def ranges_of(arm, X):
     """Least and largest value of rows: of the joints' own angles, then of each other column."""
-    own = np.column_stack([own_angles(arm, X[:, : arm.n_joints]), X[:, arm.n_joints :]])
+    own = np.column_stack([arm.own_angles(X[:, : arm.n_joints]), X[:, arm.n_joints :]])
     return np.array([own.min(axis=0), own.max(axis=0)])
 
 
 def _poses_in(arm, ranges):
     """Rows each number of which is anywhere in its range."""
     n, rng = arm.n_joints, np.random.default_rng(0)
-    turns = own_angles(arm, np.eye(n))
+    turns = arm.own_angles(np.eye(n))
     tried = rng.uniform(ranges[0], ranges[1], (_TRIED, ranges.shape[1]))
     return np.column_stack([np.linalg.solve(turns.T, tried[:, :n].T).T, tried[:, n:]])
 
@@ -522,7 +522,7 @@ def unseen_of_table(columns):
     """
     columns = columns_of(columns.arm, columns.terms._replace(extra=(), own=()))
     kinematic = np.flatnonzero([c.family == KINEMATICS for c in columns.others])
-    angles = random_poses(columns.arm, _POSES)
+    angles = columns.arm.random_poses(_POSES)
     own = columns.at(angles)[:, :, columns.n_waves + kinematic].reshape(3 * _POSES, -1)
     size = np.linalg.norm(own, axis=0)
     size[size == 0] = 1.0
@@ -542,7 +542,7 @@ def _n_motions(columns):
 def _fields_of_causes(columns):
     """The same for the columns that are neither harmonics nor extra; which fields they make."""
     columns = columns_of(columns.arm, columns.terms._replace(extra=(), own=()))
-    angles = random_poses(columns.arm, _POSES)
+    angles = columns.arm.random_poses(_POSES)
     of_place, amount = _fields(columns.points(angles), columns.up)
     own = columns.at(angles).reshape(len(of_place), -1)
     size = np.linalg.norm(own, axis=0)

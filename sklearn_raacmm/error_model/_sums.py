@@ -33,11 +33,12 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
-from sklearn_raacmm.arm import Arm, phases
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._blocks import of_blocks, sums_of_blocks
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
-from sklearn_raacmm.inference import Extra, GramRows, Sums, whitening
-from sklearn_raacmm.measurements import Form, known_length
+from sklearn_raacmm.error_model._factored import waves
+from sklearn_raacmm.inference import Extra, GramRows, Sums
+from sklearn_raacmm.measurements import Form, known_length, whitening
 from sklearn_raacmm.utils import chunks, group_sums, stage, summing
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
@@ -158,7 +159,6 @@ def candidate_sums(rows, columns):
     def rows_of(pairs):
         return sums_of_blocks(methodcaller("gram_rows", pairs), blocks, rows.by_dask)[0]
 
-    cross = cross.view(float)
     return Sums(
         gram[:-1, :-1],
         gram[:-1, -1],
@@ -319,20 +319,23 @@ class _Block:
         arm, offered = columns.arm, columns.terms.harmonics
         n_joints = len(arm.a)
         self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
-        self.angles = phases(arm, X[:, :n_joints])
+        self.angles = arm.phases(X[:, :n_joints])
         self.spans: Any = []  # joint, orders, and which of those offered they are
         for joint in np.unique(offered[:, 0]).tolist():
             pairs = np.flatnonzero(offered[:, 0] == joint)
             self.spans.append((joint, offered[pairs, 1], pairs))
+        self.is_on_grid = [
+            len(X) >= _MANY_POSES and len(orders) >= _MANY_ORDERS for _, orders, _ in self.spans
+        ]
         self.n_held = n_held
         self.waves: dict[tuple[int, int], tuple] = {}
         every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
         with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))
         m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
-        gram, cross = np.zeros((m, m)), np.zeros((m, len(offered)), complex)
-        self.sums: Any = gram, cross, own
-        for part in parts:
+        gram = np.zeros((m, m))
+        found: Any = [0.0] * len(self.spans)
+        for k, part in enumerate(parts):
             always = np.concatenate([with_turns.at(X[part]), y[part, :, None]], axis=2)
             always = root[part] @ always
             self.turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
@@ -344,11 +347,14 @@ class _Block:
                 left = always - basis[part] @ explained[of]  # one side of a product is enough
                 of_positions = summing(of)
             gram += always.reshape(-1, m).T @ left.reshape(-1, m)
-            for joint, orders, pairs in self.spans:
-                turn, wave = self.turns[part, :, joint], waves(self.angles[part, joint], orders)
-                share = np.einsum("ncm,nc->nm", left, turn)
+            for i, (joint, orders, pairs) in enumerate(self.spans):
+                turn, of_waves = self.turns[part, :, joint], self._of_part(k, i)[0]
                 # Sums over poses of columns times waves.
-                cross[:, pairs] += (share.T @ wave.view(float)).view(complex)
+                found[i] = found[i] + of_waves @ np.einsum("ncm,nc->nm", left, turn)
+                if self.is_on_grid[i]:
+                    wave = waves(self.angles[part, joint], orders)
+                else:
+                    wave = of_waves.T.view(complex)
                 own[:, pairs] += _own_blocks(turn, wave)
                 if basis is not None:
                     for component in np.einsum("ncq,nc->qn", basis[part], turn):
@@ -356,16 +362,20 @@ class _Block:
                         sums: Any = (of_positions @ moved).view(complex)
                         taken = sums.real**2, sums.imag**2, sums.real * sums.imag
                         own[:, pairs] -= np.array(taken).sum(axis=1)
+        cross = self._of_candidates(found) if found else np.empty((m, 0))
+        self.sums: Any = gram, np.ascontiguousarray(cross), own
 
     def __getstate__(self):
         return vars(self) | {"waves": {}}
 
-    def _of_part(self, k, i, is_on_grid):
+    def _of_part(self, k, i):
         """What the waves of a joint share at rows, and products of its turn with all turns."""
         if (found := self.waves.get((k, i))) is None:
             joint, orders, _ = self.spans[i]
             turn, theta = self.turns[self.parts[k]], self.angles[self.parts[k], joint]
-            wave = _spread(theta, orders) if is_on_grid else waves(theta, orders).view(float)
+            wave = (
+                _spread(theta, orders) if self.is_on_grid[i] else waves(theta, orders).view(float)
+            )
             found = wave.T, np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
             if len(self.waves) < self.n_held:
                 self.waves[k, i] = found
@@ -373,8 +383,6 @@ class _Block:
 
     def gram_rows(self, pairs):
         """Inner products of the columns of pairs with those of all candidates, (2 b, 2 n_pairs)."""
-        n = len(self.angles)
-        on_grid = [n >= _MANY_POSES and len(of) >= _MANY_ORDERS for _, of, _ in self.spans]
         found: Any = [0.0] * len(self.spans)
         joints, order = self.offered[pairs].T
         twice = np.repeat(joints, 2)
@@ -391,32 +399,18 @@ class _Block:
                 codes = of_rows[part] - of_rows[part][0]
                 taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
             for i, (joint, *_) in enumerate(self.spans):
-                own, along = self._of_part(k, i, on_grid[i])
+                own, along = self._of_part(k, i)
                 share = np.take(along, twice, axis=1) * wave
                 if self.basis is not None:
                     share -= np.einsum("nqm,nq->nm", taken, moved[:, :, joint])
                 found[i] = found[i] + own @ share
-        for i in np.flatnonzero(on_grid):
+        return (self._of_candidates(found),)
+
+    def _of_candidates(self, found):
+        """Sums (m, 2 n_pairs) of what each joint has found of them, on the grid or not."""
+        for i in np.flatnonzero(self.is_on_grid):
             found[i] = _of_orders(found[i], self.spans[i][1])
-        return (np.concatenate(found).T,)
-
-
-def waves(theta, orders):
-    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
-    n = np.count_nonzero(orders == np.arange(1, len(orders) + 1))
-    out: Any = np.empty((len(theta), len(orders)), dtype=complex)
-    if n:
-        out[:, 0] = np.exp(1j * theta)
-    have = 1
-    while have < n:
-        more = min(have, n - have)
-        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
-        have += more
-    if n < len(orders):
-        phase = theta[:, None] * orders[n:]
-        np.cos(phase, out=out.real[:, n:])
-        np.sin(phase, out=out.imag[:, n:])
-    return out
+        return np.concatenate(found).T
 
 
 def _spread(theta, orders):

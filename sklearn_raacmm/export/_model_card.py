@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.arm import slides_of
 from sklearn_raacmm.export._models import build_program
 from sklearn_raacmm.export._program import hash_program
 from sklearn_raacmm.export._steps import (
@@ -161,7 +160,7 @@ def describe(
         steps=[described(step) for _, step in leaves(model)],
         input=f"{n} columns"
         if arm is None
-        else f"{arm.n_joints} joint angles in {unit}{but_slides(slides_of(arm.joint_types))}{then}",
+        else f"{arm.n_joints} joint angles in {unit}{but_slides(arm.slides)}{then}",
         output="residual of the probe in the base frame, mm: subtract it from the measured point"
         if arm is not None
         else "as fitted",
@@ -214,7 +213,7 @@ def _training(model, X, y, groups):
     if arm is None:
         return facts
     X, given = np.split(X, [arm.n_joints], axis=1)
-    units = f"{unit}_and_mm" if slides_of(arm.joint_types) else unit
+    units = f"{unit}_and_mm" if arm.slides else unit
     facts[f"smallest_joint_angles_{units}"] = X.min(axis=0).round(4).tolist()
     facts[f"largest_joint_angles_{units}"] = X.max(axis=0).round(4).tolist()
     for (name, _), column in zip(extra_columns(model), given.T, strict=True):

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_raacmm.arm import MIN_LENGTH_MM, own_angles, phase_factors, scale_of, slides_of
+from sklearn_raacmm.arm import MIN_LENGTH_MM, phase_factors
 from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, torque_axis
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
@@ -65,7 +65,7 @@ class _Chain:
             return angles
         per_degree = np.pi / 180
         if "P" in self.arm.joint_types:
-            per_degree = scale_of(self.arm.joint_types, per_degree)
+            per_degree = self.arm.by_type(per_degree)
         return self.p("mul", angles, per_degree)
 
     def own_angles(self):
@@ -74,12 +74,12 @@ class _Chain:
         if not self.arm.couplings:
             return angles
         unit = np.eye(self.arm.n_joints)
-        return self.p.affine(angles, own_angles(self.arm, unit).T)
+        return self.p.affine(angles, self.arm.own_angles(unit).T)
 
     def phases(self):
         """What waves of each joint's error are waves of, rad."""
         own = self.own_angles()
-        if not slides_of(self.arm.joint_types):
+        if not self.arm.slides:
             return own
         return self.p("mul", own, phase_factors(self.arm))
 
@@ -87,11 +87,11 @@ class _Chain:
     def frames(self):
         """Axes and origin of every frame, 12 numbers each, the base first."""
         p, arm, own = self.p, self.arm, self.own_angles()
-        signs = arm.joint_signs * scale_of(arm.joint_types, 1.0, 0.0)
+        signs = arm.joint_signs * arm.by_type(1.0, 0.0)
         theta = p("add", p("mul", own, signs), arm.theta_offset)
         table = np.stack([np.cos(arm.alpha), np.sin(arm.alpha), arm.a, arm.d], axis=1)
         frames = p("frames", theta, table=table, convention=arm.convention)
-        for j in slides_of(arm.joint_types):  # all origins behind it go along its axis
+        for j in arm.slides:  # all origins behind it go along its axis
             axis = 12 * (j + (arm.convention == "modified")) + 6 + np.arange(3)
             way = p("mul", p("mul", p.take(own, [j] * 3), arm.joint_signs[j]), p.take(frames, axis))
             behind = np.zeros((12 * (arm.n_joints + 1), 3))
@@ -144,7 +144,7 @@ def build_program(model, std=False, fade="exact", poses=None):
         label = f" {chain.arm.name}" if chain.arm.name else ""
         n = chain.arm.n_joints
         about["arm"] = f"arm{label}: {n} joints, {chain.arm.convention} DH, mm and rad"
-        about["slides"] = slides_of(chain.arm.joint_types)
+        about["slides"] = chain.arm.slides
         about |= {"angle_unit": chain.unit, "extra": [name for name, _ in extra_columns(model)]}
     if chain.fade != "exact":
         about["fingerprint"] = hash_program(build_program(model))
@@ -392,7 +392,7 @@ def _poses(chain, linear):
     """Poses from far to near in rad, with the extra columns; then those that are given."""
     factors = np.ones(chain.p.size(chain.x))
     unit = np.pi / 180 if chain.unit == "deg" else 1.0
-    factors[: chain.arm.n_joints] = scale_of(chain.arm.joint_types, unit)
+    factors[: chain.arm.n_joints] = chain.arm.by_type(unit)
     poses = poses_from_far_to_near(
         chain.model, lambda rows: linear.predict_with_doubt(rows * factors)[2]
     )

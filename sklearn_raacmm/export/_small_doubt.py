@@ -13,7 +13,6 @@ positive and negative, in the metric of columns at poses from far to near.
 
 import numpy as np
 
-from sklearn_raacmm.arm import phases
 from sklearn_raacmm.error_model import Effect
 from sklearn_raacmm.export._steps import typical_rows
 
@@ -114,7 +113,7 @@ def with_short_series(linear, fading, angles, least):
     parts = [_series(table, block, covariance, least) for block in blocks]
     means = np.array([mean for mean, _ in parts])
     series = np.reshape([row for _, row in parts], (len(blocks), 2 * _ORDERS))
-    of_blocks, angles = np.zeros(len(angles)), phases(linear.arm, angles)
+    of_blocks, angles = np.zeros(len(angles)), linear.arm.phases(angles)
     for block, joint, mean, row in zip(blocks, joints, means, series, strict=True):
         phase = np.outer(angles[:, joint], np.arange(1, _ORDERS + 1))
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)

@@ -11,7 +11,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_raacmm.arm import Arm, in_unit, random_poses
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.network import RBFNetRegressor
 from sklearn_raacmm.residuals import CylindricalResidualTarget, PoseFeatures
@@ -110,9 +110,9 @@ def typical_rows(model, n, seed=0):
     arm, unit = find_arm(model)
     size = n_inputs(model)
     if arm is not None and size >= arm.n_joints:
-        turns = random_poses(arm, n, rng)
+        turns = arm.random_poses(n, rng)
         extra = [rng.choice(known, n) for _, known in extra_columns(model)]
-        return np.column_stack([in_unit(turns, arm.joint_types, unit), *extra])
+        return np.column_stack([arm.in_unit(turns, unit), *extra])
     rows = rng.normal(size=(n, size))
     for _, step in leaves(model):
         if isinstance(step, StandardScaler):

@@ -19,7 +19,6 @@ from sklearn_raacmm.inference._linear import (
     sums_of_gram,
     sums_of_pairs,
 )
-from sklearn_raacmm.inference._rows import Whitening, whitening
 from sklearn_raacmm.inference._search import beside_field, search, search_at
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -99,7 +99,7 @@ class State(NamedTuple):
     with_field: bool
     pairs: np.ndarray  # (k,) pairs of lines and field, sorted
     coef: np.ndarray  # (m + 2 k,) of the columns that are always in, then of the pairs
-    half: np.ndarray  # (m + 2 k, m + 2 k) with covariance = half @ half.T
+    half: np.ndarray  # (m + 2 k, r) with covariance = half @ half.T
     variance: np.ndarray  # (n_families + 2,) of the structures
     prior: np.ndarray  # (m + 2 k,) variance of each coefficient before any data
     noise_variance: float
@@ -110,7 +110,7 @@ class State(NamedTuple):
     def gains(self) -> np.ndarray:
         """Rise of the log evidence by each pair, beside all others, (k,)."""
         m = len(self.coef) - 2 * len(self.pairs)
-        half = self.half[m:].reshape(-1, 2, max(len(self.half), 1))
+        half = self.half[m:].reshape(-1, 2, max(self.half.shape[1], 1))
         return gains_of(self.coef[m:], half @ half.swapaxes(1, 2), self.prior[m:])
 
     def gain_of(self, columns: np.ndarray) -> float:
@@ -141,7 +141,10 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     """Sums of the same columns times numbers, added up, without what was observed beside them."""
 
     def total(values) -> Any:
-        return sum(sign * value for sign, value in zip(signs, values, strict=True))
+        whole = signs[0] * values[0]
+        for sign, value in zip(signs[1:], values[1:], strict=True):
+            whole += value if sign == 1 else sign * value
+        return whole
 
     def sum_up(pairs):
         return total([part.rows(pairs) for part in parts])
@@ -217,11 +220,15 @@ class GramRows:
 
     def _keep(self, pairs):
         known, needed = len(self._place), len(self._place) + len(pairs)
-        if 2 * needed > len(self._rows):  # to the double, so that each row is copied once or twice
-            larger = np.empty((2 * max(needed, 2 * known), self._rows.shape[1]))
-            larger[: 2 * known] = self._rows[: 2 * known]
-            self._rows = larger
-        self._rows[2 * known : 2 * needed] = self._sum_up(np.array(pairs))
+        found = self._sum_up(np.array(pairs))
+        if not known:
+            self._rows = np.ascontiguousarray(found)
+        else:
+            if 2 * needed > len(self._rows):  # to the double: each row is copied once or twice
+                larger = np.empty((2 * max(needed, 2 * known), self._rows.shape[1]))
+                larger[: 2 * known] = self._rows[: 2 * known]
+                self._rows = larger
+            self._rows[2 * known : 2 * needed] = found
         self._place |= {pair: known + i for i, pair in enumerate(pairs)}
 
 

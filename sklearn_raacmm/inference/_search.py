@@ -26,7 +26,6 @@ from sklearn_raacmm.inference._linear import (
     gains_of,
     root_of,
 )
-from sklearn_raacmm.utils import stage
 
 # Rounds of the choice at most; it stops by the evidence, and few problems take more than five.
 _MAX_ROUNDS = 10
@@ -38,7 +37,6 @@ _LIKELY = 48
 _FIELD_SIZES = 10.0 ** np.arange(-4.0, 1.0)
 
 
-@stage("choice of structures")
 def search(problem: Problem, state: State | None = None) -> State:
     """Lines that are worth their price, and their variances.
 
@@ -83,7 +81,7 @@ def beside_field(problem: Problem, state: State, of_field: Problem, alone: State
     if rise + saved < structures.field_price:
         return None
     variance = np.append(state.variance[:-1], size)
-    found = search(problem, problem.state(state.lines, True, variance, state.noise_variance))
+    found = search(problem, state._replace(with_field=True, variance=variance))
     least = net_evidence(problem, problem.with_variances(state)) + structures.field_price
     return found if net_evidence(problem, found) >= least else state
 
@@ -147,33 +145,65 @@ def _pruned(problem, state):
     """The state without lines whose loss the others make good; at its variances.
 
     All of them but the best go at once, then that one where it is needless still: each of two
-    lines that are the same is needless beside the other. To lose a line is to observe that its
-    coefficients have a smaller variance before the data, that of the field, or that they are 0:
-    the covariance of the lines says what the others then are.
+    lines that are the same is needless beside the other.
     """
-    lines, price = state.lines, problem.structures.price
+    lines, price = state.lines, problem.structures.price[state.lines]
     is_line = np.isin(state.pairs, lines, assume_unique=True)
-    own = len(problem.structures.family) + columns_of(np.flatnonzero(is_line))
-    coef, prior = state.coef[own], state.prior[own]
-    covariance = state.half[own] @ state.half[own].T
-    while len(lines):
-        i = np.arange(len(coef)).reshape(-1, 2)
-        blocks = covariance[i[:, :, None], i[:, None]]
-        net = gains_of(coef, blocks, prior) - price[lines]
+    own = len(problem.structures.family) + columns_of(np.flatnonzero(is_line)).reshape(-1, 2)
+    root, prior = state.half[own], state.prior[own]
+    coef, blocks = state.coef[own], root @ root.swapaxes(1, 2)
+    out, seen = np.zeros(len(lines), dtype=bool), None
+    while True:
+        net = np.where(out, np.inf, gains_of(coef.ravel(), blocks, prior.ravel()) - price)
         needless = np.count_nonzero(net <= 0)
         if not needless:
             break
-        worst = np.argsort(net, kind="stable")[: max(needless - 1, 1)]
-        out, kept = i[worst].ravel(), np.delete(i, worst, axis=0).ravel()
-        variance = state.variance[problem.line]
+        out[np.argsort(net, kind="stable")[: max(needless - 1, 1)]] = True
+        seen = _Nothing(problem, state, own[out].ravel())
+        explained = root @ seen.along
+        coef = state.coef[own] - explained @ seen.pull
+        blocks = root @ root.swapaxes(1, 2) - explained @ explained.swapaxes(1, 2)
+        blocks[out] = np.eye(2)
+    return state if seen is None else seen.state(problem, state, lines[~out])
+
+
+class _Nothing:
+    """What it shows that some coefficients of lines, `out` (k,) of a state, are nothing.
+
+    To lose a line is to observe that its coefficients have a smaller variance before the data, that
+    of the field, or that they are 0. In units of `half` the observation takes ``along @ along.T``
+    from the covariance, moves the mean by ``-along @ pull``, and lowers the log evidence by `fall`.
+    """
+
+    def __init__(self, problem, state, out):
+        prior, variance = state.prior[out], state.variance[problem.line]
         # That of an observation of 0 after which the prior is the field's.
-        noise = prior[out] * (prior[out] - variance) / variance
-        across = covariance[np.ix_(kept, out)]
-        seen = np.linalg.solve(covariance[np.ix_(out, out)] + np.diag(noise), across.T).T
-        coef, prior = coef[kept] - seen @ coef[out], prior[kept]
-        covariance = covariance[np.ix_(kept, kept)] - seen @ across.T
-        lines = np.delete(lines, worst)
-    return state if len(lines) == len(state.lines) else problem.with_lines(state, lines)
+        noise = np.maximum(prior * (prior / variance - 1), 0.0)
+        unit, root = np.linalg.qr(np.concatenate([state.half[out].T, np.diag(np.sqrt(noise))]))
+        self.along = unit[: len(unit) - len(out)]
+        self.pull = solve_triangular(root, state.coef[out], trans="T", check_finite=False)
+        volume = 2 * np.log(np.abs(root.diagonal())) - np.log(prior + noise)
+        self.fall = 0.5 * (self.pull @ self.pull + volume.sum())
+
+    def state(self, problem, state, lines):
+        """The state with the `lines` that are left."""
+        unit, size, _ = np.linalg.svd(self.along, full_matrices=False)
+        taken = 1 - np.sqrt(np.maximum(1 - size * size, 0.0))
+        half = state.half - ((state.half @ unit) * taken) @ unit.T
+        coef = state.coef - state.half @ (self.along @ self.pull)
+        pairs, shares = problem.pairs_and_shares(lines, state.with_field)
+        m, prior = len(problem.structures.family), state.variance @ shares
+        kept = np.r_[:m, m + columns_of(np.flatnonzero(np.isin(state.pairs, pairs)))]
+        half = half[kept]
+        return state._replace(
+            lines=lines,
+            pairs=pairs,
+            coef=coef[kept],
+            half=half,
+            prior=prior,
+            log_evidence=state.log_evidence - float(self.fall),
+            determined=1 - np.einsum("ij,ij->i", half, half) / prior,
+        )
 
 
 def _first_size(problem, state):

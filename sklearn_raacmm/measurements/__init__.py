@@ -38,6 +38,9 @@ from sklearn_raacmm.measurements._order import (
     drift_of,
     order_explained_by,
 )
+from sklearn_raacmm.measurements._point_correction import PointCorrectionMixin, found_positions
+from sklearn_raacmm.measurements._residuals import position_residuals
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
+from sklearn_raacmm.measurements._whitening import whitening
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

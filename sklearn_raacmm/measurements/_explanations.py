@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.utils import (
     Finding,
     Weight,
@@ -251,7 +251,7 @@ def of_own_points(
         return len(left) >= _LEAST_PAIRS and right.mean() >= _SHARE
 
     def own_of(angles):
-        return points_of(arm, angles, probes)
+        return arm.points_at(angles, probes)
 
     every, given, own = np.arange(len(y)), centred(y, codes), centred(own_of(angles), codes)
     as_given = Explanation("", "", given - own, every)
@@ -259,7 +259,7 @@ def of_own_points(
         return True, []
     tried = [*explanations(given, own, angles, arm.n_joints, codes, own_of, known)]
     # Any deviations are those of some table where there are few.
-    jac = parameter_jacobian(arm, angles)[1]
+    jac = arm.parameter_jacobian(angles)[1]
     slope, shown = steps(jac.reshape(len(y), -1)), steps(own)
     if len(slope) > jac.shape[2]:
         table = np.linalg.lstsq(slope.reshape(-1, jac.shape[2]), (steps(y) - shown).ravel())[0]

@@ -172,8 +172,8 @@ class Measurements:
 
     def check_joints(self, arm: Arm) -> None:
         """Refuse measurements of another number of joints, or whose mm are taken for angles."""
-        check_angles(self.angles, arm.joint_types, "rad")
-        if slides_of(self.joint_types) != slides_of(arm.joint_types):
+        arm.check_angles(self.angles, "rad")
+        if slides_of(self.joint_types) != arm.slides:
             raise ValueError(
                 f"joint_types of the arm are {arm.joint_types!r}, and of the measurements "
                 f"{self.joint_types!r}: Measurements.of(..., joint_types=arm.joint_types) takes mm "

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.arm import Arm, check_angles, points_of
+from sklearn_raacmm.arm import Arm, check_angles
 from sklearn_raacmm.measurements._dwells import within_turn
 from sklearn_raacmm.utils import Finding, centred, group_means, row_numbers
 
@@ -132,7 +132,7 @@ def drift_of(
     n_visits, n = visit[-1] + 1, len(angles)
     if n_visits < _LEAST_VISITS:
         return
-    points = points_of(arm, angles)
+    points = arm.points_at(angles)
     columns = [arm.jacobian(angles), points[:, :, None]]
     if codes is None:
         columns.append(np.broadcast_to(np.eye(3), (n, 3, 3)))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.arm import Arm, parameter_jacobian, points_of
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.measurements._explanations import of_own_points
 from sklearn_raacmm.measurements._order import angle_faults
 from sklearn_raacmm.utils import Finding, align, centred
@@ -61,7 +61,7 @@ def check_targets(
         checks: list[Any] = [_are_too_large(about_means)]
         checks.append(_are_of_another_frame(y, shift, _STRIKING_MM))
     else:
-        points, reach = points_of(arm, angles, probes), arm.reach_mm
+        points, reach = arm.points_at(angles, probes), arm.reach_mm
         checks = [_are_points(y, points, reach), _are_too_large(about_means, reach)]
         if not offsets:
             moved = base_motions(points, reach)
@@ -137,7 +137,7 @@ def _are_what_calibration_takes(y, arm, angles, points, constants):
         return
     # An arm without lengths has no deviations at all, but tables change by millimetres only.
     sizes = [_TABLE_MM, _TABLE_RAD, _TABLE_MM, _TABLE_RAD, _PROBE_MM]
-    jac = parameter_jacobian(arm, angles)[1] * np.repeat(sizes, [arm.n_joints] * 4 + [3])
+    jac = arm.parameter_jacobian(angles)[1] * np.repeat(sizes, [arm.n_joints] * 4 + [3])
     if y.size < _COORDINATES_OF_TABLES * jac.shape[2]:
         return
     moved = base_motions(points, reach)  # a base that stands elsewhere is another finding

@@ -13,14 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 from sklearn import get_config
 
-from sklearn_raacmm.utils import (
-    Floats,
-    check_groups,
-    check_option,
-    deviations_by_group,
-    floats,
-    group_means,
-)
+from sklearn_raacmm.utils import Floats, centred, check_option, encode_groups, floats, group_means
 
 _DISTANCES = ("2s", "max", "mean")
 
@@ -81,7 +74,7 @@ def single_point_repeatability(
     """
     check_option("statistic", statistic, _DISTANCES)
     check_option("aggregate", aggregate, ("mean", "max", None))
-    deviations, position, counts, _ = deviations_by_group(points, groups)
+    deviations, position, counts = _deviations(points, groups)
     distances = np.linalg.norm(deviations, axis=1, keepdims=True)
     values = _of_positions(distances, position, counts, statistic)[:, 0]
     return values if aggregate is None else float(getattr(np, aggregate)(values))
@@ -145,7 +138,7 @@ def repeatability_interval(
     if not (isinstance(probability, Real) and 0 < probability < 1):
         raise ValueError(f"probability must be between 0 and 1, got {probability!r:.60}.")
     value = single_point_repeatability(points, groups, statistic=statistic, aggregate=None)
-    deviations, position, counts, _ = deviations_by_group(points, groups)
+    deviations, position, counts = _deviations(points, groups)
     products = (deviations[:, :, None] * deviations[:, None, :]).reshape(len(deviations), -1)
     products = group_means(products, position)  # C but for a factor that drops out
     trace = products[:, :: deviations.shape[1] + 1].sum(axis=1)
@@ -199,7 +192,7 @@ def axis_repeatability(
     """
     check_option("statistic", statistic, ("half_range", "2s"))
     check_option("aggregate", aggregate, ("mean", "max", None))
-    deviations, position, counts, _ = deviations_by_group(points, groups)
+    deviations, position, counts = _deviations(points, groups)
     values = _of_positions(deviations, position, counts, statistic)
     return values if aggregate is None else getattr(np, aggregate)(values, axis=0)
 
@@ -238,8 +231,8 @@ def within_position_r2_score(
     >>> within_position_r2_score([4.0, 0.0, 9.0, 5.0], [2.0, 0.0, 2.0, 0.0], groups=[1, 1, 2, 2])
     0.75
     """
-    after = (deviations_by_group(_difference(y_true, y_pred), groups)[0] ** 2).sum()
-    before = (deviations_by_group(y_true, groups)[0] ** 2).sum()
+    after = (_deviations(_difference(y_true, y_pred), groups)[0] ** 2).sum()
+    before = (_deviations(y_true, groups)[0] ** 2).sum()
     if before == 0:
         raise ValueError("y_true does not vary within any position: there is nothing to explain.")
     return float(1 - after / before)
@@ -325,7 +318,7 @@ def _routed_scatter(y_true, y_pred, *, groups=None, **options):
 def _positions_of_rows(X, groups):
     """Number of the group of each row of X, by the row's content."""
     X = floats("X", X, -1)
-    labels, position = check_groups(groups, len(X))
+    labels, position = _groups(groups, len(X))
     found: dict = {}
     for row, p in zip(X, position, strict=True):
         if found.setdefault(row.tobytes(), p) != p:
@@ -354,6 +347,28 @@ def _difference(y_true, y_pred):
     if y_true.shape != y_pred.shape:
         raise ValueError(f"y_true has shape {y_true.shape}, but y_pred {y_pred.shape}.")
     return y_true - y_pred
+
+
+def _groups(groups: ArrayLike | None, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Labels and codes as `encode_groups`; None makes all rows one group."""
+    if groups is None:
+        return np.zeros(1, dtype=int), np.zeros(n_samples, dtype=int)
+    return encode_groups(groups, n_samples)
+
+
+def _deviations(
+    points: ArrayLike, groups: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Deviation of each point from its position's mean, its position, and counts."""
+    points = floats("points", points, -1)
+    labels, codes = _groups(groups, len(points))
+    counts = np.bincount(codes)
+    if counts.min() < 2:
+        raise ValueError(
+            f"{(counts < 2).sum()} of {len(counts)} positions hold a single point (the first: "
+            f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
+        )
+    return centred(points, codes), codes, counts
 
 
 def _of_positions(values, position, counts, statistic):

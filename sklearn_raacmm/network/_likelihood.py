@@ -118,7 +118,7 @@ def exact_likelihood(data, kernel, log_width, log_alpha, ratio=0.0):
     return 0.5 * value, gradient, signal, by_theta / n_total
 
 
-def solve_and_invert(C, y, invert=True) -> tuple[Any, Any, Any]:
+def solve_and_invert(C, y, invert=True) -> tuple[np.ndarray, float, Any]:
     """Solution of C x = y, log determinant, and half of the inverse: with its transpose all.
 
     C, symmetric, is overwritten.
@@ -223,6 +223,7 @@ class Task(NamedTuple):
     length_scale: np.ndarray | None = None  # (d,) given widths
     alpha: np.ndarray | None = None  # (q,) given ridges
     constants: bool = False  # whether groups have constants
+    ranks: np.ndarray | None = None  # if these are the inputs, as `mid_ranks` makes them
 
     @property
     def n_widths(self):

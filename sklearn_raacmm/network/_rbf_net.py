@@ -18,7 +18,6 @@ from sklearn_raacmm.network._posterior import Network, pack, predict_mean
 from sklearn_raacmm.network._read import check_parameters, distinct_rows, read_data
 from sklearn_raacmm.utils import (
     Floats,
-    Pair,
     VersionedRegressor,
     check_features,
     check_flags,
@@ -325,7 +324,7 @@ class RBFNetRegressor(VersionedRegressor):
         *,
         with_noise: bool = True,
         with_outliers: bool = True,
-    ) -> Pair: ...
+    ) -> tuple[Floats, Floats]: ...
     @overload
     def predict(
         self,
@@ -334,7 +333,7 @@ class RBFNetRegressor(VersionedRegressor):
         return_cov: Literal[True],
         with_noise: bool = True,
         with_outliers: bool = True,
-    ) -> Pair: ...
+    ) -> tuple[Floats, Floats]: ...
     def predict(
         self,
         X: ArrayLike,
@@ -342,7 +341,7 @@ class RBFNetRegressor(VersionedRegressor):
         return_cov: bool = False,
         with_noise: bool = True,
         with_outliers: bool = True,
-    ) -> Floats | Pair:
+    ) -> Floats | tuple[Floats, Floats]:
         """Predict targets.
 
         Parameters

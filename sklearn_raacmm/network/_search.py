@@ -12,7 +12,7 @@ leave-one-out predictions on these rows (`judge`).
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
@@ -125,38 +125,50 @@ def search(
     first_ranks = None if may_be_raw else ranks
     sizes = COARSE_ROWS if n > WHOLE_ROWS else WHOLE_ROWS, EXACT_ROWS
     drawn = [data.draw(size, random_state) for size in sizes]
-    view = _view(data, first_ranks, drawn, length_scale)
-    if not q or not view.used.any():  # nothing varies, nothing can be learnt
-        width = silent_widths(view.spread, view.used) if length_scale is None else length_scale
-        ridge = np.ones(q) if alpha is None else alpha
-        return Structure(kernels[0], width, ridge, ranks=first_ranks)
     constants = data.codes is not None and bool(data.codes.any())
     if not decides:
         kernels = kernels[:1] if start is None or refit == 1 else (start.kernel,)
         constants = constants and (start is None or start.ratio > 0)
 
-    def look(view):
-        task = Task(view.spread, view.used, q, isotropic, length_scale, alpha, constants)
-        same_inputs = start is not None and (start.ranks is None) == (view.ranks is None)
+    def seen(ranks, length_scale):
+        """The task for features as they are, or their ranks, and rows of both stages as seen."""
+        X = to_ranks(ranks, data.X)
+        spread = robust_spread(X, data.weights)
+        used = np.ones(len(spread), dtype=bool)
+        if length_scale is None:
+            _refuse_far(X, spread)
+            used = spread > 0
+        spread = np.where(used, spread, 1.0)
+        rows = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
+        few, many = map(rows.some, drawn)
+        task = Task(spread, used, q, isotropic, length_scale, alpha, constants, ranks)
+        return task, few, many
+
+    def look(task, few, many):
+        same_inputs = start is not None and (start.ranks is None) == (task.ranks is None)
         known = start if same_inputs else None
-        task, ends = _first_stage(task, kernels, view.few, known, decides, refit > 1)
-        more = len(view.many.X) > len(view.few.X)
-        ends = _second_stage(task, ends, view.many) if more else ends
+        task, ends = _first_stage(task, kernels, few, known, decides, refit > 1)
+        more = len(many.X) > len(few.X)
+        ends = _second_stage(task, ends, many) if more else ends
         # The first kernel, unless another one leads clearly.
-        end = min(ends, key=_handicapped(kernels[0], view.many))
+        end = min(ends, key=_handicapped(kernels[0], many))
         if more or not decides:
             return task, end
-        return task, _end(task, end.kernel, end.theta, view.few, 0.0)
+        return task, _end(task, end.kernel, end.theta, few, 0.0)
 
-    silent = silent_widths(view.spread, view.used)
-    task, end = look(view)
+    task, few, many = seen(first_ranks, length_scale)
+    silent = silent_widths(task.spread, task.used)
+    if not q or not task.used.any():  # nothing varies, nothing can be learnt
+        width = silent if length_scale is None else length_scale
+        ridge = np.ones(q) if alpha is None else alpha
+        return Structure(kernels[0], width, ridge, ranks=first_ranks)
+    task, end = look(task, few, many)
     if ranks is not None and may_be_raw and task.n_widths:
-        other = _view(data, ranks, drawn, None)
-        if _may_win(task, end, view, other):
-            ranked, found = look(other)
-            if found.score < end.score - margin(view.many):
-                view, task, end = other, ranked, found
-    many = view.many
+        other = seen(ranks, None)
+        if _may_win(task, end, few, *other[:2]):
+            ranked, found = look(*other)
+            if found.score < end.score - margin(many):
+                task, many, end = ranked, other[2], found
     if task.n_alphas and task.n_widths:
         plain = many._replace(X=data.X[drawn[1]])
         simple = _simpler(task, end, plain, silent, may_be_linear)
@@ -178,40 +190,20 @@ def search(
         log_likelihood=log_likelihood(many, end.likelihood),
         n_observations=many.n_total,
         n_found=n_found / q,
-        ranks=view.ranks,
+        ranks=task.ranks,
         used=used_share(many, covariance(many, end.kernel, log_width), np.exp(log_alpha), ratio),
     )
 
 
-class _View(NamedTuple):
-    """Rows of the two stages as radial functions see them."""
-
-    ranks: np.ndarray | None  # None for features as they are
-    spread: np.ndarray  # (d,) unit of the widths
-    used: np.ndarray  # (d,) mask of the features that vary
-    few: Rows
-    many: Rows
-
-
-def _view(data, ranks, drawn, length_scale):
-    X = to_ranks(ranks, data.X)
-    spread = robust_spread(X, data.weights)
-    used = np.ones(len(spread), dtype=bool)
-    if length_scale is None:
-        _refuse_far(X, spread)
-        used = spread > 0
-    data = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
-    return _View(ranks, np.where(used, spread, 1.0), used, *map(data.some, drawn))
-
-
-def _may_win(task, end, view, other):
+def _may_win(task, end, few, other, ranked_few):
     """Whether ranks may be the better inputs: by a short search on few rows, if they say more."""
-    if are_alike(view.few.X, other.few.X):
+    if are_alike(few.X, ranked_few.X):
         return False
-    ranked, nats = task._replace(spread=other.spread), COMPARED * margin(view.few)
-    theta = minimise(ranked, end.theta, other.few, end.kernel, TRIAL_STEPS, nats=nats)
-    lead = judge(task, end.kernel, end.theta, view.few).score
-    return lead - judge(ranked, end.kernel, theta, other.few).score > margin(view.few)
+    ranked, least = task._replace(spread=other.spread), margin(few)
+    nats = COMPARED * least
+    theta = minimise(ranked, end.theta, ranked_few, end.kernel, TRIAL_STEPS, nats=nats)
+    lead = judge(task, end.kernel, end.theta, few).score
+    return lead - judge(ranked, end.kernel, theta, ranked_few).score > least
 
 
 def _first_stage(task, kernels, few, start, decides, near):
@@ -306,7 +298,7 @@ def _coarse(task, kernel, data, start=None):
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
     found.sort(key=lambda end: end.value)
     limit = found[0].value + HOPELESS * data.n_total * task.n_outputs
-    best: dict[bool, Any] = {}
+    best: dict[bool, np.ndarray] = {}
     for end in found:
         if end.value <= limit:
             best.setdefault(middle is not None and bool(end.theta[0] < middle), end.theta)

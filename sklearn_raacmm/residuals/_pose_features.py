@@ -12,20 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.utils.validation import _check_feature_names_in, check_is_fitted
 
-from sklearn_raacmm.arm import (
-    MIN_LENGTH_MM,
-    Arm,
-    arm_for,
-    carried,
-    check_angles,
-    check_arm,
-    points_of,
-    slides_of,
-)
+from sklearn_raacmm.arm import MIN_LENGTH_MM, Arm, arm_for, carried, check_arm
 from sklearn_raacmm.utils import (
     Floats,
-    TransformerMixin,
-    VersionedEstimator,
+    VersionedTransformer,
     check_features,
     param_checks,
     whole_fit,
@@ -38,7 +28,7 @@ _MOST_ACROSS = 0.1
 _TURN = 2 * np.pi
 
 
-class PoseFeatures(TransformerMixin, VersionedEstimator):
+class PoseFeatures(VersionedTransformer):
     """Describe the pose of an arm by three angles, from its joint angles.
 
     They are the swivel of the upper arm `theta3`, the elbow `theta4` and `theta_dis`, the elevation
@@ -139,7 +129,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         """
         X = check_features(self, X, dtype=[np.float64, np.float32])
         self.arm_: Arm = arm_for(self.arm, type(self).__name__, X.shape[1])
-        if slides := slides_of(self.arm_.joint_types):
+        if slides := self.arm_.slides:
             raise ValueError(
                 f"joint {slides[0] + 1} of the arm slides, and these features are angles of joints "
                 "that turn: take ArmResidualRegressor, which knows both."
@@ -179,7 +169,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
             `append_azimuth`, the probe on the base axis, which leaves its azimuth undefined.
         """
         X = check_features(self, X, dtype=[np.float64, np.float32], reset=False)
-        angles = check_angles(X, self.arm_.joint_types, self.angle_unit)
+        angles = self.arm_.check_angles(X, self.angle_unit)
         turns = np.floor((angles - self.turn_start_) / _TURN)
         if turns.any():
             angles = angles - _TURN * turns
@@ -187,7 +177,7 @@ class PoseFeatures(TransformerMixin, VersionedEstimator):
         if self.joints == "pose":
             columns, probe = _pose(self.arm_, angles)
         elif self.append_azimuth:
-            probe = points_of(self.arm_, angles).T
+            probe = self.arm_.points_at(angles).T
         if self.encoding == "periodic":
             columns = [part(column) for column in columns for part in (np.cos, np.sin)]
         if self.append_azimuth:
@@ -360,7 +350,7 @@ def elbow_angle(arm: Arm, angles: ArrayLike, *, angle_unit: str = "rad") -> np.n
 def _corners(arm, angles, angle_unit):
     """Shoulder, elbow and wrist, (3, n) each, mm."""
     check_arm(arm)
-    angles = check_angles(angles, arm.joint_types, angle_unit)
+    angles = arm.check_angles(angles, angle_unit)
     first, last = arm.pose_frames
     # The axis of joint i runs through the origin of frame i - 1, in the modified convention of i.
     elbow = arm.pose_joints[1] - (arm.convention == "standard")

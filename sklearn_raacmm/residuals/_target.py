@@ -3,7 +3,7 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, Self, overload
 
 import numpy as np
@@ -17,8 +17,13 @@ from sklearn.utils import _safe_indexing, check_array, check_consistent_length, 
 from sklearn.utils.metadata_routing import MetadataRouter, MethodMapping, process_routing
 from sklearn.utils.validation import check_is_fitted, has_fit_parameter, validate_data
 
-from sklearn_raacmm.arm import Arm, check_angles
-from sklearn_raacmm.measurements import check_targets, find_dwells
+from sklearn_raacmm.arm import Arm
+from sklearn_raacmm.measurements import (
+    PointCorrectionMixin,
+    check_targets,
+    find_dwells,
+    found_positions,
+)
 from sklearn_raacmm.residuals._cylindrical import (
     direction_of,
     ends_in_direction,
@@ -27,24 +32,23 @@ from sklearn_raacmm.residuals._cylindrical import (
     to_cylindrical,
     without_direction,
 )
-from sklearn_raacmm.residuals._point_correction import (
-    PointCorrectionMixin,
-    found_positions,
-    shown_positions,
-)
 from sklearn_raacmm.utils import (
+    Finding,
     Floats,
-    Pair,
     are_deviations,
     check_weights,
     encode_groups,
     floats,
     is_plain,
+    last_step_of,
     one_warning,
     param_checks,
     refuse_disguised,
     whole_fit,
 )
+
+# Distances from the base axis that differ by less than this part are of one position.
+_SAME_LEVER = 0.1
 
 
 class CylindricalResidualTarget(PointCorrectionMixin):
@@ -227,11 +231,11 @@ class CylindricalResidualTarget(PointCorrectionMixin):
     def _findings(self, X, y, codes, direction, unasked):
         """What residuals (n, 3) show of themselves, and of positions that nobody named."""
         weights, arm = np.ones(len(y)), self._arm()
-        angles = None if arm is None else check_angles(X, arm.joint_types, "rad")
+        angles = None if arm is None else arm.check_angles(X, "rad")
         offsets = codes is not None and are_deviations(y, codes, weights)
         yield from check_targets(y, weights, arm, angles, codes, offsets)
         if unasked and arm is None:
-            yield from shown_positions(direction, to_cylindrical(y, direction)[:, 1])
+            yield from _shown_positions(direction, to_cylindrical(y, direction)[:, 1])
 
     def _by_position(self, features, y, groups, codes, fit_params):
         """The regressor's parameters in `fit`, with groups where it takes them."""
@@ -255,11 +259,13 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         return fit_params
 
     @overload
-    def predict(self, X: ArrayLike, *, return_std: Literal[True], **options: Any) -> Pair: ...
+    def predict(
+        self, X: ArrayLike, *, return_std: Literal[True], **options: Any
+    ) -> tuple[Floats, Floats]: ...
     @overload
     def predict(self, X: ArrayLike, **options: Literal[False]) -> Floats: ...
     @one_warning
-    def predict(self, X: ArrayLike, **predict_params: Any) -> Floats | Pair:
+    def predict(self, X: ArrayLike, **predict_params: Any) -> Floats | tuple[Floats, Floats]:
         """Predict Cartesian residuals, to be subtracted from the measured points.
 
         Parameters
@@ -370,6 +376,30 @@ class CylindricalResidualTarget(PointCorrectionMixin):
         return tags
 
 
+def _shown_positions(direction: Sequence[np.ndarray], tangential: np.ndarray) -> Iterator[Finding]:
+    """Finding of positions where no arm is known, and no groups were given.
+
+    Within a position tangential residuals (n,), mm, are the distance of its point from the base
+    axis times the change of the azimuth, of which `direction` is the cosine and the sine. Rows of
+    one position come one after another, or are neighbours by azimuth.
+    """
+    azimuth, n = np.arctan2(direction[1], direction[0]), len(tangential)
+    n_found = n
+    for order in (np.arange(n), np.argsort(azimuth)):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            lever = np.diff(tangential[order]) / np.diff(azimuth[order])
+            alike = (lever[:-1] > 0) & (np.abs(lever[1:] / lever[:-1] - 1) < _SAME_LEVER)
+        joined = np.r_[alike, False] | np.r_[False, alike] if n > 1 else alike
+        n_found = min(n_found, n - int(joined.sum()))
+    if 2 * n_found <= n:
+        said = (
+            f"No groups were given, but the {n} rows of y deviate from at most {n_found} "
+            "positions: their tangential part goes with the azimuth."
+        )
+        advice = "Give groups, the position of each row; groups=False takes each for itself."
+        yield Finding("positions-found", said, advice)
+
+
 def _poses(X, y, groups, codes, fit_params):
     """The same with each pose once at which a logger wrote many rows."""
     rows = None if issparse(X) else np.asarray(X)
@@ -397,15 +427,6 @@ def _with_shape(X):
 
 
 # -- a regressor that may be a pipeline: what learns, and what comes before it ---------------------
-
-
-def last_step_of(regressor: Any) -> tuple[Any, str]:
-    """What learns, and the prefix of its parameters in `fit`, such as "ridge__" in a pipeline."""
-    prefix = ""
-    while isinstance(regressor, Pipeline):
-        name, regressor = regressor.steps[-1]
-        prefix += f"{name}__"
-    return regressor, prefix
 
 
 def _n_features_of(regressor, X, y):

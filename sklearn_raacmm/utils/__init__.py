@@ -22,13 +22,11 @@ from sklearn_raacmm.utils._checks import (
 from sklearn_raacmm.utils._estimators import (
     Floats,
     InconsistentPackageVersionWarning,
-    Pair,
-    TransformerMixin,
-    VersionedEstimator,
     VersionedRegressor,
+    VersionedTransformer,
+    last_step_of,
     one_blas_thread,
     param_checks,
-    validate_params,
     warn_user,
 )
 from sklearn_raacmm.utils._files import check_places, check_unpacked, digest_of, write_whole
@@ -54,9 +52,7 @@ from sklearn_raacmm.utils._rows import (
     align,
     are_deviations,
     centred,
-    check_groups,
     chunks,
-    deviations_by_group,
     encode_groups,
     group_means,
     group_sums,

@@ -24,7 +24,6 @@ from sklearn_raacmm._version import REPOSITORY, __version__, documentation_of
 Function = TypeVar("Function", bound=Callable[..., Any])
 _KEY = "_sklearn_raacmm_version"
 Floats = NDArray[np.float64]
-Pair = tuple[Floats, Floats]
 
 # Of a warning's way to the user: the package, what calls it in a pipeline or in several processes,
 # and what its decorators are made of.
@@ -58,16 +57,23 @@ else:
     BaseEstimator, MultiOutputMixin = base.BaseEstimator, base.MultiOutputMixin
     RegressorMixin, TransformerMixin = base.RegressorMixin, base.TransformerMixin
 
-param_checks: Any = _param_validation
+
+class _ParamChecks:
+    """scikit-learn's checks of parameters, and what has no types there with a type."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(_param_validation, name)
+
+    def validate_params(
+        self, constraints: Mapping[str, object], *, prefer_skip_nested_validation: bool
+    ) -> Callable[[Function], Function]:
+        """Make a decorator of functions, which checks their parameters."""
+        return _param_validation.validate_params(
+            constraints, prefer_skip_nested_validation=prefer_skip_nested_validation
+        )
 
 
-def validate_params(
-    constraints: Mapping[str, object], *, prefer_skip_nested_validation: bool
-) -> Callable[[Function], Function]:
-    """Make a function that checks its parameters, as scikit-learn's, which has no types."""
-    return param_checks.validate_params(
-        constraints, prefer_skip_nested_validation=prefer_skip_nested_validation
-    )
+param_checks = _ParamChecks()
 
 
 def one_blas_thread(function: Function) -> Function:
@@ -97,6 +103,17 @@ def warn_user(message: str | Warning, category: type[Warning] = UserWarning) -> 
         frame.f_globals.get("__name__", "<unknown>"),
         frame.f_globals.setdefault("__warningregistry__", {}),
     )
+
+
+def last_step_of(regressor: Any) -> tuple[Any, str]:
+    """What learns, and the prefix of its parameters in `fit`, such as "ridge__" in a pipeline."""
+    from sklearn.pipeline import Pipeline  # here: predicting spares the time of importing it
+
+    prefix = ""
+    while isinstance(regressor, Pipeline):
+        name, regressor = regressor.steps[-1]
+        prefix += f"{name}__"
+    return regressor, prefix
 
 
 class InconsistentPackageVersionWarning(InconsistentVersionWarning):
@@ -141,6 +158,10 @@ class VersionedEstimator(BaseEstimator):
                 )
             )
         super().__setstate__(state)
+
+
+class VersionedTransformer(TransformerMixin, VersionedEstimator):
+    """The same for what makes features."""
 
 
 class VersionedRegressor(MultiOutputMixin, RegressorMixin, VersionedEstimator):

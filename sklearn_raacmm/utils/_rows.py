@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 from scipy.special import chdtri
 
-from sklearn_raacmm.utils._checks import floats
 from sklearn_raacmm.utils._findings import Finding
 
 # Upper bound of the rows of every chunk, for the tests only (``pytest --chunk-rows 7``): data of
@@ -215,28 +214,6 @@ def _share_of_means(y, codes, weights):
     if not (n_free > _ROUNDING * total.sum() and within > _ROUNDING**2 * between.mean()):
         return np.inf
     return float(between.mean() / within)
-
-
-def check_groups(groups: ArrayLike | None, n_samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Labels and codes as `encode_groups`; None makes all rows one group."""
-    if groups is None:
-        return np.zeros(1, dtype=int), np.zeros(n_samples, dtype=int)
-    return encode_groups(groups, n_samples)
-
-
-def deviations_by_group(
-    points: ArrayLike, groups: ArrayLike | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Deviation of each point from its position's mean, its position, counts and labels."""
-    points = floats("points", points, -1)
-    labels, codes = check_groups(groups, len(points))
-    counts = np.bincount(codes)
-    if counts.min() < 2:
-        raise ValueError(
-            f"{(counts < 2).sum()} of {len(counts)} positions hold a single point (the first: "
-            f"{labels[counts < 2][0]!s}); a scatter needs at least 2."
-        )
-    return centred(points, codes), codes, counts, labels
 
 
 def natural_order(labels: Iterable[object]) -> list[int]:

@@ -322,7 +322,7 @@ def test_learn_against_a_tracker_without_labels(tmp_path, capsys, refused):
     np.savetxt(tmp_path / "t.csv", table, "%.7f", ",", header=header, comments="")
     (tmp_path / "arm.urdf").write_text(URDF)
     arguments = f"learn {tmp_path}/t.csv --arm {tmp_path}/arm.urdf --out {tmp_path} --points x,y,z"
-    assert main([*arguments.split(), "--folds", "3"]) == 0
+    assert main([*arguments.split(), "--folds", "2"]) == 0
     printed = capsys.readouterr().out
     assert "It helps at new positions: mean deviation" in printed
     assert "region 0" in printed

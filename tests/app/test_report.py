@@ -47,7 +47,7 @@ def numbers_of(result):
         um += [1000 * v for v in size]
     within = result.correct(result.angles, std_of="position")[1]
     base = result.correct(result.angles)[1]
-    k = result.calibration.scale_sd
+    k = result.calibration.scale_sd_corrected
     of_metre = np.sqrt(2 / 3 * np.mean(np.sum(within**2, axis=1)) + (1000 * k) ** 2)
     um += [1000 * np.sqrt(np.mean(v**2)) for v in (within, base)] + [1000 * of_metre, 1e6 * k, 1]
     um += (1000 * result.outliers["distance"]).tolist()

@@ -8,7 +8,7 @@ import pytest
 from sklearn_raacmm import Arm, Correction
 from sklearn_raacmm.app import main, read_table
 from sklearn_raacmm.app._sources import TableError
-from sklearn_raacmm.arm import random_poses, without_first
+from sklearn_raacmm.arm import without_first
 
 RAIL = Arm.from_name("ur10_rail").replace(probe=(20, 30, 100))
 ARCSEC = np.pi / 180 / 3600
@@ -22,7 +22,7 @@ def table_of(header, rows):
     ("name", "per_unit"), [("E1 [mm]", 1.0), ("rail [m]", 1000.0), ("x [in]", 25.4)]
 )
 def test_a_column_of_an_axis_is_a_joint_where_the_arm_has_one(tmp_path, name, per_unit):
-    q = random_poses(RAIL, 5)
+    q = RAIL.random_poses(5)
     rows = np.column_stack([np.rad2deg(q[:, 1:]), q[:, 0] / per_unit])
     header = [*(f"J{i} [deg]" for i in range(1, 7)), name]
     (tmp_path / "log.csv").write_text(table_of(header, rows))
@@ -34,15 +34,14 @@ def test_a_column_of_an_axis_is_a_joint_where_the_arm_has_one(tmp_path, name, pe
 
 def test_the_unit_of_what_slides_is_asked_where_nothing_says_it(tmp_path):
     header = [*(f"J{i} [deg]" for i in range(1, 7)), "E1"]
-    (tmp_path / "log.csv").write_text(table_of(header, np.rad2deg(random_poses(RAIL, 5))))
+    (tmp_path / "log.csv").write_text(table_of(header, np.rad2deg(RAIL.random_poses(5))))
     with pytest.raises(TableError, match=r"the column 'E1' of a joint that slides\? Name it in th"):
         read_table(tmp_path / "log.csv", 7, labelled=False, joint_types=RAIL.joint_types)
 
 
 def test_a_gantry_has_columns_x_y_and_z(tmp_path):
-    q = random_poses(
-        Arm.from_degrees([0] * 5, [-90, 90, 0, -90, 0], [0] * 5, joint_types="PPPRR"), 4
-    )
+    gantry = Arm.from_degrees([0] * 5, [-90, 90, 0, -90, 0], [0] * 5, joint_types="PPPRR")
+    q = gantry.random_poses(4)
     rows = np.column_stack([q[:, :3], np.rad2deg(q[:, 3:])])
     header = ["x [mm]", "y [mm]", "z [mm]", "A1 [deg]", "A2 [deg]"]
     (tmp_path / "log.csv").write_text(table_of(header, rows))
@@ -51,7 +50,7 @@ def test_a_gantry_has_columns_x_y_and_z(tmp_path):
 
 
 def test_an_axis_is_told_from_a_trackers_point(tmp_path):
-    rows = np.column_stack([random_poses(RAIL, 5), np.ones((5, 3))])
+    rows = np.column_stack([RAIL.random_poses(5), np.ones((5, 3))])
     header = ["E1 [mm]", *(f"J{i} [rad]" for i in range(1, 7)), "X", "Y", "Z"]
     (tmp_path / "log.csv").write_text(table_of(header, rows))
     table = read_table(tmp_path / "log.csv", 7, labelled=False, joint_types=RAIL.joint_types)
@@ -79,7 +78,7 @@ def test_a_rail_that_stands_still_is_as_none_to_the_last_bit(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     pytest.importorskip("skops")
     arm, rng = without_first(RAIL), np.random.default_rng(0)
-    q = random_poses(arm, 60, rng) * [1, 0.4, 0.6, 1, 1, 1]
+    q = arm.random_poses(60, rng) * [1, 0.4, 0.6, 1, 1, 1]
     points = arm.forward(q + 20 * ARCSEC * np.cos(q)) + rng.normal(0, 0.02, (60, 3))
     rows = np.column_stack([np.full(60, 1500.0), np.rad2deg(q), points])
     header = ["E1 [mm]", *(f"J{i} [deg]" for i in range(1, 7)), "X", "Y", "Z"]
@@ -105,7 +104,7 @@ def test_columns_of_a_positioner_are_its_joints_whatever_their_order(tmp_path):
     turntable = Arm.from_degrees([0, 0], [90, -90], [0, 300], convention="modified")
     base = np.diag([1.0, 1, 1, 1]) + 900 * np.outer(np.eye(4)[0], np.eye(4)[3])
     arm = Arm.from_name("panda", names=(), probe=(0, 0, 100)).seen_from(turntable, base)
-    q = random_poses(arm, 5)
+    q = arm.random_poses(5)
     rows = np.rad2deg(np.column_stack([q[:, 2:], q[:, 1], q[:, 0]]))
     header = [*(f"q{i} [deg]" for i in range(1, 8)), "E1 [deg]", "E2 [deg]"]
     (tmp_path / "log.csv").write_text(table_of(header, rows))

@@ -294,3 +294,15 @@ def test_arms_of_few_joints_have_a_pose_of_their_own(n_joints):
     arm = Arm.from_degrees([0.0] * n_joints, [90.0] * n_joints, [500.0, *[120.0] * (n_joints - 1)])
     assert (arm.pose_joints, arm.pose_frames) == ((1, 2), (0, n_joints))
     assert Arm.from_degrees([0, 0], [90, 0], [500, 120], pose_frames=(0, 1)).pose_frames == (0, 1)
+
+
+def test_an_arm_on_trial_moves_as_the_checked_one():
+    arm = random_arm("modified").replace(couplings=[(3, 2, 1)], joint_types="PRRRRR")
+    angles, d = arm.random_poses(20), arm.d + 1
+    trial, checked = arm.on_trial(d=d, probe=arm.probe - 2), arm.replace(d=d, probe=arm.probe - 2)
+    for ours, theirs in zip(
+        trial.parameter_jacobian(angles), checked.parameter_jacobian(angles), strict=True
+    ):
+        assert_array_equal(ours, theirs)
+    assert_array_equal(trial.points_at(angles), checked.forward(angles))
+    assert trial.slides == [0]

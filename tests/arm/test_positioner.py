@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, PoseFeatures
-from sklearn_raacmm.arm import random_poses
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 
 TABLES = {
@@ -38,7 +37,7 @@ def table(request):
 
 def test_points_and_the_vertical_are_those_of_homogeneous_matrices(robot, table, matrices):
     arm, m = robot.seen_from(table, BASE), table.n_joints
-    q, e = random_poses(robot, 40), random_poses(table, 40, np.random.default_rng(1))
+    q, e = robot.random_poses(40), table.random_poses(40, np.random.default_rng(1))
     both = np.hstack([e[:, ::-1], q])
     base = np.linalg.inv(matrices.ends(table, e)) @ BASE
     assert_allclose(
@@ -61,7 +60,7 @@ def test_gravity_bends_the_arm_as_without_a_positioner(robot, table, matrices):
         robot = Arm.from_urdf(robot.replace(up=(0, 0, 1), limits=None).to_urdf())
     arm, m, terms = robot.seen_from(table, BASE), table.n_joints, (True, False, False)
     alone, seen = (columns_of(one, Terms(np.empty((0, 2), int), *terms)) for one in (robot, arm))
-    q, e = random_poses(robot, 10), random_poses(table, 10, np.random.default_rng(1))
+    q, e = robot.random_poses(10), table.random_poses(10, np.random.default_rng(1))
     turn = (np.linalg.inv(matrices.ends(table, e)) @ BASE)[:, :3, :3]
     own = turn @ alone.at(q) / alone.table["unit"]
     found = seen.at(np.hstack([e[:, ::-1], q])) / seen.table["unit"]
@@ -79,7 +78,7 @@ def test_axes_that_are_all_but_parallel_are_taken_as_such(matrices):
     leaning = matrices.pose([0, 1e-3, 0], [900, 0, 0])
     with pytest.warns(UserWarning, match="joints 1 and 2 are 0.001 rad from parallel") as caught:
         arm = robot.seen_from(table, leaning)
-    q, e = random_poses(robot, 40), random_poses(table, 40, np.random.default_rng(1))
+    q, e = robot.random_poses(40), table.random_poses(40, np.random.default_rng(1))
     wanted = (np.linalg.inv(matrices.ends(table, e)) @ leaning @ matrices.ends(robot, q))[:, :3, 3]
     off = np.linalg.norm(arm.forward(np.hstack([e, q])) - wanted, axis=1).max()
     stated = float(re.search(r"by up to (\S+) mm", str(caught[0].message))[1])
@@ -92,7 +91,7 @@ def test_a_file_of_the_robot_says_that_something_is_lost():
     arm = robot.seen_from(TABLES["turns"], BASE)
     with pytest.warns(UserWarning, match="frame 1 of this arm does, which is seen from a positi"):
         again = Arm.from_urdf(arm.to_urdf())
-    q = random_poses(arm, 20)
+    q = arm.random_poses(20)
     assert_allclose(again.forward(q), arm.forward(q), atol=1e-9)
 
 
@@ -110,4 +109,4 @@ def test_faults_have_one_sentence():
     with pytest.raises(ValueError, match="up_frame == 8, must be <= 7"):
         robot.replace(up_frame=8)
     with pytest.raises(ValueError, match=r"in frame 2, which is not along the base axis"):
-        PoseFeatures(arm).fit(random_poses(arm, 5))
+        PoseFeatures(arm).fit(arm.random_poses(5))

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, PoseFeatures
-from sklearn_raacmm.arm import random_poses, scale_of
+from sklearn_raacmm.arm import scale_of
 
 X, Y, Z, DOWN, SKEW = (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (0.6, 0, 0.8)
 R, P, F = "revolute", "prismatic", "fixed"
@@ -165,7 +165,7 @@ def test_the_jacobian_is_that_of_differences(machine):
 @pytest.mark.parametrize("unit", ["rad", "deg"])
 def test_joints_are_found_for_points_and_orientations(unit):
     arm = Arm.from_name("ur10_rail")
-    q = random_poses(arm, 10) * scale_of(arm.joint_types, 1.0 if unit == "rad" else 180 / np.pi)
+    q = arm.random_poses(10) * arm.by_type(1.0 if unit == "rad" else 180 / np.pi)
     points, turns = arm.forward(q, angle_unit=unit), arm.frames(q, angle_unit=unit)[:, -1, :, :3]
     for start in (None, q + 0.05):
         found = arm.angles_for(points, start, turns, angle_unit=unit)
@@ -192,7 +192,7 @@ def test_faults_have_one_sentence():
     with pytest.raises(ValueError, match="joints 2 and 1 one turns and the other slides"):
         arm.replace(couplings=[(2, 1, 1)])
     with pytest.raises(ValueError, match="joint 1 of the arm slides, and these features are angl"):
-        PoseFeatures(arm).fit(random_poses(arm, 5))
+        PoseFeatures(arm).fit(arm.random_poses(5))
 
 
 def test_an_arm_that_only_turns_is_the_same_with_its_types_or_without():
@@ -212,7 +212,7 @@ def test_slides_between_turns_that_lean_by_little_are_read():
     ]
     with pytest.warns(UserWarning, match="are taken as parallel, which moves the probe by up to"):
         arm = Arm.from_urdf(text_of(joints))
-    q = random_poses(arm, 20)
+    q = arm.random_poses(20)
     assert_allclose(arm.forward(q), by_hand(joints, q), atol=0.002)
 
 
@@ -233,7 +233,7 @@ def test_an_end_without_a_limit_stays_free_in_a_file():
         assert f"<limit lower={pair}" in text
     again = Arm.from_urdf(text)
     assert_allclose(again.limits, limits)
-    q = random_poses(arm, 10)
+    q = arm.random_poses(10)
     found = again.angles_for(arm.forward(q))
     assert np.all((found >= again.limits[:, 0]) & (found <= again.limits[:, 1]))
     free = Arm.from_urdf(arm.replace(limits=None).to_urdf())

@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 from sklearn_raacmm import calibrate, position_residuals
-from sklearn_raacmm.datasets import make_features, make_single_point
-from sklearn_raacmm.metrics import single_point_repeatability
+from sklearn_raacmm.calibration._fit import Fit
+from sklearn_raacmm.datasets import ArmErrors, make_features, make_gauge, make_single_point
+from sklearn_raacmm.metrics import gauge_lengths, single_point_repeatability
 
 
 def calibrated(test, features=None, **given):
@@ -34,8 +35,30 @@ def test_balls_and_planes_teach_the_table():
     assert max(left["balls"], left["both"]) < 1.5 * left["cones"]
 
 
-def test_projected_unknowns_are_those_of_an_explicit_search():
+def without_last_step(monkeypatch):
+    """What touches have been fitted to stays, whatever the table does not explain."""
+    monkeypatch.setattr(Fit, "_take_best_table", lambda fit, mask: None)
+
+
+def test_a_table_taught_by_planes_does_not_follow_what_only_planes_show(monkeypatch):
+    """At new cones, of joints that are eccentric: beside the table that fits the touches best."""
+    machine, left = ArmErrors.only(eccentricity_arcsec=(8.0, 3.0), encoder_noise_arcsec=0.5), {}
+    for step in ("taken", "left out"):
+        if step == "left out":
+            without_last_step(monkeypatch)
+        for seed in range(3):
+            test = make_features(0, 8, 0, 20, machine=machine, random_state=seed)
+            arm = calibrated(test).arm
+            own = test.simulation.machine
+            new = make_single_point(6, 12, machine=own, random_state=seed + 50)
+            value = single_point_repeatability(arm.forward(new.data), new.groups)
+            left.setdefault(step, []).append(value)
+    assert np.mean(left["taken"]) < 0.93 * np.mean(left["left out"])
+
+
+def test_projected_unknowns_are_those_of_an_explicit_search(monkeypatch):
     """Zeros and probe as of least squares with centres, sizes and planes among the parameters."""
+    without_last_step(monkeypatch)
     test = make_features(3, 2, 1, 12, random_state=4)
     sd, free = 0.003, ["theta_offset", "probe"]
     kinds = [(label, kind) for label, kind, *_ in test.features]  # no sizes
@@ -114,6 +137,29 @@ def test_the_ball_of_the_probe_counts_on_the_side_that_was_touched():
     inside = [(*one, "inside") if one[1] == "sphere" else one for one in test.features]
     result = calibrated(test, inside, tip_diameter=4.0, accept="wrong-length")
     assert "wrong-length" in {finding.code for finding in result.findings}
+
+
+def test_the_scale_is_as_unsure_as_an_arm_that_bends_makes_it():
+    """Errors of the scale, by gauges elsewhere, over its standard deviation, of three arms each."""
+    noise = ArmErrors.only(length_mm=0.4, encoder_noise_arcsec=1)
+    found = {}
+    for name, machine in (("typical", "typical"), ("noise", noise)):
+        off = []
+        for seed in range(3):
+            test = make_features(0, 0, 5, 15, blocks=[500.0], machine=machine, random_state=seed)
+            result = calibrated(test, accept=["poses-alike", "wrong-length"])
+            own = test.simulation.machine
+            gauge = make_gauge([500.0], 6, 5, machine=own, random_state=seed + 50)
+            shown = gauge_lengths(result.arm.forward(gauge.data), gauge.groups, gauge.pairs)
+            scale = (shown / gauge.lengths - 1).mean()
+            off.append(scale / np.array([result.scale_sd, result.scale_sd_corrected]))
+        found[name] = np.sqrt(np.square(off).mean(axis=0))
+    # Taken as independent, as behind a correction, what bends the arm would hide.
+    (z, independent), (z_of_noise, same) = found.values()
+    assert 0.4 < z < 1.7
+    assert independent > 3 * z
+    assert 0.4 < z_of_noise < 1.7
+    assert same < 1.1 * z_of_noise
 
 
 def test_a_touch_of_another_ball_is_an_outlier():

@@ -54,7 +54,7 @@ def test_blocks_of_rows_give_what_all_rows_at_once_do(kind, monkeypatch):
 
 def test_a_million_rows_would_fit_in_a_gibibyte(monkeypatch, tmp_path):
     # Not a million here: so many bytes a row. They are read from a file.
-    for limit, rows in ((_fit, {"_BLOCK": 256, "_HELD": 0}), (_set_ups, {"_MOST_ROWS": 1000})):
+    for limit, rows in ((_fit, {"_BLOCK": 1024, "_HELD": 0}), (_set_ups, {"_MOST_ROWS": 1000})):
         for name, value in rows.items():
             monkeypatch.setattr(limit, name, value)
     angles, points = tracked(20_000)

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, Measurements, calibrate
-from sklearn_raacmm.arm import random_poses
 from sklearn_raacmm.calibration._problem import pack, table_jacobian, unpack
 
 RAIL = Arm.from_name("ur10_rail").replace(probe=(20, 30, 100))
@@ -15,7 +14,7 @@ def test_a_scale_and_a_direction_of_a_rail_are_found_and_kept_in_the_arm():
     true = RAIL.replace(
         joint_signs=[1 + 40e-6, 1, 1, 1, 1, 1, 1], alpha=RAIL.alpha + 0.004 * (np.arange(7) == 0)
     )
-    q = random_poses(RAIL, 120)
+    q = RAIL.random_poses(120)
     points = true.forward(q) + np.random.default_rng(1).normal(0, 0.02, (120, 3))
     result = calibrate(RAIL, q, points=points + np.array([3000, 0, 0]))
     i = result.names.index("scale1")
@@ -35,7 +34,7 @@ def test_what_a_rail_parallel_to_another_cannot_show_is_said():
         [0, 0, 300, 0], [0, -90, 0, 90], [0, 0, 200, 80], joint_types="PPRR", probe=(10, 40, 60),
         limits=[(0, 3000), (0, 800), (-2, 2), (-2, 2)],
     )  # fmt: skip
-    q = random_poses(one, 80)
+    q = one.random_poses(80)
     points = one.forward(q) + np.random.default_rng(1).normal(0, 0.02, (80, 3))
     result = calibrate(one, q, points=points)
     zeros = [text for text in result.unidentified_combinations if "d1" in text or "d2" in text]
@@ -51,7 +50,7 @@ def test_what_a_rail_parallel_to_another_cannot_show_is_said():
 
 
 def test_derivatives_are_those_of_differences():
-    arm, q, step = RAIL, random_poses(RAIL, 10), 1e-6
+    arm, q, step = RAIL, RAIL.random_poses(10), 1e-6
     jacobian = table_jacobian(arm, q)[1]
     x = pack(arm)
     assert jacobian.shape == (10, 3, len(x)) == (10, 3, 32)
@@ -61,7 +60,7 @@ def test_derivatives_are_those_of_differences():
 
 
 def test_measurements_of_an_arm_that_slides_say_so():
-    q = random_poses(RAIL, 30)
+    q = RAIL.random_poses(30)
     points = RAIL.forward(q) + np.random.default_rng(0).normal(0, 0.02, (30, 3))
     with pytest.warns(UserWarning, match="more than two turns"):
         wrapped = Measurements.of(q, points=points)
@@ -75,7 +74,7 @@ def test_measurements_of_an_arm_that_slides_say_so():
 def test_where_a_rail_stands_says_nothing_of_how_long_links_are():
     """The scale of all is that of the long links: a base 5 m away along the rail is none."""
     far = RAIL.replace(d=RAIL.d + 5000 * (np.arange(7) == 0))
-    q = random_poses(RAIL, 60)
+    q = RAIL.random_poses(60)
     noise = np.random.default_rng(0).normal(0, 0.02, (60, 3))
     kinds = [calibrate(arm, q, points=arm.forward(q) + noise).prior_sd for arm in (RAIL, far)]
     assert kinds[0].keys() == kinds[1].keys() >= {"length_mm", "slide_mm", "slide_scale"}
@@ -83,7 +82,7 @@ def test_where_a_rail_stands_says_nothing_of_how_long_links_are():
 
 def test_angles_are_taken_for_no_millimetres():
     robot = Arm.from_name("panda", probe=(0, 0, 100))
-    q = random_poses(robot, 20)
+    q = robot.random_poses(20)
     of_slides = Measurements.of(q, points=robot.forward(q), joint_types="PRRRRRR")
     with pytest.raises(ValueError, match="takes mm for no angles"):
         calibrate(robot, of_slides)
@@ -91,7 +90,7 @@ def test_angles_are_taken_for_no_millimetres():
 
 def test_a_rail_that_trembles_by_micrometres_stands_still():
     rng = np.random.default_rng(0)
-    q = np.repeat(random_poses(RAIL, 20), 5, axis=0)
+    q = np.repeat(RAIL.random_poses(20), 5, axis=0)
     q[:, 0] += rng.uniform(-0.002, 0.002, len(q))
     measured = Measurements.of(q, points=RAIL.forward(q), joint_types=RAIL.joint_types)
     assert len(measured.angles) == 20
@@ -102,7 +101,7 @@ def test_a_stated_prior_of_lengths_is_not_that_of_slides():
     true = RAIL.replace(
         d=RAIL.d + 4 * (np.arange(7) == 1), alpha=np.add(RAIL.alpha, [0.01, *6 * [0]])
     )
-    q = random_poses(RAIL, 60)
+    q = RAIL.random_poses(60)
     points = true.forward(q) + np.random.default_rng(1).normal(0, 0.02, (60, 3))
     result = calibrate(RAIL, q, points=points, prior_length_mm=0.1, prior_angle_rad=1e-3)
     assert result.prior_sd["length_mm"] == 0.1

@@ -68,7 +68,7 @@ def test_three_deviations_have_three_names(learned):
     np.testing.assert_array_equal(points, same)
     assert np.all(of_coordinate >= within)
     # Calibration and model have the scale from the same lengths: the model holds all of it.
-    own, whole = correction.model.linear_model_.scale_sd, correction.calibration.scale_sd
+    own, whole = correction.model.linear_model_.scale_sd, correction.calibration.scale_sd_corrected
     assert own == pytest.approx(whole)
     assert correction.scale_sd < 1e-6 * whole
     lengths, std = correction.distances(angles[:10], angles[10:])
@@ -93,7 +93,7 @@ def test_three_deviations_have_three_names(learned):
 def test_draws_hold_the_scale_of_the_arm():
     """Lengths of drawn points scatter as is said of distances, by the table's scale above all."""
     test = make_single_point(6, 12, random_state=0)
-    correction = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
+    correction = learn_correction(test.nominal_arm, test.data, test.groups, cv=2)
     first, second = test.data[:12], test.data[-12:]
     points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
     drawn = np.linalg.norm(points[12:] - points[:12], axis=1)
@@ -101,16 +101,16 @@ def test_draws_hold_the_scale_of_the_arm():
     np.testing.assert_allclose(drawn.mean(axis=1), lengths, atol=0.1 * std.max())
     noise = correction.model.linear_model_.distance_std(first, second)
     np.testing.assert_allclose(drawn.std(axis=1), noise, rtol=0.06)
-    assert np.all(drawn.std(axis=1) > 0.8 * correction.calibration.scale_sd * lengths)
+    assert np.all(drawn.std(axis=1) > 0.8 * correction.calibration.scale_sd_corrected * lengths)
     # One scale for all poses of a draw: long lengths are long together.
     assert np.corrcoef(drawn[np.argsort(lengths)[-2:]])[0, 1] > 0.8
     # Of a table whose model holds no lengths the scale is drawn beside it.
     plain = ArmResidualRegressor(orders=2, causes=[])
     with pytest.warns(UserWarning, match="nothing holds the distances"):
-        correction = learn_correction(test.nominal_arm, test.data, test.groups, model=plain, cv=3)
+        correction = learn_correction(test.nominal_arm, test.data, test.groups, model=plain, cv=2)
     points = correction.sample(np.vstack([first, second]), 4000, random_state=0)
     drawn = np.linalg.norm(points[12:] - points[:12], axis=1).std(axis=1)
-    assert np.all(drawn > 0.9 * correction.calibration.scale_sd * lengths)
+    assert np.all(drawn > 0.9 * correction.calibration.scale_sd_corrected * lengths)
     network = RBFNetRegressor(5).fit(test.data, test.target)
     with pytest.raises(TypeError, match="RBFNetRegressor knows no causes"):
         replace(correction, model=network).sample(first)
@@ -123,7 +123,7 @@ def test_the_verdict_says_what_is_not_known_of_lengths(learned):
     alone = learn_correction(test.nominal_arm, test.data, test.groups, cv=3)
     assert alone.helps
     assert alone.verdict.startswith("It repeats better at new positions")
-    per_metre = 2000 * alone.calibration.scale_sd
+    per_metre = 2000 * alone.calibration.scale_sd_corrected
     assert f"not known to better than {per_metre:.2g} mm per metre (k = 2)" in alone.verdict
 
 
@@ -138,7 +138,7 @@ def by_tracker():
     points = true + rng.normal(0, 0.02, true.shape)
     given = (arm, angles[:200], None, points[:200])
     model = ArmResidualRegressor(orders=2, causes=[])
-    of = {sd: learn_correction(*given, model=model, cv=3, points_sd=sd) for sd in (0.0, 0.02)}
+    of = {sd: learn_correction(*given, model=model, cv=2, points_sd=sd) for sd in (0.0, 0.02)}
     return of, angles[200:], true[200:], points[200:], given, model
 
 

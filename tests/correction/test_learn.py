@@ -283,7 +283,7 @@ def test_names_of_single_poses_are_judged_as_without_names():
         warnings.simplefilter("error", RuntimeWarning)  # SciPy warns of means of one number
         warnings.simplefilter("ignore", UserWarning)
         with_names, without = (
-            learn_correction(arm, X, given, tracker, model=QUICK, cv=3) for given in (names, None)
+            learn_correction(arm, X, given, tracker, model=QUICK, cv=2) for given in (names, None)
         )
     assert with_names.verdict == without.verdict
     assert len(with_names.scores.table["position"]) == 15  # of four poses each
@@ -434,7 +434,7 @@ def test_a_joint_that_is_five_degrees_off_is_mended_by_calibration():
     off = X + np.deg2rad([0, 0, 0, 0, 5, 0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        learned = learn_correction(arm, off, points=tracker, model=QUICK)
+        learned = learn_correction(arm, off, points=tracker, model=QUICK, cv=2)
     assert learned.scores.calibration_helps
     given, before = (learned.scores.summary[when][0] for when in ("given", "before"))
     assert before < 0.06 < 1 < given

@@ -186,7 +186,7 @@ def test_known_sizes_show_the_scale():
 def learned():
     test = make_single_point(6, 15, machine=MACHINE, random_state=1)
     model = ArmResidualRegressor(orders=2)
-    return learn_correction(test.nominal_arm, test.data, test.groups, model=model, cv=3)
+    return learn_correction(test.nominal_arm, test.data, test.groups, model=model, cv=2)
 
 
 def test_a_new_probe_is_registered_by_touches(learned):

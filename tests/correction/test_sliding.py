@@ -13,7 +13,6 @@ from sklearn_raacmm import (
     plan_poses,
     search_table,
 )
-from sklearn_raacmm.arm import random_poses
 
 RAIL = Arm.from_name("ur10_rail").replace(probe=(20, 30, 100))
 ARCSEC = np.pi / 180 / 3600
@@ -22,7 +21,7 @@ ARCSEC = np.pi / 180 / 3600
 def measured(n, seed, scale=0.0):
     """Joints and a tracker's points of a rail whose straightness is off, and perhaps its scale."""
     rng = np.random.default_rng(seed)
-    q = random_poses(RAIL, n, rng)
+    q = RAIL.random_poses(n, rng)
     given = q + 15 * ARCSEC * np.cos(q) * (np.arange(7) > 0)
     given[:, 0] += scale * q[:, 0]
     off = 0.05 * np.sin(1.5 * np.pi * q[:, 0] / 4000)
@@ -33,7 +32,7 @@ def measured(n, seed, scale=0.0):
 @pytest.fixture(scope="module")
 def learnt():
     q, points = measured(200, 1)
-    return learn_correction(RAIL, q, points=points, model=ArmResidualRegressor(orders=20), cv=3)
+    return learn_correction(RAIL, q, points=points, model=ArmResidualRegressor(orders=20), cv=2)
 
 
 def test_a_check_names_the_scale_of_the_rail_and_an_update_takes_it(learnt, tmp_path):

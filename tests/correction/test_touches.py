@@ -93,6 +93,7 @@ def test_corrects_new_cones(test, learned):
     assert after < 0.6 * before
 
 
+@pytest.mark.exhaustive  # of cones: tests/measurements
 def test_measurements_say_the_same(test, learned):
     measured = Measurements.of(test.data, test.groups, features=test.features)
     found = learn_correction(test.nominal_arm, measured, model=MODEL, cv=4)
@@ -132,13 +133,13 @@ def test_what_features_cannot_have(test):
     kept = np.delete(np.arange(len(test.data)), few)
     with pytest.warns(UserWarning, match="The plane 4 has 3 touches"):
         found = learn_correction(
-            test.nominal_arm, test.data[kept], test.groups[kept], **known, model=MODEL, cv=3
+            test.nominal_arm, test.data[kept], test.groups[kept], **known, model=MODEL, cv=2
         )
     assert 4 not in found.scores.table["position"]
 
 
 @pytest.mark.filterwarnings("ignore:1 of 6 known lengths disagree")
-@pytest.mark.parametrize("wrong", [False, True])
+@pytest.mark.parametrize("wrong", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_a_size_is_judged_beside_what_a_model_explains(wrong):
     """Of a typical arm the table alone leaves as much as the size of a ball is off by."""
     machine = SimulatedArm("typical", random_state=101)

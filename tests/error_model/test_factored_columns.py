@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.error_model import LinearModel, Terms
-from sklearn_raacmm.error_model._columns import Root, columns_of
+from sklearn_raacmm.error_model._columns import columns_of
+from sklearn_raacmm.error_model._factored import Root
 
 ARM = Arm.from_name("ur10", joint_signs=[1, -1, 1, 1, 1, -1], probe=(3.0, -8.0, 120.0))
 EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("force x", (1.5,)))
@@ -47,7 +48,7 @@ def test_factors_are_the_columns(n_orders, extra):
     for rank in (len(model.coef), len(model.coef) - 5, 7):
         half = model.half[:, :rank]
         squares = np.square(explicit @ half).sum(axis=2)
-        assert_allclose(found.squares(Root(half, columns)), squares, rtol=1e-11)
+        assert_allclose(found.squares(Root(half, columns.spans)), squares, rtol=1e-11)
 
 
 @pytest.mark.parametrize("n_orders", [3, 30])

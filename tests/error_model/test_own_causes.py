@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.arm import random_poses
 from sklearn_raacmm.error_model import OWN, Column, Effect
 
 from ..export._chains import ways_out
@@ -38,7 +37,7 @@ def shown(arm, X):
 
 def rows(n, seed):
     rng = np.random.default_rng(seed)
-    return np.column_stack([random_poses(ARM, n, rng), rng.choice([-1.0, 1.0], n)])
+    return np.column_stack([ARM.random_poses(n, rng), rng.choice([-1.0, 1.0], n)])
 
 
 @pytest.fixture(scope="module")

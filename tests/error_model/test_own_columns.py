@@ -8,7 +8,10 @@ from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.error_model import _columns
 from sklearn_raacmm.error_model._columns import ARCSEC, TURN, WOBBLE, Column, Columns, columns_of
 
-TEST = make_single_point(9, 16, machine="gravity", random_state=2)  # simulated
+
+@pytest.fixture(scope="module")
+def test():
+    return make_single_point(9, 16, machine="gravity", random_state=2)  # simulated
 
 
 def add_column(monkeypatch, power):
@@ -40,15 +43,15 @@ def _without_own_columns():
 
 
 @pytest.mark.parametrize("power", [1, 2])
-def test_a_column_that_depends_on_the_vertical_is_fitted_along_any(monkeypatch, power):
+def test_a_column_that_depends_on_the_vertical_is_fitted_along_any(monkeypatch, test, power):
     """Whether it is linear in it or not: the search turns gravity alone."""
     add_column(monkeypatch, power)
-    tilted = TEST.arm.replace(up=(0.6, 0.0, 0.8))  # of data of an upright arm
+    tilted = test.arm.replace(up=(0.6, 0.0, 0.8))  # of data of an upright arm
     model = ArmResidualRegressor(tilted, orders=2)
     with pytest.warns(UserWarning, match="Gravity seems to pull against"):
-        model.fit(TEST.data, TEST.target, groups=TEST.groups)
+        model.fit(test.data, test.target, groups=test.groups)
     terms = model.linear_model_.terms
     assert "own" in columns_of(tilted, terms).names
     assert terms.up[2] > np.cos(np.deg2rad(3))
-    left = position_residuals(TEST.target - model.predict(TEST.data), TEST.groups)
-    assert np.square(left).mean() < 0.5 * np.square(TEST.target).mean()
+    left = position_residuals(test.target - model.predict(test.data), test.groups)
+    assert np.square(left).mean() < 0.5 * np.square(test.target).mean()

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate
-from sklearn_raacmm.arm import random_poses, turn_mm
+from sklearn_raacmm.arm import turn_mm
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 
 ARCSEC = np.pi / 180 / 3600
@@ -42,7 +42,7 @@ def errors(arm, q):
 def learnt(request):
     """A machine, its calibration by a tracker of 20 um, and the model of what that leaves."""
     arm, rng = request.param, np.random.default_rng(1)
-    q = random_poses(arm, 600, rng)
+    q = arm.random_poses(600, rng)
     points = arm.forward(q) + errors(arm, q) + rng.normal(0, 0.02, (600, 3))
     result = calibrate(arm, q, points=points)
     model = ArmResidualRegressor(result.arm).fit(q, result.residuals(q, points), groups=False)
@@ -56,7 +56,7 @@ def fitted(learnt):
 
 def test_what_is_left_at_places_unseen_is_near_the_share_of_the_noise(learnt):
     arm, result, fitted = learnt
-    q, rng = random_poses(arm, 2000, np.random.default_rng(2)), np.random.default_rng(3)
+    q, rng = arm.random_poses(2000, np.random.default_rng(2)), np.random.default_rng(3)
     y = result.residuals(q, arm.forward(q) + errors(arm, q))
     mean, std = fitted.predict(q, return_std=True, with_noise=True)
     left = np.sqrt(np.mean((y - mean) ** 2))
@@ -76,7 +76,7 @@ def test_pitches_are_found_as_waves_in_mm(fitted):
 
 def test_a_moved_probe_keeps_the_causes(learnt):
     arm, result, fitted = learnt
-    q, longer = random_poses(arm, 500, np.random.default_rng(3)), np.array([20, -60, 150])
+    q, longer = arm.random_poses(500, np.random.default_rng(3)), np.array([20, -60, 150])
     far = arm.replace(probe=arm.probe + longer)
     moved = fitted.with_arm(result.arm.replace(probe=result.arm.probe + longer))
     base = (far.forward(q) + errors(far, q) - result.base_translation) @ result.base_rotation
@@ -85,7 +85,7 @@ def test_a_moved_probe_keeps_the_causes(learnt):
 
 
 def test_planned_joints_bring_the_corrected_probe_to_the_points(fitted):
-    q = random_poses(fitted.arm_, 20, np.random.default_rng(4))
+    q = fitted.arm_.random_poses(20, np.random.default_rng(4))
     wanted = fitted.arm_.forward(q)
     found = fitted.angles_for(wanted, q)
     reached = ~np.isnan(found[:, 0])
@@ -101,7 +101,7 @@ def test_columns_are_derivatives(convention):
         probe=(30, 20, 150), limits=[(0, 900), (-3, 3), (-100, 300), (-2, 2)],
         joint_signs=[1, 1, -1, 1], convention=convention,
     )  # fmt: skip
-    q, step = random_poses(arm, 15), 1e-3
+    q, step = arm.random_poses(15), 1e-3
     columns = columns_of(arm, Terms(np.array([[0, 7], [2, 3]]), False, True, True))
     values, table = columns.at(q), columns.table
     names = [""] * columns.n_waves + columns.names

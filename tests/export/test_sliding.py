@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sklearn_raacmm import Arm, ArmResidualRegressor
-from sklearn_raacmm.arm import in_unit, random_poses
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.export import describe, export_c
 
@@ -19,10 +18,10 @@ def test_every_file_computes_as_predict_does(tmp_path, unit, convention):
         probe=(30, 20, 150), limits=[(0, 900), (-3, 3), (-100, 300), (-2, 2)],
         joint_signs=[1.0001, 1, -1, 1], convention=convention, couplings=[(4, 2, 1)],
     )  # fmt: skip
-    q, rng = random_poses(arm, 150), np.random.default_rng(0)
+    q, rng = arm.random_poses(150), np.random.default_rng(0)
     y = 0.05 * np.sin(2 * np.pi * q[:, [0]] / 10 + np.arange(3)) + rng.normal(0, 0.01, (150, 3))
     y += arm.jacobian(q)[:, :, 1] * 1e-4 * np.cos(q[:, [1]])
-    X = in_unit(q, arm.joint_types, unit)
+    X = arm.in_unit(q, unit)
     model = ArmResidualRegressor(arm, angle_unit=unit, orders=20).fit(X, y, groups=False)
     mean, std = model.predict(X, return_std=True)
     assert np.any(mean)
@@ -33,8 +32,8 @@ def test_every_file_computes_as_predict_does(tmp_path, unit, convention):
 
 def test_header_and_card_say_which_joint_is_in_mm(tmp_path):
     arm = Arm.from_name("ur10_rail").replace(probe=(0, 0, 100))
-    q = random_poses(arm, 60)
-    X = in_unit(q, arm.joint_types, "deg")
+    q = arm.random_poses(60)
+    X = arm.in_unit(q, "deg")
     model = ArmResidualRegressor(arm, angle_unit="deg", orders=2)
     model.fit(X, np.random.default_rng(0).normal(0, 0.01, (60, 3)), groups=False)
     export_c(model, tmp_path / "model.c")
@@ -51,7 +50,7 @@ def test_an_arm_that_is_seen_from_a_positioner_computes_as_predict_does(tmp_path
     table = Arm.from_degrees([0, 0], [90, -90], [0, 300], convention="modified", probe=(0, 0, 50))
     base = np.array([[0, -1, 0, 900], [1, 0, 0, 100], [0, 0, 1, -200], [0, 0, 0, 1.0]])
     arm = Arm.from_name("irb120", probe=(10, 20, 150), up=(0.1, 0.2, 1)).seen_from(table, base)
-    q, rng = random_poses(arm, 150), np.random.default_rng(0)
+    q, rng = arm.random_poses(150), np.random.default_rng(0)
     columns = columns_of(arm, Terms(np.empty((0, 2), int), True, False, False)).at(q)
     y = columns @ rng.normal(0, 5, columns.shape[2]) + rng.normal(0, 0.002, (150, 3))
     model = ArmResidualRegressor(arm, orders=4, causes=["gravity"]).fit(q, y, groups=False)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm.inference import Problem, beside_field, search, search_at
 from sklearn_raacmm.inference._linear import columns_of
-from sklearn_raacmm.inference._search import _Leftover, net_evidence
+from sklearn_raacmm.inference._search import _Leftover, _pruned, net_evidence
 
 
 def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
@@ -127,3 +127,25 @@ def test_gains_of_candidates_are_those_of_the_evidence(toys, chosen):
     for pair in chosen:
         step.take(pair, ())
     assert_allclose(step.gains()[0][free], gain, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("field", [False, True])
+def test_a_state_without_needless_lines_is_that_of_the_others(toys, field):
+    """Taken from the posterior of all, and found anew from the equations of the lines left."""
+    rng = np.random.default_rng(4)
+    A, H = rng.normal(size=(90, 4)), rng.normal(size=(90, 20))
+    H[:, 6:8] = H[:, 4:6] + 1e-3 * rng.normal(size=(90, 2))  # pair 3 says what pair 2 does
+    y = A[:, 0] + H[:, 4:8] @ [1.0, 0.5, 1.0, 0.5] + 0.3 * rng.normal(size=90)
+    share = np.linspace(1.0, 0.2, 10)
+    share[[2, 7]] = 0.0  # these are out where they are no lines
+    problem = Problem(toys.sums_of(A, H, y), toys.structures(4, 10, share=share))
+    variance, lines = np.array([0.7, 0.4, 0.01]), np.array([2, 3, 5, 7, 8])
+    found = _pruned(problem, problem.state(lines, field, variance, 0.09))
+    assert 0 < len(found.lines) < 5
+    anew = problem.with_lines(found, found.lines)
+    assert_array_equal(found.pairs, anew.pairs)
+    assert found.log_evidence == pytest.approx(anew.log_evidence, abs=1e-9)
+    for name in ("coef", "prior", "determined"):
+        assert_allclose(getattr(found, name), getattr(anew, name), rtol=1e-9, atol=1e-12)
+    covariances = (one.half @ one.half.T for one in (found, anew))
+    assert_allclose(*covariances, rtol=1e-9, atol=1e-12)

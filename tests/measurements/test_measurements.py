@@ -30,7 +30,7 @@ def test_calibrate_takes_it_in_place_of_its_parts():
 def test_learn_correction_takes_it_with_causes():
     test = make_single_point(5, 12, random_state=1)
     given = {"extra": {"temperature": 20 + np.sin(np.arange(60.0))}}
-    how = {"model": ArmResidualRegressor(orders=4, extra=["temperature"]), "cv": 3}
+    how = {"model": ArmResidualRegressor(orders=2, extra=["temperature"]), "cv": 2}
     one = learn_correction(test.nominal_arm, test.data, test.groups, **given, **how)
     other = learn_correction(
         test.nominal_arm, Measurements.of(test.data, test.groups, **given), **how
@@ -43,7 +43,7 @@ def test_learn_correction_takes_it_with_causes():
 def test_a_correction_is_registered_checked_and_updated_by_it():
     test = make_single_point(5, 12, random_state=1)
     new = make_single_point(4, 10, machine=test.simulation.machine, random_state=7)
-    how = {"model": ArmResidualRegressor(orders=4), "cv": 3}
+    how = {"model": ArmResidualRegressor(orders=2), "cv": 2}
     learned = learn_correction(test.nominal_arm, test.data, test.groups, **how)
     measured = Measurements.of(np.rad2deg(new.data), new.groups, angle_unit="deg")
     today = measured.angles, new.groups

@@ -9,7 +9,7 @@ from sklearn_raacmm import CylindricalResidualTarget, PoseFeatures, RBFNetRegres
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.utils import FindingWarning
 
-TEST = make_single_point(5, 16, machine="gravity", random_state=0)  # simulated
+TEST = make_single_point(5, 16, machine="typical", random_state=2)  # simulated
 ARM, X, Y = TEST.arm, TEST.data, TEST.target
 GROUPS = "cylindricalresidualtarget__groups"
 

@@ -3,7 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.utils import (
     Finding,
     Floats,
-    Pair,
     VersionedRegressor,
     are_deviations,
     centred,
@@ -24,8 +22,6 @@ from sklearn_raacmm.utils import (
 # Reference points that are the same to so many digits of a mm are those of one position; points of
 # the arm that are the same to so many are one pose.
 _DIGITS, _OFF_THE_DIGITS, _POSE_DIGITS = 3, 0.3137, 6
-# Distances from the base axis that differ by less than this part are of one position.
-_SAME_LEVER = 0.1
 
 
 class PointCorrectionMixin(VersionedRegressor):
@@ -52,7 +48,7 @@ class PointCorrectionMixin(VersionedRegressor):
         *,
         return_std: Literal[True],
         **predict_params: Any,
-    ) -> Pair: ...
+    ) -> tuple[Floats, Floats]: ...
     @overload
     def correct(
         self,
@@ -61,14 +57,14 @@ class PointCorrectionMixin(VersionedRegressor):
         *,
         return_cov: Literal[True],
         **predict_params: Any,
-    ) -> Pair: ...
+    ) -> tuple[Floats, Floats]: ...
     @overload
     def correct(
         self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Literal[False]
     ) -> Floats: ...
     def correct(
         self, X: ArrayLike, points: ArrayLike | None = None, **predict_params: Any
-    ) -> Floats | Pair:
+    ) -> Floats | tuple[Floats, Floats]:
         """Correct measured points: subtract the predicted residuals.
 
         Parameters
@@ -210,27 +206,3 @@ def found_positions(
     codes = np.zeros(len(y), dtype=int)
     codes[used] = found
     return codes
-
-
-def shown_positions(direction: Sequence[np.ndarray], tangential: np.ndarray) -> Iterator[Finding]:
-    """Finding of positions where no arm is known, and no groups were given.
-
-    Within a position tangential residuals (n,), mm, are the distance of its point from the base
-    axis times the change of the azimuth, of which `direction` is the cosine and the sine. Rows of
-    one position come one after another, or are neighbours by azimuth.
-    """
-    azimuth, n = np.arctan2(direction[1], direction[0]), len(tangential)
-    n_found = n
-    for order in (np.arange(n), np.argsort(azimuth)):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            lever = np.diff(tangential[order]) / np.diff(azimuth[order])
-            alike = (lever[:-1] > 0) & (np.abs(lever[1:] / lever[:-1] - 1) < _SAME_LEVER)
-        joined = np.r_[alike, False] | np.r_[False, alike] if n > 1 else alike
-        n_found = min(n_found, n - int(joined.sum()))
-    if 2 * n_found <= n:
-        said = (
-            f"No groups were given, but the {n} rows of y deviate from at most {n_found} "
-            "positions: their tangential part goes with the azimuth."
-        )
-        advice = "Give groups, the position of each row; groups=False takes each for itself."
-        yield Finding("positions-found", said, advice)
