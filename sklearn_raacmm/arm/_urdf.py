@@ -110,7 +110,7 @@ def _fields_of_axes(directions, points, tip, slides):
     return {**table, **own, "probe": probe, "convention": "modified"}, placed
 
 
-def seen_from(arm: Any, positioner: Any, base: ArrayLike) -> Any:
+def seen_from(arm: Any, positioner: DHTable, base: ArrayLike) -> Any:
     """The arm and the positioner that carries its part as one arm: see `Arm.seen_from`."""
     pose, m = floats("base", base, finite=True), positioner.n_joints
     if pose.shape != (4, 4) or np.any(pose[3] != [0, 0, 0, 1]) or not are_rotations(pose[:3, :3]):

@@ -202,17 +202,9 @@ def poses_of(rows, extra):
     for finding in dwells.findings():
         finding.report()
     angles = dwells.mean_angles(rows.X[:, :n_joints])
-    rows = rows._replace(
-        X=np.hstack([angles, dwells.mean(rows.X[:, n_joints:])]),
-        y=dwells.mean(rows.y),
-        weights=dwells.mean(rows.weights),
-        codes=None if rows.codes is None else rows.codes[dwells.first],
-        **{
-            name: None if (values := getattr(rows, name)) is None else values[dwells.first]
-            for name in ("root", "shown", "unknowns")
-        },
-    )
-    return dwells, rows
+    X = np.hstack([angles, dwells.mean(rows.X[:, n_joints:])])
+    means = {"X": X, "y": dwells.mean(rows.y), "weights": dwells.mean(rows.weights)}
+    return dwells, rows.at(dwells.first)._replace(**means)
 
 
 def check_extra(extra: str | Iterable[str], n_joints: int = _MOST_JOINTS) -> Any:

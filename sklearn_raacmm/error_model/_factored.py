@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg.blas import dtrmm
 
 
-def waves(theta: Any, orders: Any, out: Any = None) -> Any:
+def waves(theta: np.ndarray, orders: np.ndarray, out: Any = None) -> np.ndarray:
     """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
     n = int(np.count_nonzero(orders == np.arange(1, len(orders) + 1)))
     if out is None:

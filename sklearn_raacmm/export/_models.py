@@ -16,10 +16,12 @@ from sklearn_raacmm.error_model import OF_LOADS, ArmResidualRegressor, Effect, t
 from sklearn_raacmm.export._networks import network
 from sklearn_raacmm.export._program import Builder, Program, hash_program, pruned, run
 from sklearn_raacmm.export._small_doubt import (
+    INT16,
     axis_numbers,
     of_many_waves,
     poses_from_far_to_near,
     small_doubt,
+    units_of_rows,
 )
 from sklearn_raacmm.export._steps import (
     KNOWN,
@@ -36,11 +38,11 @@ from sklearn_raacmm.residuals import NORM_TOLERANCE, CylindricalResidualTarget, 
 
 # In place of a length that is nothing.
 _TINY = 1e-30
-# The largest number of 16 bits, and by which share of themselves they may move deviations: half of
-# what is promised. So many poses in the ranges of the fit and each so manieth from far to near are
-# looked at: half of them make the rounding good (so little, as a share of its size, where none is),
-# half judge. Deviations at a UR10's own poses are 5.8e-4 off at most, 1.2e-3 by rounding alone.
-_INT16, _OFF, _NEAR, _SEEN, _UNSEEN = 2**15 - 1, 5e-4, 400, 5, 0.1
+# By which share of themselves 16 bits a number may move deviations: half of what is promised. So
+# many poses in the ranges of the fit and each so manieth from far to near are looked at: half of
+# them make the rounding good (so little, as a share of its size, where none is), half judge.
+# Deviations at a UR10's own poses are 5.8e-4 off at most, 1.2e-3 by rounding alone.
+_OFF, _NEAR, _SEEN, _UNSEEN = 5e-4, 400, 5, 0.1
 
 
 # -- the whole chain ------------------------------------------------------------------------------
@@ -316,13 +318,13 @@ def linear_model(chain, linear, fading):
     y = p("dots", vectors, p.affine(sizes, matrix))
     small = chain.fade != "exact"
 
-    def variances(root, seen=None, **given):
+    def variances(root, rounded=None, **given):
         used = np.flatnonzero(np.any(root, axis=1))
         if not len(used):
             return p.constant(np.zeros(3))
         root, of_rows = root[used], p.take(sizes, used)
-        if seen is not None and (found := _in_16_bits(root, *(at[:, order[used]] for at in seen))):
-            root, of_rows = found[0], p("mul", of_rows, found[1])
+        if rounded is not None:
+            root, of_rows = rounded[0][used], p("mul", of_rows, rounded[1][used])
         elif small:  # seven digits do where no correction depends on more
             root = root.astype(np.float32)
         return p("variances", vectors, of_rows, vector=vector[used], root=root, **given)
@@ -335,19 +337,16 @@ def linear_model(chain, linear, fading):
     poses = _poses(chain, linear) if small and fades else None
     v = None
     if chain.std:
-        seen = None
-        if poses is not None:
-            low, high = linear.ranges
-            near = np.random.default_rng(0).uniform(low, high, (_NEAR, len(low)))
-            poses = np.concatenate([near, poses[::_SEEN]])
-            seen = [linear.columns(at).reshape(-1, m) for at in (poses[::2], poses[1::2])]
-        v = variances(triangle(linear.gauge_free_half), seen)
+        root = triangle(linear.gauge_free_half)
+        v = variances(
+            root, None if poses is None else _in_16_bits(root, *_seen(linear, poses, order))
+        )
     if not fades:
         return y, v, None
     found = None if poses is None else small_doubt(linear, fading, poses)
     if found is not None:
-        root, less, constant, waves = found
-        doubt = p.sum(variances(root[order], less=less))
+        root, rounded, less, constant, waves = found
+        doubt = p.sum(variances(root[order], rounded and [of[order] for of in rounded], less=less))
         if len(waves[0]):
             doubt = p("add", doubt, _of_joints(chain, vectors, *waves))
         doubt = p("max", p("add", doubt, constant), 0.0)
@@ -355,6 +354,16 @@ def linear_model(chain, linear, fading):
         same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
         doubt = p.sum(v if same else variances(triangle(linear.fading_half)))
     return y, v, doubt
+
+
+def _seen(linear, poses, order):
+    """The model's columns (n, m) in this order, at poses that judge and at others, near and far."""
+    low, high = linear.ranges
+    near = np.random.default_rng(0).uniform(low, high, (_NEAR, len(low)))
+    poses = np.concatenate([near, poses[::_SEEN]])
+    return [
+        linear.columns(at)[:, :, order].reshape(-1, len(order)) for at in (poses[::2], poses[1::2])
+    ]
 
 
 def _in_16_bits(root, columns, others):
@@ -365,7 +374,7 @@ def _in_16_bits(root, columns, others):
     the `others` is made good by the rows behind it (nearest plane, Babai 1986): that halves it.
     `columns` (n, m) at other poses judge.
     """
-    m, unit = len(root), np.abs(root).max(axis=1) / _INT16
+    m, unit = len(root), units_of_rows(root)
     others = others / np.linalg.norm(others @ root, axis=1)[:, None]  # shares of deviations count
     size = np.linalg.norm(others, axis=0)
     held = np.diag(np.where(size > 0, _UNSEEN * size, 1.0))
@@ -373,7 +382,7 @@ def _in_16_bits(root, columns, others):
     left, whole = plane @ root[::-1], np.zeros(root.shape)
     for row, i in enumerate(reversed(range(m))):
         wanted = left[i] / (plane[i, i] * unit[row])
-        whole[row] = np.where(root[row], np.clip(np.rint(wanted), -_INT16, _INT16), 0.0)
+        whole[row] = np.where(root[row], np.clip(np.rint(wanted), -INT16, INT16), 0.0)
         left[:i] -= np.outer(plane[:i, i], whole[row] * unit[row])
     exact, near = (np.linalg.norm(columns @ r, axis=1) for r in (root, whole * unit[:, None]))
     return (whole.astype(np.int16), unit) if np.all(abs(near - exact) <= _OFF * exact) else None

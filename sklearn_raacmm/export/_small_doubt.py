@@ -25,6 +25,9 @@ _ORDERS = 100
 _LITTLE = (1e-3, 1e-6)
 # By how much a share may be off at the poses that choose the rank.
 _OFF = 0.006
+# By how much more it may be off there because the root is kept in 16 bits a number; the largest of
+# these.
+_ROUNDED, INT16 = 2e-4, 2**15 - 1
 # Columns that together add no more than this share of the residuals are left out of the root.
 _NOTHING = 0.01
 # Poses at which the rank is chosen: so many far ones, and where each has gone by so many steps.
@@ -79,9 +82,10 @@ def with_short_series(linear, fading, angles, least):
     """The smallest that is as good at poses (angles in rad and extra columns), or None.
 
     None where it would have no fewer numbers than the whole. Squared lengths of ``root' columns``,
-    root (m, r), are added, but those of its `less` last columns taken off; a constant in mm^2; and
-    of each series of a joint's waves which joint, from 0, which axis it turns about, cosines and
-    then sines of order 1 and up, (2 * _ORDERS,), and the mean.
+    root (m, r), are added, but those of its `less` last columns taken off; whole numbers of 16 bits
+    for it and the unit of each row, or None where these will not do; a constant in mm^2; and of
+    each series of a joint's waves which joint, from 0, which axis it turns about, cosines and then
+    sines of order 1 and up, (2 * _ORDERS,), and the mean.
     """
     table = linear.layout.table
     covariance = linear.fading_half @ linear.fading_half.T
@@ -130,8 +134,21 @@ def with_short_series(linear, fading, angles, least):
     ascending = np.argsort(sizes)
     little = np.cumsum(np.square(sizes[ascending])) < (_NOTHING * fading.size_mm) ** 2
     root[ascending[little]] = 0.0
-    less = int(np.count_nonzero(values[:rank] < 0))
-    return root, less, float(constants[rank - 1]), (joints, of_axis[firsts], series, means)
+    sign = np.where(values[:rank][signs] < 0, -1.0, 1.0)
+    of_root, share = np.square(flat @ root), fading.share(np.sqrt(exact))
+    unit = units_of_rows(root)
+    whole = np.rint(root / unit[:, None])
+    moved = _over_axes((np.square(flat @ (whole * unit[:, None])) - of_root) @ sign)
+    off = np.abs(fading.share(np.sqrt(np.maximum(exact + moved, 0.0))) - share).max()
+    rounded = (whole.astype(np.int16), unit) if off <= _ROUNDED else None
+    less, constant = int(np.count_nonzero(sign < 0)), float(constants[rank - 1])
+    return root, rounded, less, constant, (joints, of_axis[firsts], series, means)
+
+
+def units_of_rows(root):
+    """Unit of each row of a root in which its largest number has 16 bits."""
+    largest = np.abs(root).max(axis=1)
+    return np.where(largest > 0, largest, 1.0) / INT16
 
 
 def _over_axes(values):
