@@ -55,7 +55,8 @@ def _rows_of_table(arm, angles):
 
     Of a joint that slides d is (n_samples,), where there are several.
     """
-    angles = arm.own_angles(angles)
+    if arm.couplings:
+        angles = arm.own_angles(angles)
     theta = np.ascontiguousarray(angles.T) * arm.joint_signs[:, None] + arm.theta_offset[:, None]
     # Python's numbers: of a few rows, NumPy's cost as much as the arrays.
     links = [part.tolist() for part in (arm.a, arm.d, np.cos(arm.alpha), np.sin(arm.alpha))]

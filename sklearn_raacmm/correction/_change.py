@@ -145,12 +145,14 @@ class Change:
         new poses. The share that is used follows at each fifth of them by a model that was changed
         without it, from where the search of all ended.
 
-        Returns the fading, and its `Judgement`; None where fewer than four positions are known.
+        Returns the fading, and its `Judgement`; None where fewer than four positions are known, of
+        a model that was of no use fewer than two.
         """
         rows, used = self.expected.rows._replace(weights=weights), weights > 0
         expected = replace(self.expected, rows=rows)
         labels = np.unique(self.positions[used])
-        if len(labels) < LEAST_POSITIONS:
+        # A share of 0 was found for what there was before the change: two positions may end it.
+        if len(labels) < (LEAST_POSITIONS if fading.most > 0 else 2):
             return fading, None
         order = np.random.default_rng(0).permutation(len(labels))
         of_label = np.searchsorted(labels, self.positions) % len(labels)

@@ -29,6 +29,7 @@ from sklearn_raacmm.error_model._left_out import (
     near_and_far,
     warn_where_unknown,
     with_honest_intervals,
+    with_students_quantile,
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
 from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
@@ -312,6 +313,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
             if fading.most > 0 and shares.min() < 1:
                 of_shares = left_out, with_constants, positions, shares[:, None]
                 model = with_honest_intervals(model, *of_shares)
+        if left_out is not None:
+            model = with_students_quantile(model)
         self.fading_: Fading = fading
         self.linear_model_: LinearModel = model
         self.pose_weight_: np.ndarray = np.zeros(len(used))

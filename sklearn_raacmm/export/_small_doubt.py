@@ -25,8 +25,8 @@ _ORDERS = 100
 _LITTLE = (1e-3, 1e-6)
 # By how much a share may be off at the poses that choose the rank.
 _OFF = 0.006
-# By how much more it may be off there because the root is kept in 16 bits a number; the largest of
-# these.
+# By how much more it may be off there because the root is kept in 16 bits a number, a thirtieth of
+# it (a choice); the largest of these numbers.
 _ROUNDED, INT16 = 2e-4, 2**15 - 1
 # Columns that together add no more than this share of the residuals are left out of the root.
 _NOTHING = 0.01

@@ -11,10 +11,12 @@ from sklearn_raacmm import (
     Arm,
     ArmResidualRegressor,
     calibrate,
+    learn_correction,
     position_residuals,
     update_correction,
 )
-from sklearn_raacmm.datasets import make_single_point
+from sklearn_raacmm.datasets import ArmErrors, make_single_point
+from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import FindingError
 
 ARM = Arm.from_name("ur10", probe=(0, 0, 93))
@@ -250,6 +252,23 @@ def test_a_model_that_is_not_used_is_judged_anew(model):
     assert left(updated, 0) < 0.3 * np.linalg.norm(errors(rows(400, 99)[0]), axis=1).mean()
     # Nothing fades where the new poses have shown so.
     assert updated.fading(angles).min() > 0.9
+
+
+@pytest.mark.filterwarnings("ignore:The correction is 0")
+def test_three_positions_put_a_model_that_was_of_no_use_into_use_after_a_knock():
+    """A good table needs no correction until joint 3 is knocked: judged at other cones."""
+    built = ArmErrors.only(length_mm=0.2, angle_deg=0.02, encoder_noise_arcsec=0.5, seating_um=4)
+    test = make_single_point(6, 13, machine=built, random_state=1)
+    machine = test.simulation.machine
+    learned = learn_correction(test.nominal_arm, test.data, test.groups, cv=2)
+    assert learned.model.helps_ is False
+    knock = np.deg2rad(0.01) * np.eye(6)[2]
+    poses, unseen = (make_single_point(3, 15, machine=machine, random_state=i) for i in (2, 3))
+    updated = learned.update(poses.data + knock, poses.groups)
+    angles = unseen.data + knock
+    before = single_point_repeatability(test.arm.forward(angles), unseen.groups)
+    after = single_point_repeatability(updated.correct(angles)[0], unseen.groups)
+    assert after < 0.3 * before
 
 
 def test_a_likelier_explanation_hands_nothing_over(model):

@@ -3,6 +3,8 @@
 Intervals against errors that were drawn, and SciPy's own fit.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,7 +15,12 @@ from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.error_model import Fading, Terms, interval_scales
 from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.error_model._fit import fit_linear_model
-from sklearn_raacmm.error_model._left_out import _blocks, find_fading, leave_out
+from sklearn_raacmm.error_model._left_out import (
+    _blocks,
+    find_fading,
+    leave_out,
+    with_students_quantile,
+)
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.utils import centred
 
@@ -148,9 +155,29 @@ def test_of_fewer_than_four_positions_nothing_is_known_of_errors_elsewhere():
     assert model.fit(angles, y, groups=places % 3).fading_.factor == 1.0
     for n in (4, 40):
         model.fit(angles, y, groups=places % n)
-        # Intervals are found once more for the share that is used.
-        expected = min(0.3 * model.linear_model_.std_scale, 1.0)
+        # Intervals are found once more for the share that is used, and then widened by Student's
+        # quantile, which what fades does not know.
+        wider = student.ppf(0.975, 3 * (n - 1)) / normal.ppf(0.975)
+        expected = min(0.3 * model.linear_model_.std_scale / wider, 1.0)
         assert model.fading_.factor == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("n_positions", [4, 10])
+def test_intervals_bear_that_few_positions_say_how_wide_they_are(n_positions):
+    """Errors at a new position, by the scale of those at few, all drawn: 95 % are inside."""
+    rng = np.random.default_rng(0)
+    errors = rng.normal(size=(20000, n_positions, 3))
+    errors -= errors.mean(axis=1, keepdims=True)
+    scale = np.sqrt(np.square(errors).sum(axis=(1, 2)) / (3 * (n_positions - 1)))
+    test, _, y, _ = draw(0, n_positions=3)
+    model = ArmResidualRegressor(test.arm, orders=1).fit(test.data, y, groups=test.groups)
+    linear = replace(model.linear_model_, n_positions=float(n_positions), std_scale=1.0)
+    wider = with_students_quantile(linear)
+    assert wider.noise_scale == linear.noise_scale
+    new = np.abs(rng.normal(size=20000))
+    assert np.mean(new < 1.96 * wider.std_scale * scale) == pytest.approx(0.95, abs=0.004)
+    assert np.mean(new < 1.96 * scale) < 0.945  # the normal quantile holds fewer
+    assert with_students_quantile(replace(linear, n_positions=3.0)).std_scale == 1.0
 
 
 @pytest.mark.parametrize("freedom", [3, 100])
