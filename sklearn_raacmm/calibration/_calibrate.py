@@ -369,18 +369,16 @@ def _identified(fit, names):
     seen = observability(root, n_rows, free_names, wide[mask], unit[mask], fit.sigma)
     sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
     covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
-    moved, larger = fit.moved_by_misfit(mask) if mask.any() else (np.zeros((0, 1)), np.zeros(1))
+    larger = fit.scaled_by_misfit(mask) if mask.any() else 0.0
     sd[mask] = np.sqrt(np.diag(covariance))
-    is_open = mask & ~(sd <= _IDENTIFIED * wide)
-    sd[mask] = np.hypot(sd[mask], np.linalg.norm(moved, axis=1))
     scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
     corrected = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
     scale_sd = float(np.hypot(corrected, np.linalg.norm(larger)))
     prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
     scale_is_open = prior > 0 and corrected > _IDENTIFIED * prior
     if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
-        sd[mask] = scale_sd = corrected = np.nan
-        is_open[:] = False
+        sd[mask], scale_sd, corrected = np.nan, np.nan, np.nan
+    is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
     unidentified = tuple(name for name, is_in in zip(names, is_open, strict=True) if is_in)
     return seen | {
         "standard_deviations": sd,

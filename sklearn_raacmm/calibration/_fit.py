@@ -677,11 +677,10 @@ class Fit:
         x[mask] += np.linalg.lstsq(both, target, rcond=1e-12)[0] - pulled @ misfit
         self._take(x)
 
-    def moved_by_misfit(self, mask):
-        """By how much what the table does not explain moves free parameters, and the common scale.
+    def scaled_by_misfit(self, mask):
+        """By which parts what the table does not explain enlarges distances between the points.
 
-        For each of w of one standard deviation, (k, n_w), and by which part it and what the
-        parameters then do against it enlarge the distances between the rows' points, (n_w,).
+        Of each of w of one standard deviation, with what the parameters do against it, (n_w,).
         """
         _, sd, moved = self._misfit(mask)
         points, n_table = self.points(), np.count_nonzero(mask[: len(self.nominal)])
@@ -694,7 +693,7 @@ class Fit:
         least = len(away) * (_NEAR_SHARE * self.nominal_arm.reach_mm) ** 2
         slopes /= max(np.square(away).sum(), least)
         larger = slopes[n_table:] - slopes[:n_table] @ moved[:n_table]
-        return sd * moved, sd * larger
+        return sd * larger
 
 
 def triangle(blocks):

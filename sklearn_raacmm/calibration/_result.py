@@ -46,7 +46,7 @@ class CalibrationResult:
     standard_deviations : ndarray of shape (n_parameters,)
         Standard deviations of `values`, the prior included, mm and rad; 0 for parameters that were
         not free, infinite where nothing is known of one, NaN where there are no more coordinates
-        than parameters. They hold what eccentric joints and gravity do to them, as residuals show.
+        than parameters. They suppose independent errors: where the arm bends, they are too small.
     unidentified : tuple of str
         Parameters that stay where the prior has them because the data do not know better, and
         ``"scale"`` if this is so of the common scale of all links.
