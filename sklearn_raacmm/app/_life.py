@@ -39,6 +39,9 @@ _FALSE_ALARM = 0.01
 # Scatter through the correction over what it left when it was learnt, from which on a registration
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
+# Mean distance from a tracker's points over the rms that the model expects, from which on no cause
+# that the model knows explains it: the factor of an expanded uncertainty (k = 2).
+_MUCH_FARTHER = 2.0
 # 2S, mm, below which a position counts as one of this 2S: simulated ones may have none.
 _LEAST_2S_MM = 1e-6
 _OTHER_ARM = "Look at the unit, order and sense of the angles, the labels, and whose arm it is."
@@ -269,12 +272,11 @@ def _said_of(result, today, facts, advice):
     change += f"; the model expects {facts['usual_mm']:.3f} mm (rms) at these poses"
     if advice:
         return f"It does not hold: {change}. {advice}", False
-    for finding in result.findings:
-        if finding.code == "little-known":
-            return (
-                f"Whether it holds does not show: {change}. {finding.text} {_MEASURE_OTHERS}",
-                False,
-            )
+    why = [finding.text for finding in result.findings if finding.code == "little-known"]
+    if facts.get("after_mm", 0.0) > _MUCH_FARTHER * facts["usual_mm"]:
+        why.append("The points are farther off than the model can tell.")
+    if why:
+        return f"Whether it holds does not show: {change}. {why[0]} {_MEASURE_OTHERS}", False
     return f"It holds: {change}.", True
 
 
