@@ -40,7 +40,8 @@ _FALSE_ALARM = 0.01
 # does not suffice: less is within what few poses show.
 _MUCH_MORE = 1.5
 # Mean distance from a tracker's points over the rms that the model expects, from which on no cause
-# that the model knows explains it: the factor of an expanded uncertainty (k = 2).
+# that the model knows explains it: the factor of an expanded uncertainty (k = 2), a choice. Checks
+# of a UR10, by 40 poses at other goals and in a region left out, had 0.8 to 1.4 of it.
 _MUCH_FARTHER = 2.0
 # 2S, mm, below which a position counts as one of this 2S: simulated ones may have none.
 _LEAST_2S_MM = 1e-6
