@@ -189,7 +189,7 @@ def combined(parts: Sequence[Sums], signs: Sequence[float]) -> Sums:
     rows = GramRows(
         lambda pairs: total([part.rows(pairs) for part in parts]), parts[0].cross.shape[1]
     )
-    return Sums(*whole, rows)
+    return Sums._make([*whole, rows, None])
 
 
 def columns_of(pairs: ArrayLike) -> np.ndarray:
@@ -544,8 +544,8 @@ class Problem:
             left = _Leftover(self, state)
         except LinAlgError:  # so little noise that only rounding is left
             return 1.0, -np.inf
-        S, r = left.gram(), left.r
-        root = np.repeat(np.sqrt(self.structures.share[left.free]), 2)
+        S, r, share = left.gram(), left.r, np.asarray(self.structures.share)
+        root = np.repeat(np.sqrt(share[left.free]), 2)
         S, r = S * root * root[:, None], r * root
         best = 1.0, -np.inf
         for v in state.variance[self.line] * _FIELD_SIZES:
@@ -567,8 +567,8 @@ def root_of(matrix: np.ndarray, lower: bool = False) -> np.ndarray:
     own, said = matrix.diagonal(), ""
     for more in _RIDGES:
         try:
-            more = matrix + np.diag(more * own) if more else matrix
-            return cholesky(more, lower=lower, check_finite=False)
+            shifted = matrix + np.diag(more * own) if more else matrix
+            return cholesky(shifted, lower=lower, check_finite=False)
         except LinAlgError as error:
             said = str(error)
     raise LinAlgError(
