@@ -344,25 +344,6 @@ def parsed(name, n_joints):
     return kind, "xyz".index(axis) if axis else int(joint or 0) - 1
 
 
-def waves(theta: np.ndarray, orders: np.ndarray, out: Any = None) -> np.ndarray:
-    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
-    n = int(np.count_nonzero(orders == np.arange(1, len(orders) + 1)))
-    if out is None:
-        out = np.empty((len(theta), len(orders)), dtype=complex)
-    if n:
-        out.real[:, 0], out.imag[:, 0] = np.cos(theta), np.sin(theta)
-    have = 1
-    while have < n:
-        more = min(have, n - have)
-        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
-        have += more
-    if n < len(orders):
-        phase = theta[:, None] * orders[n:]
-        np.cos(phase, out=out.real[:, n:])
-        np.sin(phase, out=out.imag[:, n:])
-    return out
-
-
 class FactoredColumns:
     """Columns of the model at n poses, those of many waves of one joint as factors.
 
@@ -566,16 +547,35 @@ class Columns:
         parts = chunks(len(rows), _POSES)
         return np.concatenate([self.factored(rows[part]).dot(coef) for part in parts])
 
+    def waves(self, phases: np.ndarray) -> np.ndarray:
+        """Cosine and sine of each harmonic, (n, n_waves), at phases (n, n_joints) of the joints.
+
+        Orders 1 to K come by doubling, those beyond one by one.
+        """
+        waves = np.empty((len(phases), self.n_waves // 2), dtype=complex)
+        for start, end in self.spans:
+            joint, orders = self.terms.harmonics[start // 2 : end // 2].T
+            theta, out = phases[:, joint[0]], waves[:, start // 2 : end // 2]
+            n = int(np.count_nonzero(orders == np.arange(1, len(orders) + 1)))
+            if n:
+                out.real[:, 0], out.imag[:, 0] = np.cos(theta), np.sin(theta)
+            have = 1
+            while have < n:
+                more = min(have, n - have)
+                np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
+                have += more
+            if n < len(orders):
+                phase = theta[:, None] * orders[n:]
+                np.cos(phase, out=out.real[:, n:])
+                np.sin(phase, out=out.imag[:, n:])
+        return waves.view(float)
+
     def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> FactoredColumns:
         """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
         plan = self._plan
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
-        phase = self.arm.phases(angles)
-        wave = np.empty((len(angles), self.n_waves))
-        for start, end in plan.spans:
-            joint, orders = self.terms.harmonics[start // 2 : end // 2].T
-            waves(phase[:, joint[0]], orders, wave[:, start:end].view(complex))
+        wave_phase = self.arm.phases(angles)
         factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.load_at):
             # See `_gravity`.
@@ -588,7 +588,7 @@ class Columns:
             along = np.take(vectors, plan.which[plan.grows], axis=2)
             far = places[:, :, plan.grows_to] - places[:, :, plan.grows_to - 1]
             factor[:, plan.grows] *= np.einsum("ncp,ncp->np", along, far)
-        phase = phase[:, plan.wave_joint] * plan.wave_order
+        phase = wave_phase[:, plan.wave_joint] * plan.wave_order
         factor[:, plan.waves] *= np.stack([np.cos(phase), np.sin(phase)], 2).reshape(len(rows), -1)
         if self.terms.extra:
             if probes is not None:  # each grows in proportion to itself
@@ -599,7 +599,7 @@ class Columns:
             factor[:, plan.given] *= values[:, plan.by] - plan.means[plan.by]
         rest = np.multiply(vectors.take(plan.which, axis=2), factor[:, None], out=out)
         along = vectors.take(plan.run_which, axis=2) * plan.run_unit
-        return FactoredColumns(plan.spans, along, wave, rest)
+        return FactoredColumns(plan.spans, along, self.waves(wave_phase), rest)
 
 
 def torque_axis(table: np.ndarray) -> np.ndarray:

@@ -326,7 +326,7 @@ def leave_out(fitted, positions, between=False):
         if rows.codes is not None:
             of = of[np.argsort(rows.codes[of], kind="stable")]
             together = parts_of_positions(rows.codes[of], _OF_POSITIONS)
-        given = ((rest, rows.at(of[part])) for part in together)
+        given = [(rest, rows.at(of[part])) for part in together]
         for part, mine in zip(together, of_blocks(_at_rows, given, rows.by_dask), strict=True):
             for values, own in zip(found, mine, strict=True):
                 values[of[part]] = own

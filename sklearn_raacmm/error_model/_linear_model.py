@@ -248,9 +248,9 @@ class LinearModel:
         self, angles: np.ndarray, return_std: bool = False, return_doubt: bool = True
     ) -> tuple[np.ndarray, Any, Any]:
         """As `predict`, and what corrections fade by: the length (n,) by `fading_half` in mm."""
-        roots = [self._std_root] * return_std + [self._fading_root] * return_doubt
-        if return_std and return_doubt and roots[0] is roots[1]:
-            roots = roots[:1]
+        roots = [self._std_root] if return_std else []
+        if return_doubt and not (return_std and self.informed_half is None):  # else it is the same
+            roots.append(self._fading_root)
         mean = np.empty((len(angles), 3))
         squares = [np.empty((len(angles), 3)) for _ in roots]
         for rows in chunks(len(angles), _CHUNK // max(len(self.coef), 1)):
@@ -364,7 +364,7 @@ class LinearModel:
         """
         coef = self.coef
         if keep_scale:
-            found = self.layout.points(X), self.predict(X)[0]
+            found = self.layout.points(X), self.layout.dot(X, coef)
             points, moved = (group_means(values, codes, weights) for values in found)
             coef = coef - self.layout.scale * self._scale_of(points, moved[:, :, None])
         return replace(self, coef=coef).with_seen()

@@ -34,6 +34,7 @@ References
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache, reduce
+from itertools import starmap
 from operator import attrgetter, methodcaller
 from typing import Any, NamedTuple, Self
 
@@ -42,7 +43,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.sparse import csr_array
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.error_model._columns import BASE_MOTIONS, waves
+from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
 from sklearn_raacmm.measurements import Form, known_length, whitening
 from sklearn_raacmm.utils import chunks, group_sums, one_blas_thread, stage, summing
@@ -53,9 +54,9 @@ _CHUNK, _PARTS = 1024, 32
 # Orders and poses from which on the grid is faster: without it the fit of 3000 poses of the UR10
 # that ``benchmarks/golden.py`` times takes 1.3 times as long.
 _MANY_ORDERS, _MANY_POSES = 128, 256
-# Chunks of poses, of each joint, for which is held how they spread over the grid (15 MB), or their
-# waves, of at most 127 orders there (130 MB).
-_HELD = 64
+# Chunks of poses for which is held how they spread over the grid (15 MB), or their waves, of at
+# most 127 orders there (130 MB).
+_HELD = 10
 # Points of the grid for each order up to the highest, points under the kernel, and how sharp it is
 # beside the sharpest that the grid allows (``tests/error_model/test_sums.py``).
 _PER_ORDER, _WIDTH, _SHARPNESS = 5, 15, 0.97
@@ -405,22 +406,13 @@ def known_lengths(forms, ends, points, found):
 
 def parts_of_positions(codes: np.ndarray, size: int) -> list[slice]:
     """Chunks of whole positions of sorted rows, so that a chunk knows what it takes out."""
-    first = np.flatnonzero(np.diff(codes, prepend=-1))
-    ends, parts, begin = np.append(first[1:], len(codes)), [], 0
+    ends, parts, start = np.flatnonzero(np.diff(codes, append=-1)) + 1, [], 0
     limit = chunks(len(codes), size)[0].stop
-    for i, end in enumerate(ends):
-        last = i + 1 == len(ends)
-        if last or ends[i + 1] - first[begin] > limit:
-            parts.append(slice(first[begin], end))
-            begin = i + 1
+    while start < len(codes):
+        stop = max(ends[ends > start][0], ends[ends <= start + limit].max(initial=0))
+        parts.append(slice(start, stop))
+        start = stop
     return parts
-
-
-def _own_blocks(turn, wave):
-    """cos'cos, sin'sin and cos'sin of each candidate of one joint, (3, n_orders)."""
-    size = np.square(turn).sum(axis=1)
-    double, whole = size @ np.square(wave), size.sum()
-    return 0.5 * np.array([whole + double.real, whole - double.real, double.imag])
 
 
 def of_blocks(function: Callable, given: Iterable[tuple], by_dask: bool, hold: bool = False) -> Any:
@@ -429,13 +421,12 @@ def of_blocks(function: Callable, given: Iterable[tuple], by_dask: bool, hold: b
     To `hold` them leaves what dask makes where it is; such a result may be an argument again.
     """
     if not by_dask:
-        found = (function(*one) for one in given)
-        return [*found] if hold else found
+        return [*starmap(function, given)] if hold else starmap(function, given)
     from dask.base import compute, persist
     from dask.delayed import delayed
 
     task = delayed(_with_one_thread, pure=False)
-    tasks = (task(function, *one) for one in given)
+    tasks = [task(function, *one) for one in given]
     with warnings.catch_warnings():
         # Arguments are sent with the tasks, so that a block that is lost can be made again.
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
@@ -448,7 +439,7 @@ def sums_of_blocks(function: Callable, blocks: Sequence[Any], by_dask: bool) -> 
     def added(one, other):
         return [a + b for a, b in zip(one, other, strict=True)]
 
-    return list(reduce(added, of_blocks(function, ((block,) for block in blocks), by_dask)))
+    return list(reduce(added, of_blocks(function, zip(blocks), by_dask)))
 
 
 @one_blas_thread
@@ -464,19 +455,16 @@ class _Block:
     """
 
     def __init__(self, parts, n_held, columns, X, y, root, basis=None, codes: Any = None):
-        arm, offered = columns.arm, columns.terms.harmonics
-        n_joints = len(arm.a)
-        self.parts, self.offered, self.basis, self.codes = parts, offered, basis, codes
-        self.angles = arm.phases(X[:, :n_joints])
-        self.spans: Any = []  # joint, orders, and which of those offered they are
-        for joint in np.unique(offered[:, 0]).tolist():
-            pairs = np.flatnonzero(offered[:, 0] == joint)
-            self.spans.append((joint, offered[pairs, 1], pairs))
-        self.is_on_grid = [
-            len(X) >= _MANY_POSES and len(orders) >= _MANY_ORDERS for _, orders, _ in self.spans
-        ]
-        self.n_held = n_held
-        self.waves: dict[tuple[int, int], tuple] = {}
+        n_joints, offered = columns.arm.n_joints, columns.terms.harmonics
+        self.parts, self.n_held, self.columns, self.basis = parts, n_held, columns, basis
+        self.angles = columns.arm.phases(X[:, :n_joints])
+        of_joints = [slice(start // 2, end // 2) for start, end in columns.spans]
+        # Joint, orders, and which of those offered they are.
+        self.spans: Any = [(offered[of.start, 0], offered[of, 1], of) for of in of_joints]
+        many = len(X) >= _MANY_POSES
+        self.is_on_grid = [many and len(orders) >= _MANY_ORDERS for _, orders, _ in self.spans]
+        self.held: dict[int, list] = {}
+        self.codes = [] if basis is None else [codes[part] - codes[part][0] for part in parts]
         every_turn = np.column_stack([np.arange(n_joints), np.zeros(n_joints, int)])
         with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))
@@ -488,67 +476,63 @@ class _Block:
             always = root[part] @ always
             self.turns[part] = always[:, :, : 2 * n_joints : 2]  # the cosines of order 0
             left = always = np.ascontiguousarray(always[:, :, 2 * n_joints :])
-            of_positions: Any = None
             if basis is not None:
-                of = codes[part] - codes[part][0]
-                explained = group_sums(basis[part].swapaxes(1, 2) @ always, of)
-                left = always - basis[part] @ explained[of]  # one side of a product is enough
-                of_positions = summing(of)
+                total = summing(self.codes[k])
+                explained = total @ (basis[part].swapaxes(1, 2) @ always).reshape(len(left), -1)
+                explained = explained.reshape(len(explained), -1, m)[self.codes[k]]
+                left = always - basis[part] @ explained  # one side of a product is enough
             gram += always.reshape(-1, m).T @ left.reshape(-1, m)
-            for i, (joint, orders, pairs) in enumerate(self.spans):
-                turn, of_waves = self.turns[part, :, joint], self._of_part(k, i)[0]
+            every = columns.waves(self.angles[part]).view(complex)
+            for i, (own_waves, (joint, _, pairs)) in enumerate(
+                zip(self._of_part(k, every), self.spans, strict=True)
+            ):
+                turn, wave = self.turns[part, :, joint], every[:, pairs]
                 # Sums over poses of columns times waves.
-                found[i] = found[i] + of_waves @ np.einsum("ncm,nc->nm", left, turn)
-                if self.is_on_grid[i]:
-                    wave = waves(self.angles[part, joint], orders)
-                else:
-                    wave = of_waves.T.view(complex)
-                own[:, pairs] += _own_blocks(turn, wave)
+                found[i] = found[i] + own_waves @ np.einsum("ncm,nc->nm", left, turn)
+                size = np.square(turn).sum(axis=1)
+                double, whole = size @ np.square(wave), size.sum()
+                own[:, pairs] += [whole + double.real, whole - double.real, double.imag]
                 if basis is not None:
                     for component in np.einsum("ncq,nc->qn", basis[part], turn):
-                        moved = (component[:, None] * wave).view(float)
-                        sums: Any = (of_positions @ moved).view(complex)
+                        sums = (total @ (component[:, None] * wave).view(float)).view(complex)
                         taken = sums.real**2, sums.imag**2, sums.real * sums.imag
-                        own[:, pairs] -= np.array(taken).sum(axis=1)
+                        own[:, pairs] -= 2 * np.array(taken).sum(axis=1)
         cross = self._of_candidates(found) if found else np.empty((m, 0))
-        self.sums: Any = gram, np.ascontiguousarray(cross), own
+        self.sums: Any = gram, np.ascontiguousarray(cross), 0.5 * own
 
     def __getstate__(self):
-        return vars(self) | {"waves": {}}
+        return vars(self) | {"held": {}}
 
-    def _of_part(self, k, i):
-        """What the waves of a joint share at rows, and products of its turn with all turns."""
-        if (found := self.waves.get((k, i))) is None:
-            joint, orders, _ = self.spans[i]
-            turn, theta = self.turns[self.parts[k]], self.angles[self.parts[k], joint]
-            wave = (
-                _spread(theta, orders) if self.is_on_grid[i] else waves(theta, orders).view(float)
-            )
-            found = wave.T, np.einsum("ncj,nc->nj", turn, turn[:, :, joint])
-            if len(self.waves) < self.n_held:
-                self.waves[k, i] = found
+    def _of_part(self, k, every=None):
+        """What the waves of each joint share at rows, of which `every` are the waves."""
+        if (found := self.held.get(k)) is None:
+            angles = self.angles[self.parts[k]]
+            if every is None and not all(self.is_on_grid):
+                every = self.columns.waves(angles).view(complex)
+            found = [
+                (_spread(angles[:, joint], orders) if on_grid else every[:, pairs].view(float)).T
+                for on_grid, (joint, orders, pairs) in zip(self.is_on_grid, self.spans, strict=True)
+            ]
+            if len(self.held) < self.n_held:
+                self.held[k] = found
         return found
 
     def gram_rows(self, pairs):
         """Inner products of the columns of pairs with those of all candidates, (2 b, 2 n_pairs)."""
         found: Any = [0.0] * len(self.spans)
-        joints, order = self.offered[pairs].T
+        joints, order = self.columns.terms.harmonics[pairs].T
         twice = np.repeat(joints, 2)
-        moved: Any = None
-        taken: Any = None
-        basis = self.basis
-        of_rows = self.codes
         for k, part in enumerate(self.parts):
             turn = self.turns[part]
             phase = order * self.angles[part][:, joints]
             wave = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-            if basis is not None:
-                moved = basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
-                codes = of_rows[part] - of_rows[part][0]
-                taken = group_sums(moved[:, :, twice] * wave[:, None], codes)[codes]
-            for i, (joint, *_) in enumerate(self.spans):
-                own, along = self._of_part(k, i)
-                share = np.take(along, twice, axis=1) * wave
+            products, moved, taken = turn.swapaxes(1, 2) @ turn, turn, turn
+            if self.basis is not None:
+                moved = self.basis[part].swapaxes(1, 2) @ turn  # (n, q, n_joints)
+                taken = group_sums(moved[:, :, twice] * wave[:, None], self.codes[k])
+                taken = taken[self.codes[k]]
+            for i, (own, (joint, *_)) in enumerate(zip(self._of_part(k), self.spans, strict=True)):
+                share = products[:, joint].take(twice, axis=1) * wave
                 if self.basis is not None:
                     share -= np.einsum("nqm,nq->nm", taken, moved[:, :, joint])
                 found[i] = found[i] + own @ share

@@ -16,7 +16,6 @@ from sklearn_raacmm.error_model._sums import (
     candidate_sums,
     explicit_gram,
     less_constants,
-    waves,
 )
 
 from ._arms import ARM, draw_angles
@@ -145,6 +144,8 @@ def test_grid_is_exact_to_the_last_digits(orders):
 def test_high_orders_are_exact():
     """Waves by doubling against cosines and sines, at the highest order of all."""
     theta = draw_angles(ARM, 500, width=6.0)[:, 0]
-    found = waves(theta, np.arange(1, 1001))
+    pairs = np.column_stack([np.zeros(1000, int), np.arange(1, 1001)])
+    columns = columns_of(ARM, Terms(pairs, False, False, False))
+    found = columns.waves(theta[:, None]).view(complex)
     phase = np.arange(1, 1001) * theta[:, None]
     assert np.abs(found - (np.cos(phase) + 1j * np.sin(phase))).max() < 2e-12
