@@ -256,7 +256,7 @@ class Fit:
         deviations.
         """
         finite = np.where(np.isfinite(covariance), covariance, 0.0)
-        at = None if self.problem.n_stations else self.touched(self.x, mask)
+        at: Any = None if self.problem.n_stations else self.touched(self.x, mask)
         spread = np.empty(len(self.angles))
         total = np.bincount(self.index, self.weights)
         for part, rows in self._data(self.x, mask, at):

@@ -175,9 +175,9 @@ class Features:
         Unknowns are filled up with columns of zeros to the largest number that a feature has.
         Without weights (n,) those of `weights` are taken.
         """
-        shape, n_unknowns = (len(points), 3), self.n_unknowns.max(initial=0)
-        forms = [Form(np.zeros(3))] * len(self.kinds)
-        whole = Linearised(*(np.zeros((*shape, *by)) for by in ((), (3,), (n_unknowns,))), forms)
+        n, q = len(points), self.n_unknowns.max(initial=0)
+        forms: list[Any] = [None] * len(self.kinds)
+        whole = Linearised(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, q)), forms)
         weights = self.weights(points) if weights is None else weights
         for kind, (members, rows, used) in self._alike.items():
             form = KINDS[kind].fit(points[rows], weights[rows] * used)
@@ -185,7 +185,8 @@ class Features:
             whole.residual[own], whole.directions[own] = part.residual[used], part.directions[used]
             whole.unknowns[own, :, : part.unknowns.shape[-1]] = part.unknowns[used]
             for i, code in enumerate(members.tolist()):
-                forms[code] = Form(*(value if value is None else value[i] for value in form))
+                parts: Any = (value if value is None else value[i] for value in form)
+                forms[code] = Form(*parts)
         return whole
 
     def weights(self, points: np.ndarray) -> np.ndarray:
@@ -225,7 +226,7 @@ class Features:
         And planes that are not parallel, though one of the `lengths` is between them. `labels` are
         the names of the features, and `points` (n, 3) those of an arm that is calibrated.
         """
-        for code in np.flatnonzero(self.scatter):
+        for code in np.flatnonzero(self.scatter).tolist():
             if not (of := KINDS[kind := self.kinds[code]]).flat:
                 continue
             own, label = points[self.codes == code], labels[code]
@@ -431,4 +432,4 @@ def _outward(points, centre):
     return off / np.maximum(distance, _LEAST_SQUARE)[..., None], distance
 
 
-KINDS = {"cone": Cone(), "plane": Plane(), "sphere": Sphere()}
+KINDS: dict[str, Any] = {"cone": Cone(), "plane": Plane(), "sphere": Sphere()}

@@ -188,9 +188,10 @@ class Measurements:
                 touched = Features.stated(features, named, found["index"])
                 ends = [[touched.kinds[i] for i in entry[:2]] for entry in found["lengths"]]
                 offsets = [probe_offsets(pair, tip_diameter) for pair in ends]
-                for *size, side in touched.sizes:
-                    found["lengths"].append(tuple(size))
-                    offsets.append(probe_offsets(["sphere"], tip_diameter, side))
+                offsets += [
+                    probe_offsets(["sphere"], tip_diameter, one[4]) for one in touched.sizes
+                ]
+                found["lengths"] += [one[:4] for one in touched.sizes]
                 found |= {"features": touched.kinds, "offsets": offsets, "stated": tuple(features)}
         elif lengths or features:
             raise ValueError("lengths and features are of groups: give groups, labels of rows.")
