@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._files import (
-    correction_files,
+    check_outputs,
     find_cause_columns,
     find_rows,
     find_unnamed_probe,
@@ -23,7 +23,7 @@ from sklearn_raacmm.app._files import (
     read_labels,
 )
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
-from sklearn_raacmm.utils import check_places, numbered_rows
+from sklearn_raacmm.utils import numbered_rows
 
 # Endings of files that no CSV may have.
 _NO_CSV = (".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".json", ".jsonl")
@@ -44,7 +44,7 @@ def correct(options):
     if options.out != "-":
         if Path(options.out).suffix.lower() in _NO_CSV:
             raise TableError(f"--out is written as CSV, and {options.out} says something else.")
-        check_places([options.out], [options.table, *correction_files(options.model)])
+        check_outputs(options, [options.out])
     saved = load_correction(options.model)
     print_notes([saved.verdict] * (not saved.helps))
     if unknown := find_cause_columns(options).keys() - saved.causes.keys():
@@ -74,10 +74,9 @@ def write_corrected(layout, correction, options, file, std="all"):
     writer = csv.writer(file, delimiter=source.separator or " ")
     plain = list if options.formulas else source.plain
     writer.writerow([*plain(layout.header), *_NEW_COLUMNS[:width]])
-    columns = find_cause_columns(options)
     for block, cells in layout.blocks(BLOCK_ROWS):
         largest = np.maximum(largest, np.abs(block.angles).max(axis=0, keepdims=True))
-        X = correction.inputs(in_rad(block), read_causes(block, columns))
+        X = correction.inputs(in_rad(block), read_causes(block, options))
         new = np.empty((len(X), width))
         tools = read_labels(block, options, "tool")
         for tool in [None] if tools is None else np.unique(tools):

@@ -17,11 +17,14 @@ from sklearn_raacmm.arm import Arm, scale_of
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
 from sklearn_raacmm.measurements import within_turn
+from sklearn_raacmm.utils import check_places
 
 # What `learn` and the later words write into a folder.
 WRITTEN = (
     "report.html", "model.skops", "arm.json", "correction.json", "card.md", "corrected.csv",
 )  # fmt: skip
+# Options that name files to read, beside --model.
+_READ = ("table", "arm", "lengths", "places", "run")
 # Options that `Layout` has under the same names.
 _OF_LAYOUT = ("angles", "position", "points", "angle_unit", "counts_per_turn", "sheet")
 
@@ -58,9 +61,13 @@ def load_correction(folder) -> Any:
         raise TableError(f"--model: {error}") from None
 
 
-def correction_files(folder):
-    """Files that loading a correction reads: no output may be one of them."""
-    return [folder / name for name in ("correction.json", "arm.json", "model.skops")]
+def check_outputs(options, outputs, read=()):
+    """Refuse files that could not be written, or that a word reads: before the work."""
+    read = [*read, *(getattr(options, name, None) for name in _READ)]
+    # Without --out a folder of --model is brought up to date.
+    if getattr(options, "model", None) and getattr(options, "out", "") is not None:
+        read += [options.model / name for name in ("correction.json", "arm.json", "model.skops")]
+    check_places(filter(None, outputs), filter(None, read))
 
 
 def in_rad(table):
@@ -110,8 +117,9 @@ def find_cause_columns(options):
     return {name.strip(): column.strip() or name.strip() for name, column in pairs}
 
 
-def read_causes(table, columns):
+def read_causes(table, options):
     """Numbers of the causes in a table, or in a block of one; times in seconds."""
+    columns = find_cause_columns(options)
     return {name: _numbers(table, column) for name, column in columns.items()}
 
 

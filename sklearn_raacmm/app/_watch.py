@@ -11,7 +11,7 @@ from time import monotonic, process_time, sleep, strftime, thread_time
 
 import numpy as np
 
-from sklearn_raacmm.app._files import correction_files, find_rows, in_rad, load_arm, load_correction
+from sklearn_raacmm.app._files import check_outputs, find_rows, in_rad, load_arm, load_correction
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import calibrate
@@ -20,7 +20,6 @@ from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
-    check_places,
     encode_groups,
     one_blas_thread,
     robust_scale,
@@ -49,8 +48,7 @@ def watch(options):
     check_installed("jinja2")
     if not (options.arm or options.model):
         raise TableError("say which arm it is: --arm ARM, or --model FOLDER.")
-    own = correction_files(options.model) if options.model else [options.arm]
-    check_places([options.out], [options.table, *own])
+    check_outputs(options, [options.out])
     saved = load_correction(options.model) if options.model else None
     seen = _Seen(saved.arm if saved else load_arm(options.arm), saved)
     table, layout, size, read, grown = Path(options.table), None, 0, 0, monotonic()
@@ -136,10 +134,9 @@ class _Seen:
         self._kept = (away <= limit) & ~elsewhere
         self.wrong = []
         for i in np.flatnonzero(~self._kept):
+            text = f"is {away[i]:.1f} mm from its cone: a slip, or a wrong label? Repeat it."
             if elsewhere[i]:
                 text = f"is where {labels[other[i]]} is: is its label wrong?"
-            else:
-                text = f"is {away[i]:.1f} mm from its cone: a slip, or a wrong label? Repeat it."
             self.wrong.append((f"row {rows[i]} ({labels[codes[i]]})", text))
         self.cones = [*zip(labels.tolist(), *centres.T.tolist(), counts.tolist(), strict=True)]
         strip = rows.tolist(), away.tolist(), limit.tolist(), self._kept.tolist()
@@ -147,9 +144,9 @@ class _Seen:
 
     def work(self, pool):
         """Try a correction of the finished cones, or check one, where the share allows it."""
-        done = self.job is not None and self.job.done()
-        if self.job is not None and done:
-            self.enough, self.said, self._cost_s = self.job.result()
+        done = False
+        if self.job and self.job.done():
+            (self.enough, self.said, self._cost_s), done = self.job.result(), True
             self.job = None
         finished = len(self.cones) - 1
         least = _LEAST_LEARNT if self._saved is None else _LEAST_CHECKED
