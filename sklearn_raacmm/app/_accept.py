@@ -31,14 +31,8 @@ from sklearn_raacmm.acceptance import (
     predict_acceptance,
 )
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import (
-    check_outputs,
-    in_rad,
-    load_arm,
-    load_correction,
-    print_notes,
-    text_of_label,
-)
+from sklearn_raacmm.app._files import check_outputs, load_arm, load_correction, print_notes
+from sklearn_raacmm.app._given import in_rad
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import (
     SHEETS,
@@ -49,7 +43,7 @@ from sklearn_raacmm.app._sources import (
     parse_number,
     read_sheets,
 )
-from sklearn_raacmm.app._tables import Layout
+from sklearn_raacmm.app._tables import Layout, text_of_label
 from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
 from sklearn_raacmm.export import describe
 from sklearn_raacmm.utils import digest_of, numbered_rows, write_whole

@@ -15,21 +15,8 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.app._correct import corrected_file
-from sklearn_raacmm.app._files import (
-    WRITTEN,
-    check_outputs,
-    find_rows,
-    find_unnamed_probe,
-    in_rad,
-    known_features,
-    known_lengths,
-    load_arm,
-    load_correction,
-    parse_numbers,
-    print_notes,
-    read_causes,
-    read_labels,
-)
+from sklearn_raacmm.app._files import WRITTEN, check_outputs, load_arm, load_correction, print_notes
+from sklearn_raacmm.app._given import Given, find_unnamed_probe, in_rad, parse_numbers
 from sklearn_raacmm.app._life import save_step, step_of
 from sklearn_raacmm.app._options import make_parser
 from sklearn_raacmm.app._report import draw_svg, draw_volume, list_outliers, render, write_report
@@ -63,15 +50,15 @@ _PRODUCTS, _ROWS, _EXPONENT = 50.0, 350, 0.55
 
 
 def _read(arm, options):
-    """Arm, layout and table, without rails under the arm that stand still in all rows."""
-    layout = find_rows(options, arm, needed=False)
-    table = layout.read()
+    """Arm, what is given of it, and its table: without rails that stand still in all rows."""
+    given = Given(options, arm, needed=False)
+    table = given.layout.read()
     at, is_rail = table.angles[:, 0], arm.joint_types.startswith("P")
     if not is_rail or len(arm.joint_types.strip("P")) < 2 or np.ptp(at) > STILL_MM:
-        return arm, layout, table
+        return arm, given, table
     if any(1 in (i, j) for i, j, _ in arm.couplings):
-        return arm, layout, table
-    name = layout.header[layout.angle_columns[0]]
+        return arm, given, table
+    name = given.layout.header[given.layout.angle_columns[0]]
     text = f"{name}, along which joint 1 slides, stands still at {at[0]:.6g} mm in all rows:"
     text = f"{text} this is learnt of the arm behind that joint, in the base that it carries."
     Finding("slide-still", text, joints=(1,)).report()
@@ -90,20 +77,20 @@ def learn(options):
         check_outputs(options, [out / name for name in WRITTEN])
         if (out / "correction.json").exists() and not options.force:
             raise TableError(f"{out} holds a correction; --force replaces it.")
-    arm, layout, table = _read(load_arm(options.arm, options.base, options.tip), options)
+    arm, given, table = _read(load_arm(options.arm, options.base, options.tip), options)
     print_notes(table.notes)
-    if layout.source.what.startswith("Fanuc") and not arm.couplings:
+    if given.layout.source.what.startswith("Fanuc") and not arm.couplings:
         arm = arm.replace(couplings=[(3, 2, 1)])
         print_notes(["A Fanuc shows joint 3 from the horizontal: its own angle is J3 + J2."])
     if options.dry_run:
-        return OK, describe_plan(table, layout, arm, options)
-    result = _learnt(table, layout, arm, options)
+        return OK, describe_plan(table, given, arm)
+    result = _learnt(table, given, arm)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     # Everything is made before the first file gets its name; findings stand in the result.
     with ignored_findings():
         report = write_report(result, facts=facts, row_numbers=table.rows)
-        contents = corrected_file(layout, result, options)
+        contents = corrected_file(given, result)
         card = describe(result.model, result.inputs(result.angles), groups=result.positions)
     today = replace(table, angles=in_rad(table))
     before, after = (result.scores.summary[when][0] for when in ("before", "after"))
@@ -123,8 +110,9 @@ def learn(options):
     return OK if useful else NO_HELP, result.facts
 
 
-def _learnt(table, layout, arm, options):
+def _learnt(table, given, arm):
     """The correction that is learnt from a table."""
+    options = given.options
     like = [load_correction(folder).model for folder in options.like or ()]
     show = nullcontext() if options.quiet else Progress(expected_seconds(len(table.angles)))
     with numbered_rows(table.rows), warnings.catch_warnings(), show as progress:
@@ -136,25 +124,25 @@ def _learnt(table, layout, arm, options):
                 table.angles,
                 table.positions,
                 table.points,
-                known_lengths(options),
+                given.lengths(),
                 angle_unit=table.angle_unit,
                 cv=options.folds,
                 n_jobs=options.jobs,
                 progress=progress,
-                extra=read_causes(table, options),
+                extra=given.causes(table),
                 like=like,
-                tools=read_labels(table, options, "tool"),
+                tools=given.labels(table, "tool"),
                 points_sd=options.points_sd,
-                blocks=read_labels(table, options, "block"),
-                stations=read_labels(table, options, "station"),
+                blocks=given.labels(table, "block"),
+                stations=given.labels(table, "station"),
                 accept=options.accept,
                 take=options.take,
-                features=known_features(options, table),
+                features=given.features(table),
                 tip_diameter=options.tip_diameter,
             )
         except FindingError as error:
             if error.finding.code == "another-table" and table.points is not None:
-                _say_which_axis(arm, layout)
+                _say_which_axis(arm, given.layout)
             raise
 
 
@@ -275,8 +263,9 @@ def _what_was_left_out(table, options):
     return "regions" if table.points is not None and table.positions is None else "positions"
 
 
-def describe_plan(table, layout, arm, options):
+def describe_plan(table, given, arm):
     """Print what was read and what would be done with it; the same as facts."""
+    layout, options = given.layout, given.options
     n, unit = table.angles.shape[0], table.angle_unit
     say(f"Rows: {n}, of {layout.path}.")
     names = [layout.header[i] for i in layout.angle_columns]
@@ -300,9 +289,9 @@ def describe_plan(table, layout, arm, options):
         facts["positions"] = labels
     elif table.points is None:
         say("Positions: no column names them; learning finds the rows that share a place.")
-    if lengths := known_lengths(options):
+    if lengths := given.lengths():
         say(f"Known lengths: {len(lengths)}.")
-    elif table.points is None and not any(one[2:] for one in known_features(options, table)):
+    elif table.points is None and not any(one[2:] for one in given.features(table)):
         say("Known lengths: none, so the scale of the arm is that of its table (--length).")
     say(named_first("Causes", list(table.others)) or "Causes: none (--extra names columns).")
     say(f"Arm: {arm.n_joints} joints, reach {arm.reach_mm:.0f} mm, {arm.convention} convention.")

@@ -16,17 +16,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.app._correct import corrected_file
-from sklearn_raacmm.app._files import (
-    WRITTEN,
-    check_outputs,
-    find_rows,
-    find_unnamed_probe,
-    in_rad,
-    known_lengths,
-    load_correction,
-    parse_numbers,
-    print_notes,
-)
+from sklearn_raacmm.app._files import WRITTEN, check_outputs, load_correction, print_notes
+from sklearn_raacmm.app._given import Given, find_unnamed_probe, in_rad, parse_numbers
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import MUCH_SCATTER_MM
 from sklearn_raacmm.measurements import position_residuals
@@ -68,7 +59,7 @@ _MOST_DOUBTS = 3
 def register(options):
     """Find a new probe, and where base or tracker stand, through the correction."""
     saved = _open_correction(options)
-    layout, today, measured = _read_today(options, saved.arm)
+    given, today, measured = _read_today(options, saved.arm)
     new = saved.register(*measured, accept=options.accept)
     now = new.model.predict(new.inputs(today.angles))
     before, left, usual, facts = _compare("Registered", saved, new, today, 0, now)
@@ -85,7 +76,7 @@ def register(options):
         _print_lack(saved, new)
     _print_doubts(new, today.angles, today.positions)
     if holds or options.out.resolve() != options.model.resolve():
-        _save(new, options, facts, today, layout)
+        _save(new, options, facts, today, given)
     else:
         print("Nothing is written: --out names another folder for this correction.")
     return (OK if holds else CHANGED), facts
@@ -94,7 +85,7 @@ def register(options):
 def update(options):
     """Register, and bring the correction up to date with the same poses."""
     saved = _open_correction(options)
-    layout, today, measured = _read_today(options, saved.arm)
+    given, today, measured = _read_today(options, saved.arm)
     if used := _used_poses(saved, today):  # they count once
         raise TableError(used)
     new = saved.update(*measured, date=date.today().isoformat(), accept=options.accept)
@@ -124,7 +115,7 @@ def update(options):
     print("Check it with poses that it was not updated with: raacmm check.")
     facts |= {"changed_most": most, "correction_changed_by_mm": rms, "tau": tau}
     facts = step_of("update", today, facts, "mean deviation at these poses", before, after)
-    _save(new, options, facts, today, layout)
+    _save(new, options, facts, today, given)
     return OK, facts
 
 
@@ -363,18 +354,17 @@ def _open_correction(options):
 
 
 def _read_today(options, arm):
-    """What was measured today: where it stands, a table in rad, and what a correction takes."""
-    by_tracker = bool(options.points)
-    layout = find_rows(options, arm, labelled=not by_tracker)
-    table = layout.read()
+    """What is given of today, its table in rad, and what a correction takes of both."""
+    given = Given(options, arm, labelled=not options.points)
+    table = given.layout.read()
     print_notes(table.notes)
-    lengths = known_lengths(options)
-    if by_tracker and lengths:
+    lengths = given.lengths()
+    if options.points and lengths:
         raise TableError("--lengths are between cones; a tracker has no use for them.")
     # Warns of what seems another unit.
     arm.check_angles(table.angles, table.angle_unit)
     today = replace(table, angles=in_rad(table), angle_unit="rad")
-    return layout, today, (today.angles, today.positions, today.points, lengths)
+    return given, today, (today.angles, today.positions, today.points, lengths)
 
 
 def _describe_poses(today):
@@ -470,9 +460,9 @@ def _kept_points(path, step):
     return {next(name for name in names if not path.with_name(name).exists()): path.read_bytes()}
 
 
-def _save(correction, options, step, today=None, layout=None):
+def _save(correction, options, step, today=None, given=None):
     """Write the folder with what was done, and with the points of today where there are any."""
-    contents = {} if layout is None else corrected_file(layout, correction, options)
+    contents = {} if given is None else corrected_file(given, correction)
     if options.out == options.model:
         _refuse_other_writers(correction, options.out)
     written = save_step(correction, options.out, step, today, _page_of(options), contents)

@@ -11,7 +11,8 @@ from time import monotonic, process_time, sleep, strftime, thread_time
 
 import numpy as np
 
-from sklearn_raacmm.app._files import check_outputs, find_rows, in_rad, load_arm, load_correction
+from sklearn_raacmm.app._files import check_outputs, load_arm, load_correction
+from sklearn_raacmm.app._given import Given, in_rad
 from sklearn_raacmm.app._report import render
 from sklearn_raacmm.app._sources import TableError, check_installed
 from sklearn_raacmm.calibration import calibrate
@@ -66,7 +67,7 @@ def watch(options):
                 if is_new:
                     try:
                         if layout is None or layout.source.table is not None:
-                            layout = find_rows(options, seen.arm)
+                            layout = Given(options, seen.arm).layout
                             layout.labelled = False  # the last label may be in one row so far
                         seen.take(layout.read())
                         read = size
