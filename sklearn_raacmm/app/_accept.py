@@ -77,17 +77,15 @@ def accept(options):
     saved = load_correction(options.model) if options.model else None
     arm = load_arm(options.arm) if options.arm else None
     path, out = Path(options.run), Path(options.out)
+    left_arm = saved.arm if saved else arm
     if options.template:
-        return _write_template(path, arm or getattr(saved, "arm", None))
+        return _write_template(path, left_arm)
     check_installed("jinja2")
     check_outputs(options, [out, options.dcc], [path / f"{name}.csv" for name in _TABLES])
-    left_arm = saved.arm if saved else arm
     run, rows, entries, limits, digest = _read_run(path, left_arm)
-    found_arm = arm if saved else None
+    given = {"found": arm if saved else None, "limits": limits, "rule": options.rule}
     with numbered_rows(rows):
-        result = evaluate_acceptance(
-            run, left_arm, saved, found=found_arm, limits=limits, rule=options.rule
-        )
+        result = evaluate_acceptance(run, left_arm, saved, **given)
     expected, words = {}, WORDS[options.language]
     software = {"software": f"sklearn_raacmm {__version__}", "fingerprint of the readings": digest}
     if saved:
@@ -265,10 +263,10 @@ def _limit(path, row):
     a, k, b = (_number(path, row, heading, 1.0) for heading in _LIMITS[1:])
     if a is None:
         return None
-    if k is not None and k <= 0:
+    k, b = (np.inf if one is None else one for one in (k, b))
+    if k <= 0:
         raise TableError(f"{path}: K of the limit of {row['value']} must be positive, got {k}.")
-    most = np.inf if b is None else b / 1e3
-    return row["value"], (a / 1e3, 0.0 if k is None else 1e-3 / k, most)
+    return row["value"], (a / 1e3, 1e-3 / k, b / 1e3)
 
 
 # -- the template ---------------------------------------------------------------------------------

@@ -264,12 +264,12 @@ def with_config(words):
     over. Paths are those of the file's folder.
     """
     tables = [Path(word) for word in words[1:] if not word.startswith("-") and Path(word).is_file()]
-    path = tables[0].parent / _CONFIG if tables else Path(_CONFIG)
-    if not (words and words[0] in WORDS and tables and path.is_file()):
+    if not tables or words[0] not in WORDS or not (tables[0].parent / _CONFIG).is_file():
         return words
+    path = tables[0].parent / _CONFIG
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # no TOML, or no UTF-8
         raise ValueError(f"{path}: {error}") from None
     more: list[str] = []
     for name, value in given.items():
@@ -282,8 +282,8 @@ def with_config(words):
             continue
         kind = OPTIONS.get(f"{words[0]} {option}") or OPTIONS[option]
         values = list(map(str, value if isinstance(value, list) else [value]))
-        beside = [path.parent / one for one in values]
-        values = [str(b) if b.is_file() else one for b, one in zip(beside, values, strict=True)]
+        is_place = Path.exists if kind.get("type") is Path else Path.is_file  # folders, too
+        values = [str(at) if is_place(at := path.parent / one) else one for one in values]
         if kind.get("action") == "store_true":
             more += [option] * bool(value)
         elif kind.get("nargs"):
