@@ -84,7 +84,7 @@ def learn(options):
         print_notes(["A Fanuc shows joint 3 from the horizontal: its own angle is J3 + J2."])
     if options.dry_run:
         return OK, describe_plan(table, given, arm)
-    result = _learnt(table, given, arm)
+    result: Any = _learnt(table, given, arm)
     named = ("serial number", options.serial), ("operator", options.operator)
     facts = {"file": Path(options.table).name} | {name: text for name, text in named if text}
     # Everything is made before the first file gets its name; findings stand in the result.
