@@ -170,7 +170,7 @@ class Change:
         doubt = np.linalg.norm(doubts, axis=(1, 2))
         fading = replace(fading, known_mm=float(doubt[used].max()))
         before = float(fading.found(doubt[used]).mean())
-        known = weights, rows.codes, self.positions, before, rows.centre
+        known = weights, rows.centre, self.positions, before
         return judge(rows.y, correction, doubt, fading, *known)
 
     def _conditioned(self, expected, place, means_only=False):

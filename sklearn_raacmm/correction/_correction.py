@@ -25,7 +25,7 @@ from sklearn_raacmm.correction._model_check import CorrectionCheck, check_correc
 from sklearn_raacmm.correction._rows import Expected, for_centres, new_rows
 from sklearn_raacmm.correction._scores import CorrectionScores, linear_in_use, predict_with_std
 from sklearn_raacmm.correction._update import nothing_changed, probe_is_new, update_correction
-from sklearn_raacmm.error_model import LEAST_POSITIONS, judge, shoulder as _shoulder
+from sklearn_raacmm.error_model import LEAST_POSITIONS, Rows, judge, shoulder as _shoulder
 from sklearn_raacmm.measurements import Measurements, given_causes, position_residuals
 from sklearn_raacmm.utils import (
     Finding,
@@ -468,15 +468,16 @@ class Correction:
         new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
         if doubt is not None:  # and they say how much of it is used with another probe
             y, today = new._shown(measured)
-            codes: Any = None
-            centre: Any = None
-            if today:  # a tracker's points show the offsets of positions, too
-                rows = new_rows(model, X, y, **today)
-                y, codes, centre = rows.y, rows.codes, rows.centre
+            # A tracker's points show the offsets of positions, too.
+            rows = (
+                new_rows(model, X, y, **today)
+                if today
+                else Rows(self.arm, X, y, np.ones(len(y)), None)
+            )
             correction, _, doubt = model.linear_model_.predict_with_doubt(X)
             before = float(model.fading_.found(doubt).mean())
-            of_poses = found.sample_weight[measured.poses.first], codes, places, before, centre
-            model.fading_ = judge(y, correction, doubt, model.fading_, *of_poses)[0]
+            of_poses = found.sample_weight[measured.poses.first], rows.centre, places, before
+            model.fading_ = judge(rows.y, correction, doubt, model.fading_, *of_poses)[0]
         return new
 
     def update(

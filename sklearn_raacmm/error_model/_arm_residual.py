@@ -302,11 +302,11 @@ class ArmResidualRegressor(PointCorrectionMixin):
         robust = rows.weights * fitted.pose_weight
         centre = beside_table(fitted.rows)
         widening = model.std_scale if model.n_positions >= LEAST_POSITIONS else np.inf
-        fading = find_fading(rows.y, robust, rows.codes, self.fade, widening, centre)
+        fading = find_fading(rows.y, robust, self.fade, widening, centre)
         self.judgement_: Judgement | None = None
         if given is not None and left_out is not None:
-            judged = *left_out[:2], fading, robust, rows.codes, positions, None, centre
-            fading, self.judgement_ = judge(rows.y, *judged)
+            judged = rows.y, *left_out[:2], fading, robust, centre, positions
+            fading, self.judgement_ = judge(*judged)
             fading = near_and_far(fading, fitted, left_out, positions, centre)
             shares = fading.found(left_out[1])
             if fading.most > 0 and shares.min() < 1:

@@ -552,7 +552,7 @@ class Columns:
 
         Orders 1 to K come by doubling, those beyond one by one.
         """
-        waves = np.empty((len(phases), self.n_waves // 2), dtype=complex)
+        waves: Any = np.empty((len(phases), self.n_waves // 2), dtype=complex)
         for start, end in self.spans:
             joint, orders = self.terms.harmonics[start // 2 : end // 2].T
             theta, out = phases[:, joint[0]], waves[:, start // 2 : end // 2]

@@ -9,6 +9,7 @@ whole has found.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -22,7 +23,7 @@ from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of
 from sklearn_raacmm.error_model._sums import of_blocks, parts_of_positions
 from sklearn_raacmm.inference import Problem, combined
-from sklearn_raacmm.utils import Finding, centred, chunks, group_means, stage
+from sklearn_raacmm.utils import Finding, chunks, group_means, stage
 
 # Blocks left out in turn; and parts of all positions, each between others, in their order along x.
 N_BLOCKS, N_PARTS = 10, 5
@@ -143,14 +144,14 @@ class Judgement(NamedTuple):
     helps: bool
 
 
-def find_fading(y, weights, codes, factor: Any = "auto", widening=np.inf, centre=None):
+def find_fading(y, weights, factor: Any, widening, centre):
     """Fading of a correction of residuals (n, 3) in mm.
 
     Errors at positions left out are `widening` times as large as the standard deviation says;
-    infinite where there are too few to know. `centre` takes out what positions explain, their
-    mean where it is None.
+    infinite where there are too few to know. `centre` takes out what positions explain, as that of
+    `Rows` does.
     """
-    y = centred(y, codes, weights) if centre is None else centre(y, weights)
+    y = centre(y, weights)
     if factor == "auto":
         # A flat optimum has few reliable digits; corrections must not depend on the others.
         factor = min(round(_OF_WIDENED * widening, 3), _MOST)
@@ -164,10 +165,9 @@ def judge(
     doubt: np.ndarray,
     fading: Fading,
     weights: np.ndarray,
-    codes: np.ndarray | None,
+    centre: Callable[[np.ndarray, np.ndarray], np.ndarray],
     positions: np.ndarray,
     before: float | None = None,
-    centre: Any = None,
 ) -> tuple[Fading, Judgement]:
     """How much of a correction is used, by positions that were left out of the fit.
 
@@ -185,10 +185,7 @@ def judge(
     kept = weights > 0
     fading = replace(fading, most=1.0, far=1.0, near_mm=0.0)
     used = fading.share(doubt)[:, None] * correction
-    if centre is None:
-        used, y = (centred(values, codes, weights) for values in (used, y))
-    else:
-        used, y = centre(used, weights), centre(y, weights)
+    used, y = centre(used, weights), centre(y, weights)
     places = np.unique(positions[kept], return_inverse=True)[1].ravel()
     n = int(places.max()) + 1
 
@@ -220,13 +217,14 @@ def judge(
 
 
 def beside_table(rows):
-    """`centre`, as `judge` takes it, of touches that the arm was calibrated with.
+    """`centre`, as `judge` takes it, of rows that the arm was calibrated with.
 
-    The calibration has taken out of them what its table explains, right or wrong: of so few numbers
-    that is much. How far a correction of the table is right at other places they do not say.
+    Of touches the calibration has taken out what its table explains, right or wrong: of so few
+    numbers that is much. How far a correction of the table is right at other places they do not
+    say.
     """
-    if rows.centre is None:
-        return None
+    if rows.shown is None:
+        return rows.centre
     kinematics = columns_of(rows.arm, Terms(np.empty((0, 2), dtype=int), False, True, False))
     table = kinematics.at(rows.X[:, : rows.arm.n_joints])
 
@@ -254,8 +252,7 @@ def near_and_far(fading, fitted, left_out, positions, centre):
     near = leave_out(fitted, positions, between=True)
     if near is None:
         return fading
-    judged = rows.y, *near[:2], fading, weights, rows.codes, positions
-    most = judge(*judged, centre=centre)[0].most
+    most = judge(rows.y, *near[:2], fading, weights, centre, positions)[0].most
     if not most > fading.most:
         return fading
     squares = (np.average(np.square(doubt), weights=weights) for doubt in (near[1], left_out[1]))

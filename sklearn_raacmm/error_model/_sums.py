@@ -46,7 +46,7 @@ from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.inference import Extra, GramRows, Sums
 from sklearn_raacmm.measurements import Form, Whitening
-from sklearn_raacmm.utils import chunks, group_sums, one_blas_thread, stage, summing
+from sklearn_raacmm.utils import centred, chunks, group_sums, one_blas_thread, stage, summing
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
 # summed up together: the sums of blocks are added in their order, wherever they were made.
@@ -229,16 +229,16 @@ class Rows(NamedTuple):
         """Vectors (n, 3, ...) along what their rows show."""
         return values if self.shown is None else np.einsum("nij,nj...->ni...", self.shown, values)
 
-    @property
-    def centre(self) -> Any:
-        """What `judge` asks of touches of features; None where positions have means."""
-        return None if self.shown is None else self._judged
+    def centre(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Vectors (n, 3, ...) less what their positions explain, as `judge` compares them.
 
-    def _judged(self, values, weights):
-        """Vectors (n, 3, ...) less what unknowns explain, as long as those of three numbers."""
-        centred = self._replace(weights=weights, root=self.shown).whitening().centred(values)
+        Those of touches are as long as those of three numbers.
+        """
+        if self.shown is None:
+            return centred(values, self.codes, weights)
+        left = self._replace(weights=weights, root=self.shown).whitening().centred(values)
         rank = np.reshape(self.rank, (-1, *[1] * (values.ndim - 1)))
-        return self.along(centred) * np.sqrt(3 / rank)
+        return self.along(left) * np.sqrt(3 / rank)
 
     def sums(self, columns):
         """`Sums` over the rows, the harmonics of the columns being the candidates."""
@@ -469,7 +469,7 @@ class _Block:
         with_turns = columns.with_harmonics(every_turn)
         self.turns: Any = np.empty((*y.shape, n_joints))
         m, own = len(columns.others) + 1, np.zeros((3, len(offered)))
-        gram = np.zeros((m, m))
+        gram, total = np.zeros((m, m)), np.empty((0, 0))
         found: Any = [0.0] * len(self.spans)
         for k, part in enumerate(parts):
             always = np.concatenate([with_turns.at(X[part]), y[part, :, None]], axis=2)
@@ -503,7 +503,7 @@ class _Block:
     def __getstate__(self):
         return vars(self) | {"held": {}}
 
-    def _of_part(self, k, every=None):
+    def _of_part(self, k, every: Any = None):
         """What the waves of each joint share at rows, of which `every` are the waves."""
         if (found := self.held.get(k)) is None:
             angles = self.angles[self.parts[k]]

@@ -207,7 +207,16 @@ def test_rows_of_weight_0_change_nothing(cones, offsets):
 def judged(y, correction, positions, **options):
     n = len(y)
     fading = Fading(size_mm=1.0, factor=0.0)
-    return judge(y, correction, np.zeros(n), fading, np.ones(n), None, positions, **options)
+    return judge(
+        y,
+        correction,
+        np.zeros(n),
+        fading,
+        np.ones(n),
+        lambda values, _: values,
+        positions,
+        **options,
+    )
 
 
 def test_the_share_is_that_of_least_squares_with_less_wrong_of_more_positions():

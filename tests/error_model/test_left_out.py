@@ -139,12 +139,14 @@ def test_fading_is_wieners_factor():
     fading = Fading(size_mm=1e9, factor=1.0, most=0.8, far=0.5, near_mm=0.1)
     assert_allclose(fading.share(np.array([0.0, 0.1, 10.0])), [0.8, 0.6, 0.4], rtol=1e-7)
     y, weights = np.full((3, 3), 0.1), np.ones(3)
-    assert find_fading(y, weights, None) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0)
-    single_point = np.ones((8, 3)), np.ones(8), np.arange(8) // 2
-    assert find_fading(*single_point, widening=1.5).factor == pytest.approx(0.45)
-    assert find_fading(*single_point, widening=4.0).factor == 1.0
-    assert find_fading(*single_point, 0.3, widening=1.6).factor == 0.3
-    assert find_fading(*single_point[:2], None, widening=1.5).factor == pytest.approx(0.45)
+
+    def fading_of(factor, widening):
+        return find_fading(y, weights, factor, widening, lambda values, _: values)
+
+    assert fading_of("auto", np.inf) == Fading(pytest.approx(0.1 * np.sqrt(3)), 1.0)
+    assert fading_of("auto", 1.5).factor == pytest.approx(0.45)
+    assert fading_of("auto", 4.0).factor == 1.0
+    assert fading_of(0.3, 1.6).factor == 0.3
 
 
 def test_of_fewer_than_four_positions_nothing_is_known_of_errors_elsewhere():
