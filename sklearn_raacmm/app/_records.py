@@ -263,7 +263,7 @@ def _xml(head, read, n_numbers):
     if not head.lstrip().startswith("<") or "<!ENTITY" in (text := read()):
         return None
     try:
-        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", text, flags=re.DOTALL))
+        root = ElementTree.fromstring(text.strip())
     except ElementTree.ParseError:
         return None
     if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
