@@ -205,12 +205,12 @@ def check_size(n_columns, n_cells):
 
 
 def strip_mark(cells):
-    """Cells of a line of comment without its mark; None if the line is no comment."""
+    """Cells of a line without the mark of a comment, and whether it has one."""
     mark = _COMMENT.match(str(cells[0]))
     if not mark:
-        return None
+        return cells, False
     rest = str(cells[0])[mark.end() :]
-    return [rest, *cells[1:]] if rest else cells[1:]
+    return [*filter(None, [rest]), *cells[1:]], True
 
 
 def find_source(path, n_numbers, sheet=None):

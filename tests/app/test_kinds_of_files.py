@@ -342,6 +342,8 @@ KINDS = {
         f'{i},"{ALPHABETICAL}","{row.tolist()}"\n' for i, row in enumerate(RAD[:, ORDER]))),
     "json, names of columns": with_points(json.dumps(
         {"columns": Q, "index": [*range(4)], "data": DEG.tolist()})),
+    "json, true and false": {"text": json.dumps(
+        [one | {"in range": bool(i % 3)} for i, one in enumerate(RECORDS)])},
     "json lines, torques, too": {"text": "".join(json.dumps(
         {"place": lab, "q": row.tolist(), "dq": [0.5] * 6, "tau_J": [1.5] * 6}) + "\n"
         for lab, row in zip(LABELS, DEG, strict=True))},
