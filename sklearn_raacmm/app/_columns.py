@@ -222,10 +222,10 @@ class Columns:
         elif held:
             number, cells = held[0]
             text = next(str(cell) for cell in cells if cell != "")
-            self._note(f"Left out from row {number} on, where the angles end: {text!r}.")
+            self.note(f"Left out from row {number} on, where the angles end: {text!r}.")
         if statistics:
             named = ", ".join(statistics[:4])
-            self._note(f"Rows of statistics, left out: {len(statistics)}, such as {named}.")
+            self.note(f"Rows of statistics, left out: {len(statistics)}, such as {named}.")
 
     def _texts(self):
         """Yield number, cells and texts of rows, those of columns that may name statistics.
@@ -238,8 +238,9 @@ class Columns:
             texts = [str(cells[i]) for i in columns if i < len(cells)]
             yield number, cells, [text for text in texts if text[:1].isalpha()]
 
-    def _note(self, text):
-        if text not in self.notes:  # the rows may be read twice
+    def note(self, text):
+        """Say what was guessed, once: rows may be read twice, and in blocks."""
+        if text not in self.notes:
             self.notes.append(text)
 
     def has_number(self, cells, columns):
@@ -293,6 +294,8 @@ class Columns:
 
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
+        if column is None:
+            return None
         labels = [str(cells[column]) for _, cells in rows]
         if "" in labels:
             raise self.fault(rows[labels.index("")][0], column, "the label is missing")
@@ -313,10 +316,8 @@ class Columns:
 
     # -- labels -----------------------------------------------------------------------------
 
-    def find_position(self, wanted, taken, needed=True):
+    def find_position(self, taken, needed):
         """Column of the label of the position; `taken` are columns of other things."""
-        if wanted is not None:
-            return self.column(wanted, "--position")
         labels = [i for i in self.label_columns if i not in taken] or self._columns_of_text(taken)
         if len(labels) == 1:
             self.notes.append(f"Labels of the positions: {self.header[labels[0]]}.")

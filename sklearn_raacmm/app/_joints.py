@@ -100,19 +100,16 @@ def _axes_beside(table, joint_names, taken, slides):
     """
     names = [name.lower() for name in joint_names or ()]
     beside = [i for i, name in enumerate(names) if _EXTERNAL.fullmatch(name)]
-    ways = [table.names.index(names[i]) for i in beside if names[i] in table.names]
-    what = "Axes beside the robot's own"
-    if not beside or len(ways) < len(beside):
-        beside, ways, what = slides, [], "Joints that slide"
-    for pattern in (_EXTERNAL, _WAY) if beside else ():  # x may be a point's, E1 is an axis
-        if len(ways) != len(beside):
-            named = enumerate(table.names)
-            ways = [i for i, name in named if pattern.fullmatch(name) and i not in taken]
-    if len(ways) != len(beside):
-        return beside, []
-    if ways:
-        table.notes.append(f"{what}: {', '.join(table.header[i] for i in ways)}.")
-    return beside, ways
+    own = [table.names.index(names[i]) for i in beside if names[i] in table.names]
+    tried = [(beside, own, "Axes beside the robot's own")]
+    for pattern in (_EXTERNAL, _WAY):  # x may be a point's, E1 is an axis
+        named = [i for i, name in enumerate(table.names) if pattern.fullmatch(name)]
+        tried.append((slides, [i for i in named if i not in taken], "Joints that slide"))
+    for joints, ways, what in tried:
+        if 0 < len(joints) == len(ways):
+            table.note(f"{what}: {', '.join(table.header[i] for i in ways)}.")
+            return joints, ways
+    return [], []
 
 
 def _only_numbers(table, n, taken):
@@ -165,8 +162,8 @@ def _pose_columns(table):
 def external_axes(table, used):
     """Columns by name of external axes that move and are not used; a note tells of each."""
     column_of: dict[str, int] = {}
-    for i in (i for i, name in enumerate(table.names) if i not in used):
-        if not _EXTERNAL.fullmatch(table.names[i]):
+    for i, name in enumerate(table.names):
+        if i in used or not _EXTERNAL.fullmatch(name):
             continue
         values = table.source.numbers(table.cells(i))
         if np.ptp(values) > _MOVES * max(1.0, float(np.abs(values).max())):

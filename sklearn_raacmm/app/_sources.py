@@ -55,9 +55,8 @@ _RULE = re.compile(r"[\s|:+-]*--[\s|:+-]*")
 _BARS = re.compile(r"^\s*\|(.*)\|\s*$")
 # Comments of loggers, NumPy, MATLAB and SpatialAnalyzer.
 _COMMENT = re.compile(r"\s*(#+|//+|%+)\s*")
-# A spreadsheet's own limit of a cell, characters; columns and cells of a table: choices, the second
-# of which 20 columns reach in the last row of a spreadsheet.
-_MOST_CHARACTERS, _MOST_COLUMNS, _MOST_CELLS = 32_767, 1000, 20_000_000
+# Cells of a table: a choice, which 20 columns reach in the last row of a spreadsheet.
+_MOST_CELLS = 20_000_000
 # Rows or lines of a table that are in memory at a time: some MB.
 BLOCK_ROWS = 8192
 # Columns for each row of a table that has a line for each joint, at least.
@@ -189,19 +188,14 @@ def unit_in(cell):
 def clean(cell):
     """Cell of a spreadsheet as text has it."""
     if isinstance(cell, str):
-        if len(cell) > _MOST_CHARACTERS:
-            raise TableError(f"a cell has {len(cell)} characters, more than {_MOST_CHARACTERS}")
         return cell.translate(_PLAIN).strip()
     return "" if cell is None else cell
 
 
-def check_size(n_columns, n_cells):
+def _check_size(n_cells):
     """Refuse what no table of measurements is as large as."""
-    if n_columns > _MOST_COLUMNS or n_cells > _MOST_CELLS:
-        raise TableError(
-            f"{n_columns} columns and {n_cells} cells, more than the {_MOST_COLUMNS} columns and "
-            f"{_MOST_CELLS} cells that a table may have"
-        )
+    if n_cells > _MOST_CELLS:
+        raise TableError(f"{n_cells} cells, more than the {_MOST_CELLS} that a table may have")
 
 
 def strip_mark(cells):
@@ -366,7 +360,7 @@ def read_sheets(path):
                 rows = sheets[sheet.title] = []
                 for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
                     n_cells += len(row)
-                    check_size(len(row), n_cells)
+                    _check_size(n_cells)
                     cells = [clean(cell) for cell in row]
                     if any(cell != "" for cell in cells):
                         rows.append((number, cells))
@@ -385,7 +379,7 @@ def _arrays(path, n_numbers):
         if path.suffix.lower() == ".mat":
             from scipy.io import loadmat, whosmat  # which takes half a second to import
 
-            check_size(1, sum(int(np.prod(shape)) for _, shape, _ in whosmat(path)))
+            _check_size(sum(int(np.prod(shape)) for _, shape, _ in whosmat(path)))
             content = loadmat(path, squeeze_me=True)
         else:
             if path.suffix.lower() == ".npz":
@@ -393,7 +387,6 @@ def _arrays(path, n_numbers):
             loaded = np.load(path, allow_pickle=False)
             content = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
         columns = dict(_columns_of(content))
-        check_size(len(columns), 0)
     except NotImplementedError:  # HDF5
         raise TableError(f"{path}: files of MATLAB 7.3 are not read; save(..., '-v7').") from None
     except Exception as error:  # no such file, or one that would have to be unpickled
