@@ -145,18 +145,24 @@ def columns_of_numbers(table, taken=()):
 
 def _pose_columns(table):
     """Columns of poses of the tool: x, y and z, and what stands for its direction beside."""
-    place = {name: i for i, name in enumerate(table.names)}
-    columns = []
-    for name in table.names:
-        for k in (k for k, letter in enumerate(name) if letter == "x"):
-            x, y, z, w = (name[:k] + letter + name[k + 1 :] for letter in "xyzw")
-            if y in place and z in place:
-                columns += [place[one] for one in (x, y, z, w) if one in place]
+    columns = {i for _, axes in coordinates(table.names) for i in axes}
+    last = {re.split(r"[\W_]+", name)[-1]: i for i, name in enumerate(table.names)}
     for group in _ORIENTATIONS if columns else ():
-        last = {re.split(r"[\W_]+", name)[-1]: i for name, i in place.items()}
-        if last.keys() >= set(group):
-            columns += [last[one] for one in group]
-    return sorted(set(columns))
+        if last.keys() >= {*group}:
+            columns |= {last[one] for one in group}
+    return sorted(columns)
+
+
+def coordinates(names):
+    """Yield columns of x, y and z, whose names differ in that only, and the letter before x.
+
+    A fourth column may be of w.
+    """
+    for name in dict.fromkeys(names):
+        for k in (k for k, letter in enumerate(name) if letter == "x"):
+            axes = [name[:k] + letter + name[k + 1 :] for letter in "xyzw"]
+            if {*axes[:3]} <= {*names}:
+                yield name[k - 1 : k], [names.index(axis) for axis in axes if axis in names]
 
 
 def external_axes(table, used):

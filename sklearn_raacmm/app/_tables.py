@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._joints import MEASURED, columns_of_numbers, external_axes, find_joints
+from sklearn_raacmm.app._joints import (
+    MEASURED,
+    columns_of_numbers,
+    coordinates,
+    external_axes,
+    find_joints,
+)
 from sklearn_raacmm.app._records import NUMBER
 from sklearn_raacmm.app._sources import BLOCK_ROWS, TableError
 from sklearn_raacmm.app._units import find_unit, mm_of_slide
@@ -268,17 +274,14 @@ class Layout(Columns):
         names, points, notes = read_points(path, wanted)
         self.notes.extend(notes)
         at, matched, column = {name: i for i, name in enumerate(names)}, {}, -1
-        for i in {*range(len(self.header))}.difference(self.angle_columns):
+        for i in (i for i in range(len(self.header)) if i not in self.angle_columns):
             own = {text_of_label(cells[i]): k for k, (_, cells) in enumerate(rows)}
             found = {name: k for name, k in own.items() if name in at}
             if len(own) == len(rows) and len(found) > len(matched):
                 matched, column = found, i
         if len(at) == len(names) and 2 * len(matched) > min(len(rows), len(names)):
-            lost = [
-                str(cells[column])
-                for k, (_, cells) in enumerate(rows)
-                if k not in {*matched.values()}
-            ]
+            kept = {*matched.values()}
+            lost = [str(cells[column]) for k, (_, cells) in enumerate(rows) if k not in kept]
             self.notes.append(
                 f"Points of {path}, matched by the column {self.header[column]}."
                 + named_first(" Rows without a point, left out", lost)
@@ -370,10 +373,7 @@ def _columns_of_points(columns, wanted):
     by_name = [[at[name] for name in words if name in at] for words in _COORDINATES]
     if all(by_name):
         return [axes[0] for axes in by_name]
-    likewise = [
-        [name.replace("x", c, 1) for c in "xyz"] for name in at if re.search("(?<![rq])x", name)
-    ]
-    triples = [[at[name] for name in three] for three in likewise if at.keys() >= set(three)]
+    triples = [axes[:3] for before, axes in coordinates(columns.names) if before not in ("r", "q")]
     measured = [axes for axes in triples if MEASURED.search(columns.names[axes[0]])]
     triples = measured if len(triples) > 1 and measured else triples
     if len(triples) == 1:
