@@ -62,14 +62,21 @@ def find_joints(table, wanted, joint_names, taken=(), slides=()):
 
 def _joints(table, n, joint_names, taken, slides):
     """Columns of n joints that nobody has named."""
+    states = _joint_states(table, n)
+    names = [states.get(i, "") for i in range(len(table.names))] if states else table.names
     # Of a table by hand, whose joints have no names, the order is known where a maker gives names.
-    every = [names for names in (joint_names or (), UR_NAMES) if len(names) == n]
-    tried = (_by_names_of_joints(table, names) for names in every)
-    joints = next(filter(None, tried), None) or _by_names_in_cells(table, n, every)
-    if joints:
+    every = [own for own in (joint_names or (), UR_NAMES) if len(own) == n]
+    tried = [_by_names_of_joints(table, names, own) for own in every]
+    if joints := next(filter(None, tried + _series(table, names, n) * bool(states)), None):
         shown = ", ".join(table.header[i] for i in joints)
-        table.notes.append(f"Joint angles, by the names of joints: {shown}.")
+        table.note(f"Joint angles, by the names of joints: {shown}.")
         return joints
+    if states:
+        order = ", ".join(f"{table.header[i]} ({name})" for i, name in states.items())
+        raise TableError(
+            f"{table.path} names its joints, and the arm's joints have other names or none: say "
+            f"the order from the base on with --angles. The columns are {order}."
+        )
     beside, ways = _axes_beside(table, joint_names, taken, slides)
     if ways:
         rest, order = np.setdiff1d(np.arange(n), beside), np.zeros(n, dtype=int)
@@ -77,7 +84,7 @@ def _joints(table, n, joint_names, taken, slides):
         if len(rest):
             order[rest] = _joints(table, len(rest), (), {*taken, *ways}, ())
         return order.tolist()
-    fitting, what = _series(table, n), ""
+    fitting, what = _series(table, names, n), ""
     # Columns without names are numbered by us, and such numbers mean nothing.
     unnamed = all(re.fullmatch(r"column \d+", table.header[i]) for i in range(table.width))
     if not fitting or unnamed:
@@ -182,47 +189,33 @@ def external_axes(table, used):
     return column_of
 
 
-def _by_names_of_joints(table, joint_names):
-    """One column for each joint whose name holds that of the joint."""
+def _by_names_of_joints(table, names, joint_names):
+    """One column for each joint, whose name holds that of the joint; None of others."""
     columns = []
     for joint in joint_names:
         word = re.escape(joint.lower().removesuffix("_joint"))
         pattern = re.compile(rf"(?<![a-z0-9_]){word}(?![a-z0-9])")
-        fitting = [i for i, name in enumerate(table.names) if pattern.search(name)]
-        fitting = _measured_angles(table, fitting)
-        if len(fitting) != 1:
-            return None
-        columns += fitting
-    return columns if len(set(columns)) == len(joint_names) else None
+        fitting = [i for i, name in enumerate(names) if pattern.search(name)]
+        columns.append(_measured_angles(table, fitting))
+    found = {one[0] for one in columns if len(one) == 1}
+    return [column for (column,) in columns] if len(found) == len(joint_names) else None
 
 
-def _by_names_in_cells(table, n, every):
-    """Positions of JointState messages, whose names stand in cells of each row."""
+def _joint_states(table, n):
+    """Columns of positions of JointState messages, with the joints' names in cells of each row."""
     names, positions = table.fields("name"), table.fields("position")
-    names = {k: table.cells(i) for k, i in names.items() if k in positions}
-    numbers = table.source.count(chain(*names.values()))
-    if len(names) < n or numbers:
-        return None
-    if any(len(set(cells)) != 1 for cells in names.values()):
+    cells = {positions[k]: table.cells(i) for k, i in names.items() if k in positions}
+    if len(cells) < n or table.source.count(chain(*cells.values())):
+        return {}
+    if any(len(set(own)) != 1 for own in cells.values()):
         raise TableError(f"{table.path}: the names of the joints differ from row to row.")
-    in_file = {str(cells[0]).lower(): positions[k] for k, cells in names.items()}
-    for joint_names in every:
-        if joint_names and in_file.keys() >= {name.lower() for name in joint_names}:
-            return [in_file[name.lower()] for name in joint_names]
-    numbered = [(re.findall(r"\d+", name), i) for name, i in in_file.items()]
-    if len(in_file) == n and all(digits for digits, _ in numbered):
-        return [i for _, i in sorted(numbered, key=lambda one: int(one[0][0]))]
-    order = ", ".join(f"{table.header[i]} ({name})" for name, i in in_file.items())
-    raise TableError(
-        f"{table.path} names its joints, and the arm's joints have other names or none: say the "
-        f"order from the base on with --angles. The columns are {order}."
-    )
+    return {i: str(own[0]).lower() for i, own in cells.items()}
 
 
-def _series(table, n):
+def _series(table, names, n):
     """Series of n columns numbered from 0 or 1, such as q1 to q6, that may be the angles."""
     series: dict[tuple[str, str], dict[int, int]] = {}
-    for i, name in enumerate(table.names):
+    for i, name in enumerate(names):
         match = re.fullmatch(r"(.*?)[\s_.\[-]*(\d+)(\D*)", name)
         if match:
             series.setdefault((match[1], match[3]), {})[int(match[2])] = i
