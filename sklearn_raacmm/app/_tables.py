@@ -201,7 +201,8 @@ class Layout(Columns):
         of_each = labels is not None and len(set(labels.tolist())) == len(labels) > 1
         places = _places_in(labels) if of_each and not by_tracker else None
         if of_each and (by_tracker or places is not None or not self.needed):
-            name = self.header[self.position_column]
+            column: Any = self.position_column
+            name = self.header[column]
             labelled = f"Labels of the positions: {name}."
             said = f"Column {name} names each row: it says nothing of positions."
             if places is not None:
@@ -223,7 +224,7 @@ class Layout(Columns):
 
         Of a table of nothing but plain cells these are whole lines, which is faster.
         """
-        if not self._is_plain():
+        if not self.is_plain():
             rows = self.rows(self.angle_columns)
             while block := list(islice(rows, n_rows)):
                 yield self._table(block), [cells for _, cells in block]
@@ -234,7 +235,7 @@ class Layout(Columns):
                 rows = [(i, line.split(self.source.separator)) for i, line in block]
                 yield self._table(rows), [line for _, line in block]
 
-    def _is_plain(self):
+    def is_plain(self):
         """Whether all cells are plain and nothing but rows stands below the header.
 
         Plain are numbers with a decimal point, and words in columns that hold no angles. All lines
@@ -245,7 +246,7 @@ class Layout(Columns):
         if is_other or is_tracked or self.sections or self.width != len(self.header):
             return False
         cells = [NUMBER if i in self.angle_columns else _PLAIN_CELL for i in range(self.width)]
-        line = re.compile(rf"{re.escape(source.separator).join(cells)}(?:\r?\n|\Z)")
+        line = re.compile(rf"{re.escape(str(source.separator)).join(cells)}(?:\r?\n|\Z)")
         with open(self.path, encoding=source.encoding, newline="") as file:
             lines = islice(file, self.header_row, None)
             blocks = iter(lambda: "".join(islice(lines, BLOCK_ROWS)), "")
