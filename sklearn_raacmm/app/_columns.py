@@ -112,12 +112,12 @@ def _fields_of_joint_states(cells, source, n_joints):
 
 
 def _heading(source, cells, n_numbers):
-    """Text of a row that is a heading of the rows below it: a comment, or one cell; or None."""
+    """Text of a row that is a heading of the rows below it: a comment, or one cell; or ""."""
     bare, is_comment = strip_mark(cells)
     filled = [str(cell) for cell in bare if cell != ""]
     if source.count(cells) >= n_numbers or not (is_comment or len(filled) == 1):
-        return None
-    return " ".join(filled).strip(" :=-*") or None
+        return ""
+    return " ".join(filled).strip(" :=-*")
 
 
 def _are_sections(source, rows, n_numbers):
@@ -153,12 +153,8 @@ class Columns:
         self.first = [one for one in headed if one[0] in of_data]
         self.names, units = zip(*map(split_unit, self.header), strict=True)
         self.units = [unit or unit_of_cells(self.cells(i)) for i, unit in enumerate(units)]
-        above = (
-            ", ".join(map(str, bare))
-            for number, _, bare, is_comment in rows
-            if number <= self.header_row or is_comment
-        )
-        self.stated = stated_units(above)
+        heads = (bare for n, _, bare, comment in rows if comment or n <= self.header_row)
+        self.stated = stated_units(", ".join(map(str, cells)) for cells in heads)
         where = f"header in row {self.header_row}" if self.header_row else "no header"
         self.notes = [f"{self.source}; {where}."]
         self.label_columns = [i for i, name in enumerate(self.names) if name in _POSITION_NAMES]
@@ -171,10 +167,10 @@ class Columns:
                 continue
             if not self.sections:
                 yield number, cells
-            elif (heading := _heading(self.source, cells, self.n_joints)) is None:
-                yield number, [*cells, label]
-            else:
+            elif heading := _heading(self.source, cells, self.n_joints):
                 label = heading
+            else:
+                yield number, [*cells, label]
 
     def column(self, wanted, option):
         """Column of this name, its unit left out or not; or of this number, from 1."""
@@ -294,8 +290,6 @@ class Columns:
 
     def labels(self, rows, column):
         """Labels (n_rows,) of some rows, as text; the first that is missing is named."""
-        if column is None:
-            return None
         labels = [str(cells[column]) for _, cells in rows]
         if "" in labels:
             raise self.fault(rows[labels.index("")][0], column, "the label is missing")

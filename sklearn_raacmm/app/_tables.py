@@ -254,7 +254,8 @@ class Layout(Columns):
 
     def _table(self, rows, points=None):
         """The table of some rows."""
-        positions = self.labels(rows, self.position_column)
+        column = self.position_column
+        positions = None if column is None else self.labels(rows, column)
         if self.point_columns:
             points = self.points(rows, self.point_columns)
         angles, others = self.factor * self.numbers(rows, self.angle_columns), {}
