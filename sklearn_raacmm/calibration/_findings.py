@@ -11,7 +11,7 @@ from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
 from sklearn_raacmm.calibration._worth import covariance_of
-from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
+from sklearn_raacmm.measurements import Explanation, base_motions, moved_positions
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
 # Standard deviations by which a parameter is off the table: once in 1.7 million by chance.
@@ -139,7 +139,7 @@ def _far(fit, sd):
     if length == "auto" and len(seen) > 1:
         square, n = np.square(fit.x[seen] - fit.nominal[seen]), len(seen)
         size = np.sqrt((FOUND["length_mm"][0] ** 2 + square.sum() - square) / n)
-        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * PRICE / (n + 1))
+        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * Explanation.PRICE / (n + 1))
         far[seen] = np.minimum(far[seen], size * np.sqrt(n * (wider - 1)))
     far[~fit.is_free] = np.inf
     return far

@@ -4,12 +4,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections import deque
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
@@ -53,9 +51,8 @@ _EVIDENCE_ROUNDS = 8
 # this part. Least damping, and where a step is given up.
 _MAX_STEPS, _SMALL_GAIN = 100, 1e-10
 _DAMPING, _MOST_DAMPING = 1e-8, 1e8
-# Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
-# decomposition: their condition is squared.
-_LEAST_PIVOT = 1e-8
+# Directions that the normal equations show by less than this part are rounding: no step goes there.
+_ROUNDING = 1e-14
 # Rows whose Jacobian is made at a time, and most rows of which it is held for the next look: 11 MB
 # for 27 parameters. Of more rows sums over blocks are held, and a few numbers of each row.
 _BLOCK, _HELD = 4096, 2**14
@@ -283,8 +280,9 @@ class Fit:
             sigma = np.sqrt(np.mean(seen[used] ** 2) / self.problem.n_shown[used].mean())
         else:
             # Outliers would shift the median to larger ones of the others.
-            seen = self.as_of_three(seen)[used]
-            sigma = robust_scale(seen[seen <= doubt_limit(seen, 0.0)], 3)
+            three = self.as_of_three(seen)
+            near = used & (three <= doubt_limit(three[used], 0.0))
+            sigma = robust_scale(seen[near], self.problem.n_shown[near])
         self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](self.as_of_three(distances) / self.sigma)
 
@@ -307,7 +305,7 @@ class Fit:
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
         sums, damping = self._sums(self.x, mask), 0.0
         for _ in range(_MAX_STEPS):
-            step, gain = gauss_newton_step(sums, damping, lambda: self.rows(self.x, mask))
+            step, gain = gauss_newton_step(sums, damping)
             x = self.x.copy()
             x[mask] += step
             if gain <= _SMALL_GAIN * sums[-1, -1]:
@@ -659,28 +657,17 @@ def triangle(blocks):
     return root
 
 
-def gauss_newton_step(sums, damping, blocks):
+def gauss_newton_step(sums, damping):
     """Step of least squares (k,), and by how much it lowers the sum of squares if all is linear.
 
     `sums` (k + 1, k + 1) are the products of the Jacobian's columns, and of the residuals, which
-    are the last one; `blocks()` are the rows themselves. The damping, as a part of the squares of
-    each column, is Marquardt's.
+    are the last one. The damping, as a part of the squares of each column, is Marquardt's.
     """
-    normal, slope = sums[:-1, :-1].copy(), sums[:-1, -1]
+    normal, slope = sums[:-1, :-1], sums[:-1, -1]
     size = np.sqrt(np.diag(normal))
     size[size == 0] = 1
-    normal /= np.outer(size, size)
-    normal[np.diag_indices(len(size))] += damping
-    factor: Any = None
-    with suppress(LinAlgError):
-        factor = cho_factor(normal, lower=True, check_finite=False)
-    if factor and np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT:
-        step = -cho_solve(factor, slope / size, check_finite=False) / size
-    else:
-        root = triangle(blocks())
-        whole = np.concatenate([root[:, :-1] / size, np.sqrt(damping) * np.eye(len(size))])
-        target = -np.r_[root[:, -1], np.zeros(len(size))]
-        step = np.linalg.lstsq(whole, target, rcond=1e-12)[0] / size
+    normal = normal / np.outer(size, size) + max(damping, _ROUNDING) * np.eye(len(size))
+    step = -np.linalg.solve(normal, slope / size) / size
     return step, float(-slope @ step)
 
 

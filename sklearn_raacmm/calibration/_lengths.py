@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sklearn_raacmm.calibration._worth import covariance_of, errors_of_lengths
-from sklearn_raacmm.measurements import UNITS, likeliest
+from sklearn_raacmm.measurements import UNITS, Explanation
 from sklearn_raacmm.utils import Finding, floats, listed
 
 # Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
@@ -130,7 +130,7 @@ def _causes(problem, at, covariance, bare, labels):
     for said, by in of_all:
         value = log_likelihood(left, more=np.outer(by, by))
         explained.append((value, ("wrong-length", said)))
-    return likeliest(explained, log_likelihood(left)), np.abs(left).max()
+    return Explanation.likeliest(explained, log_likelihood(left)), np.abs(left).max()
 
 
 def _other_ends(entry, places, labels, variance):
