@@ -166,7 +166,7 @@ class Explanation(NamedTuple):
             yield cls("corrected-already", "", y + correction - expected, every)
             yield cls("sign-of-residuals", "", y + 2 * correction - expected, every)
         best = max(_EXCHANGES, key=lambda one: np.vdot(y @ one.T, expected))
-        names = ["-" * (row.sum() < 0) + "xyz"[int(np.argmax(np.abs(row)))] for row in best]
+        names = [f"{'-' if row.sum() < 0 else ''}{'xyz'[np.abs(row).argmax()]}" for row in best]
         turns = [(best, " ".join(names), len(_EXCHANGES))]
         for mirror, words in ((1.0, "they are turned"), (-1.0, "they are turned and mirrored")):
             turns.append((mirror * align(mirror * y, expected)[0], words, _TURNS))
