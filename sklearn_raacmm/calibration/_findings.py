@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from sklearn_raacmm.calibration._fit import FOUND, MAX_ROUNDS, table_jacobian
+from sklearn_raacmm.calibration._fit import FOUND, MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._result import ANGLES
@@ -204,14 +204,14 @@ def _harm(corrected, bare):
 
 def _poses_alike(fit):
     """Away from the poses of the test little more is known of the arm than its table says."""
-    arm, n = fit.arm(), np.count_nonzero(fit.kind != "probe_mm") + 3
+    arm, n = fit.arm(), fit.n_table + 3
     is_free = fit.is_free[:n]
     # Of too few rows another finding tells.
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * fit.mask.sum():
         return
     angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
-    points, jac = table_jacobian(arm, angles)
+    points, jac = fit.table_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / arm.reach_mm)

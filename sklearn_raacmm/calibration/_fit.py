@@ -14,7 +14,7 @@ from scipy.stats import chi, norm
 from sklearn_raacmm.arm import FIELDS
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.measurements import STILL_MM, Whitening, base_motions
-from sklearn_raacmm.utils import align, centred, chunks, group_sums, robust_scale, slip_factors
+from sklearn_raacmm.utils import align, centred, chunks, robust_scale, slip_factors, summing
 
 # Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
 # how many parameters that were seen the guess is worth, and its bounds
@@ -84,18 +84,24 @@ class Fit:
     ):  # fmt: skip
         self.nominal_arm, self.problem, self.angles = arm, problem, problem.angles
         self.loss, self.free, self.priors = loss, free, priors
+        self.n_tools, self.n_stations = problem.n_tools, problem.n_stations
+        # Where points were measured all rows are beside one mean.
+        self.index = np.zeros(len(self.angles), int) if self.n_stations else problem.index
+        n, n_groups = len(self.angles), self.index.max() + 1
+        # Blocks of rows, and what sums up the rows of each position in them.
+        self.blocks = chunks(n, _BLOCK)
+        self.summing = [summing(self.index[part], None, n_groups) for part in self.blocks]
         self.correct(correction)
-        self.turning = np.setdiff1d(np.arange(arm.n_joints), arm.slides)
+        self.slides, every = arm.slides, np.arange(arm.n_joints)
+        self.turning = np.setdiff1d(every, self.slides)
         # Joints that slide, but stand still in all rows.
-        self.still = [i for i in arm.slides if np.ptp(self.angles[:, i]) < STILL_MM]
+        self.still = [i for i in self.slides if np.ptp(self.angles[:, i]) < STILL_MM]
         self._name_parameters()
         self.x, self.sigma, self.converged = self.nominal.copy(), 1.0, False
-        self.weights: Any = np.ones(len(self.angles))
-        # Where points were measured all rows are beside one mean.
-        self.index = np.zeros(len(self.angles), int) if problem.n_stations else problem.index
+        self.weights: Any = np.ones(n)
         self.scale = self._common_scale()
         points, places = self.points(), []  # first guess of every base
-        for s in range(problem.n_stations):
+        for s in range(self.n_stations):
             rows = rows_of(problem.stations, s)
             places.append(align(points[rows], problem.points[rows]))
         self.rotations = np.array([rotation for rotation, _ in places])
@@ -104,8 +110,8 @@ class Fit:
 
     def _name_parameters(self):
         """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
-        arm, slides, problem = self.nominal_arm, self.nominal_arm.slides, self.problem
-        probes = in_brackets(problem.tool_labels, problem.n_tools)
+        arm, slides, problem = self.nominal_arm, self.slides, self.problem
+        probes = in_brackets(problem.tool_labels, self.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
         table = np.concatenate([getattr(arm, name) for name in FIELDS[:-1]])
         is_length = np.array([not name.startswith(ANGLES) for name in self.names])
@@ -123,6 +129,7 @@ class Fit:
         self.is_free = np.array(is_free + ["probe" in self.free] * 3 * len(probes))
         scales = np.abs(arm.joint_signs[slides])
         self.nominal = np.concatenate([table, scales, *[arm.probe] * len(probes)])
+        self.n_table = len(table) + len(slides)
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
         length, *_ = self.priors
         given = *self.priors, length, "auto", "auto", _SLIDE_SCALE
@@ -179,7 +186,7 @@ class Fit:
         """Weights of the rows by what they touched, without slips; None for measured points."""
         if self.problem.features:
             return self.problem.touched.weights(self.points())
-        return None if self.problem.n_stations else slip_factors(self.points(), self.index)
+        return None if self.n_stations else slip_factors(self.points(), self.index)
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -192,14 +199,11 @@ class Fit:
 
     def _fields(self, x, tool) -> dict[str, Any]:
         """The fields of an arm, with the probe of a tool, by the parameters."""
-        arm, slides, start = (
-            self.nominal_arm,
-            self.nominal_arm.slides,
-            4 * self.nominal_arm.n_joints,
-        )
-        parts = [*np.split(x[:start], 4), x[start + len(slides) + 3 * tool :][:3]]
-        signs = np.sign(arm.joint_signs)
-        signs[slides] *= x[start : start + len(slides)]
+        ends = np.append(np.arange(1, 5) * len(self.nominal_arm.a), self.n_table)
+        *parts, scales, probes = np.split(x[: len(self.nominal)], ends)
+        signs = np.sign(self.nominal_arm.joint_signs)
+        signs[self.slides] *= scales
+        parts.append(probes[3 * tool :][:3])
         return dict(zip(FIELDS, parts, strict=True)) | {"joint_signs": signs}
 
     def run(self, is_free=None):
@@ -217,7 +221,7 @@ class Fit:
             )
             if self.converged:
                 break
-        if self.problem.features and mask[: -3 * self.problem.n_tools].any():
+        if self.problem.features and mask[: -3 * self.n_tools].any():
             self._take_best_table(mask)
         return self
 
@@ -253,7 +257,7 @@ class Fit:
         deviations.
         """
         finite = np.where(np.isfinite(covariance), covariance, 0.0)
-        at: Any = None if self.problem.n_stations else self.touched(self.x, mask)
+        at: Any = None if self.n_stations else self.touched(self.x, mask)
         spread = np.empty(len(self.angles))
         total = np.bincount(self.index, self.weights)
         for part, rows in self._data(self.x, mask, at):
@@ -263,7 +267,7 @@ class Fit:
             if self.problem.features:
                 basis = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
-            elif not self.problem.n_stations:
+            elif not self.n_stations:
                 own = self.weights[part] / total[self.index[part]]
                 taken += own[:, None, None] * np.eye(3)
             values, axes = np.linalg.eigh(taken)
@@ -328,7 +332,7 @@ class Fit:
     def _take(self, x):
         """Go on from these parameters; turns of the bases are small ones about the last."""
         self.x = x
-        for s in range(self.problem.n_stations):
+        for s in range(self.n_stations):
             self.rotations[s] = self._rotation(x, s)
             x[self.base_columns(s)[:3]] = 0
 
@@ -349,7 +353,7 @@ class Fit:
             yield from held
             return
         points, held = np.empty((n, 3)), []
-        for part in chunks(n, _BLOCK):
+        for part in self.blocks:
             block = (part, *self.located_at(x, part))
             points[part] = block[1]
             if n <= _HELD:
@@ -359,20 +363,29 @@ class Fit:
 
     def located_at(self, x, rows):
         """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
-        problem, angles, n_table = (
-            self.problem,
-            self.angles[rows],
-            self.kind.tolist().index("probe_mm"),
-        )
+        problem, angles, n_table = self.problem, self.angles[rows], self.n_table
         points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(self.nominal)))
         tools = None if problem.tools is None else problem.tools[rows]
-        for tool in range(problem.n_tools):
+        for tool in range(self.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
             arm = self.nominal_arm.on_trial(**self._fields(x, tool))
-            points[of], own = table_jacobian(arm, angles[of])
+            points[of], own = self.table_jacobian(arm, angles[of])
             jac[of, :, :n_table], jac[of, :, start : start + 3] = np.split(own, [n_table], axis=2)
         if self.correction is not None:
             points -= self.correction[rows]
+        return points, jac
+
+    def table_jacobian(self, arm, angles):
+        """Points (n, 3) that an arm shows, mm, and their derivatives (n, 3, n_table + 3).
+
+        By the table, the scales of what slides, and the probe.
+        """
+        points, jac = arm.parameter_jacobian(angles)
+        if slides := self.slides:
+            n = len(arm.a)
+            along = jac[:, :, 2 * n : 3 * n][:, :, slides]
+            scales = along * (np.sign(arm.joint_signs) * arm.own_angles(angles))[:, None, slides]
+            jac = np.concatenate([jac[:, :, : 4 * n], scales, jac[:, :, 4 * n :]], axis=2)
         return points, jac
 
     def free_columns(self, x, mask):
@@ -406,7 +419,7 @@ class Fit:
             explained: Any = 0.0
             for part, columns in self.free_columns(x, mask):
                 columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
-                explained = explained + group_sums(columns, index[part], None, len(whitened.unit))
+                explained = explained + self.summed(part, columns)
             moves = whitened.unit @ explained[:, :, :-1]
             return rows.forms, moves, whitened.unit, rows, explained, whitened
         # Sums of differences from the first row, so that a large mean costs no digits.
@@ -415,9 +428,15 @@ class Fit:
         sums: Any = 0.0
         for part, columns in self.free_columns(x, mask):
             first = columns[0] if first is None else first
-            sums = sums + group_sums(columns - first, index[part], weights[part], len(total))
+            sums = sums + self.summed(part, weights[part, None, None] * (columns - first))
         means = sums / total + first
         return means[:, :, -1], means[:, :, :-1], means
+
+    def summed(self, part, values):
+        """Sums over the rows of each position in a block, of values (m, ...)."""
+        matrix = self.summing[self.blocks.index(part)]
+        sums = matrix @ values.reshape(len(values), -1)
+        return sums.reshape(len(sums), *values.shape[1:])
 
     def _beside_touched(self, x, mask, at):
         """Yield blocks of rows, and their residuals (m, 3) as the last column of their Jacobian."""
@@ -435,9 +454,9 @@ class Fit:
         """The same of measured points. Derivatives by the turn of a base are those after it."""
         problem, n_table = self.problem, np.count_nonzero(mask[: len(self.nominal)])
         for part, columns in self.free_columns(x, mask):
-            rows = np.insert(columns, [n_table] * 6 * problem.n_stations, 0.0, axis=2)
+            rows = np.insert(columns, [n_table] * 6 * self.n_stations, 0.0, axis=2)
             stations = None if problem.stations is None else problem.stations[part]
-            for s in range(problem.n_stations):
+            for s in range(self.n_stations):
                 of, shift = rows_of(stations, s), x[self.base_columns(s)[3:]]
                 rows[of] = self._rotation(x, s) @ rows[of]
                 first = n_table + 6 * s
@@ -453,7 +472,7 @@ class Fit:
         """
         slope = self.scale[mask[: len(self.scale)]]
         scale, by_length = self.scale @ x[: len(self.scale)], np.flatnonzero(slope)
-        is_tracked = self.problem.n_stations
+        is_tracked = self.n_stations
         parts = self._beside_points(x, mask) if is_tracked else self._beside_touched(x, mask, at)
         for part, rows in parts:
             if scale > 0 and not is_tracked:
@@ -489,7 +508,7 @@ class Fit:
 
         Of the data, then of the known lengths, then of the prior.
         """
-        at = None if self.problem.n_stations else self.touched(x, mask)
+        at = None if self.n_stations else self.touched(x, mask)
         for _, rows in self._data(x, mask, at):
             yield rows.reshape(-1, rows.shape[2])
         if self.problem.lengths:
@@ -523,9 +542,9 @@ class Fit:
         if problem.features:
             weights = np.ones(len(points)) if weights is None else weights
             return problem.touched.linearised(points, weights).residual
-        if not problem.n_stations:
+        if not self.n_stations:
             return centred(points, problem.index, weights)
-        for s in range(problem.n_stations):
+        for s in range(self.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
         return points
@@ -601,12 +620,8 @@ class Fit:
         """
         misfit, _, pulled, every = self.misfit(mask)
         index, k = self.index, pulled.shape[0]
-        count = np.bincount(index)[:, None, None]
-        means: Any = sum(
-            group_sums(columns, index[part], None, len(count))
-            for part, columns in self.free_columns(self.x, every)
-        )
-        means = means / count
+        sums: Any = sum(self.summed(*block) for block in self.free_columns(self.x, every))
+        means = sums / np.bincount(index)[:, None, None]
         base = base_motions(means[:, :, -1], self.nominal_arm.reach_mm).reshape(-1, 6)
         base, flat = np.linalg.qr(base)[0], means.reshape(-1, means.shape[2])
 
@@ -633,20 +648,6 @@ def rows_of(numbers, one):
 def in_brackets(labels, n):
     """What follows the names of the parameters of each of n tools or stations."""
     return [f"[{label}]" for label in labels] or [""] * n
-
-
-def table_jacobian(arm, angles):
-    """Points (n, 3) in mm, and their derivatives (n, 3, n_parameters).
-
-    By the table, the scales of what slides, and the probe.
-    """
-    points, jac = arm.parameter_jacobian(angles)
-    if slides := arm.slides:
-        n = len(arm.a)
-        along = jac[:, :, 2 * n : 3 * n][:, :, slides]
-        scales = along * (np.sign(arm.joint_signs) * arm.own_angles(angles))[:, None, slides]
-        jac = np.concatenate([jac[:, :, : 4 * n], scales, jac[:, :, 4 * n :]], axis=2)
-    return points, jac
 
 
 def triangle(blocks):
