@@ -45,24 +45,25 @@ _FAR = 5.0
 _MOST_OUTLIERS = 0.1
 
 
-def findings_of_fit(fit, result, bare, poses):
+def findings_of_fit(fit, result, bare):
     """All findings, but that of outliers; `bare` is the fit without the correction, or None."""
+    numbers = fit.problem.poses.first  # of the rows as they were given
     if not fit.converged:
         scatter = result.scatter_after_mm
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
     for i in fit.still:
         text = (
-            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows:"
+            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows: "
+            "it is taken as fixed, and its scale is not looked for."
         )
         advice = (
             "What is learnt holds there. To learn more, measure with this joint elsewhere, too."
         )
-        text = f"{text} it is taken as fixed, and its scale is not looked for."
         yield Finding("slide-still", text, advice, joints=(i + 1,))
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
-    for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
+    for part in (label_findings(fit, result, numbers), _lengths(fit, result)):
         found = list(part)
         yield from found
         if any(finding.weight == "repair" for finding in found):
@@ -72,12 +73,11 @@ def findings_of_fit(fit, result, bare, poses):
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
-        groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(fit.problem.n_shown == 3)  # no touches
-        held = held[thinned(fit.problem.index[held], len(held))]
-        turns = fit.nominal_arm.phases(fit.angles[held])
-        yield from moved_positions(left[held], turns, groups[held], poses.first[held])
-    yield from moved_set_up(fit, poses.first)
+        held = held[thinned(fit.index[held], len(held))]
+        turns, rows = fit.nominal_arm.phases(fit.angles[held]), numbers[held]
+        yield from moved_positions(result.residuals_mm[rows], turns, result.groups[rows], rows)
+    yield from moved_set_up(fit, numbers)
     yield from _poses_alike(fit)
 
 
@@ -113,12 +113,14 @@ def _no_such_arm(fit, result, after):
     """A fit that has settled, and leaves a scatter of so many mm, makes no sense."""
     reach, before = fit.nominal_arm.reach_mm, result.scatter_before_mm
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
-        text = f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm"
+        text = (
+            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
+            f"{reach:.4g} mm)."
+        )
         advice = (
             "Look at the labels, known lengths, the order and sense of the joints, the convention "
             "of the table, and the unit of the angles."
         )
-        text = f"{text} reaches {reach:.4g} mm)."
         yield Finding("no-such-arm", text, advice, "repair", size_mm=after)
 
 

@@ -87,7 +87,7 @@ def label_findings(fit, result, numbers) -> Iterator[Finding]:
     """
     if fit.problem.points is None:
         labels = encode_groups(result.groups)[0]
-        far = np.isin(np.arange(len(numbers)), result.outliers)
+        far = np.isin(numbers, result.outliers)
         if fit.problem.features:
             known = fit.points(), labels.tolist(), fit.problem.lengths
             yield from fit.problem.touched.findings(*known)
