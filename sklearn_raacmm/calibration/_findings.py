@@ -12,7 +12,7 @@ from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
 from sklearn_raacmm.calibration._worth import covariance_of
 from sklearn_raacmm.measurements import Explanation, base_motions, moved_positions
-from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
+from sklearn_raacmm.utils import Finding, row_numbers
 
 # Standard deviations by which a parameter is off the table: once in 1.7 million by chance.
 _SDS_OFF = 5.0
@@ -86,7 +86,7 @@ def _lengths(fit, result):
     if fit.problem.lengths:
         cones = fit.of(lengths=[], offsets=None)
         if not [*_no_such_arm(fit, result, cones.distances().mean())]:
-            yield from wrong_lengths(fit, cones, encode_groups(result.groups)[0])
+            yield from wrong_lengths(fit, result, cones)
 
 
 def _few_rows(problem, rank, n_free):

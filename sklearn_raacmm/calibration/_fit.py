@@ -63,6 +63,10 @@ _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
 # tail may be longer than it is taken to be. 4 of 200 simulated sets are named.
 _FALSE_NAMES, _SDS_OF_TAILS = 0.05, norm.isf(0.01)
+# Beyond the limit of these a row is better not learned from, though it may be sound: with the slope
+# of the tail as it was found three in ten of small sets without outliers have such a row, which
+# costs a fit next to nothing.
+DOUBTED = {"false_names": _FALSE_NAMES, "n_sd": 0.0}
 # The part of the distances whose size tells how long the tail of the others is.
 _TAIL = 0.9
 
@@ -285,7 +289,7 @@ class Fit:
         else:
             # Outliers would shift the median to larger ones of the others.
             three = self.as_of_three(seen)
-            near = used & (three <= doubt_limit(three[used], 0.0))
+            near = used & (three <= outlier_limit(three[used], 0.0, **DOUBTED))
             sigma = robust_scale(seen[near], self.problem.n_shown[near])
         self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](self.as_of_three(distances) / self.sigma)
@@ -685,15 +689,6 @@ def inverse_normal(root):
     open_ = np.abs(vectors[~known]).max(axis=0, initial=0.0) > 1e-6
     covariance[open_, open_] = np.inf
     return covariance
-
-
-def doubt_limit(distances, sigma):
-    """Distance beyond which a row is better not learned from, though it may be sound.
-
-    As `outlier_limit`, with the slope of the tail as it was found: three in ten of small sets
-    without outliers have a row beyond it, which costs a fit next to nothing.
-    """
-    return outlier_limit(distances, sigma, _FALSE_NAMES, 0.0)
 
 
 def outlier_limit(distances, sigma, false_names=_FALSE_NAMES / 2, n_sd=_SDS_OF_TAILS):

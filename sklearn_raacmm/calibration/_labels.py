@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
 from sklearn_raacmm.measurements import Explanation
-from sklearn_raacmm.utils import Finding, encode_groups, group_means, row_numbers
+from sklearn_raacmm.utils import Finding, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
 # the right places (``tests/calibration/test_labels.py``).
@@ -86,7 +86,7 @@ def label_findings(fit, result, numbers) -> Iterator[Finding]:
     `numbers` (n,) are what the rows are called.
     """
     if fit.problem.points is None:
-        labels = encode_groups(result.groups)[0]
+        labels = fit.problem.labels
         far = np.isin(numbers, result.outliers)
         if fit.problem.features:
             known = fit.points(), labels.tolist(), fit.problem.lengths

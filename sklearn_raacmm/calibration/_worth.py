@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.calibration._fit import (
+    DOUBTED,
     UNKNOWN_PLACE_MM,
-    doubt_limit,
     in_brackets,
     inverse_normal,
     outlier_limit,
@@ -51,12 +51,14 @@ def result_of(fit, given, before):
     informative = robust[problem.informative]
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
-    doubtful = robust > min(limit, doubt_limit(informative, fit.sigma))
+    doubtful = robust > min(limit, outlier_limit(informative, fit.sigma, **DOUBTED))
     outliers = [i for i in farthest if robust[i] > limit]
     rows = tuple(row for i in outliers for row in np.flatnonzero(pose == i).tolist())
     if outliers:  # of touches that show one coordinate a shorter distance is as rare
         limit = min(limit, float(fit.robust_distances()[outliers].min()))
-    errors, sds = errors_of_lengths(fit)
+    errors, sd_of_ends = fit.lengths_found()
+    # What the table does not explain is much the same in all touches of a feature.
+    common = fit.sigma * bool(problem.features)
     return CalibrationResult(
         arm=fit.arm(),
         names=tuple(names),
@@ -69,7 +71,7 @@ def result_of(fit, given, before):
         scatter_after_mm=float(fit.distances().mean()),
         residuals_mm=fit.residuals(fit.first_weights())[pose],
         length_errors_mm=errors,
-        length_sd_mm=sds,
+        length_sd_mm=np.sqrt(fit.stated_sd**2 + sd_of_ends**2 + common**2),
         sigma_mm=float(fit.sigma),
         outliers=rows,
         outlier_limit_mm=limit,
@@ -119,14 +121,6 @@ def _identified(fit, names):
         "scale_sd": scale_sd,
         "scale_sd_corrected": corrected,
     }
-
-
-def errors_of_lengths(fit):
-    """Errors of the known lengths, mm, and their standard deviations, of the two ends as well."""
-    errors, sd_of_ends = fit.lengths_found()
-    # What the table does not explain is much the same in all touches of a feature.
-    common = fit.sigma * bool(fit.problem.features)
-    return errors, np.sqrt(fit.stated_sd**2 + sd_of_ends**2 + common**2)
 
 
 def covariance_of(fit):
