@@ -10,8 +10,9 @@ with them.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import combinations_with_replacement, permutations, product
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -92,7 +93,8 @@ _MAYBE_MEANT = ("other-table", "rows-unrelated")
 _RIDGE = 1e-4
 
 
-class Explanation(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Explanation:
     """What may be wrong with residuals, and what is then left of them beside what is expected."""
 
     code: str  # of `WORDS`
@@ -107,11 +109,12 @@ class Explanation(NamedTuple):
     # Nats by which an explanation has to be better than the data as given, beside the logarithm of
     # how many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of
     # real data that nothing is wrong with. Within `EQUAL` nothing tells two apart: a choice.
-    PRICE, EQUAL = 11.0, 7.0
+    PRICE: ClassVar[float] = 11.0
+    EQUAL: ClassVar[float] = 7.0
     # Residuals farther off than so many medians count as though they lay there.
-    FAR = 3.0
+    FAR: ClassVar[float] = 3.0
     # Rows on either side of a change.
-    LEAST_ROWS = 8
+    LEAST_ROWS: ClassVar[int] = 8
 
     def said(self, numbers: np.ndarray) -> str:
         """The words, with the row from which on it is so; `numbers` are what rows are called."""
