@@ -8,7 +8,7 @@
 from sklearn_raacmm.calibration._calibrate import calibrate, find_places
 from sklearn_raacmm.calibration._findings import SHARE_OF_REACH
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, places_of
-from sklearn_raacmm.calibration._lengths import are_wrong, disagreeing, lengths_of_places
+from sklearn_raacmm.calibration._lengths import disagreeing, lengths_of_places
 from sklearn_raacmm.calibration._result import (
     CalibrationResult as CalibrationResult,  # "as" for type checkers: users import it from here
 )

@@ -214,9 +214,7 @@ def calibrate(
         problem = replace(problem, lengths=[], offsets=None)
     check_measured(arm, problem)
     poses = problem.poses
-    for finding in poses.findings():
-        finding.report()
-    for finding in wrong_units(arm, problem):
+    for finding in chain(poses.findings(), wrong_units(arm, problem)):
         finding.report()
     corrected: Any = None
     if asked is not None:
@@ -234,16 +232,9 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    of_poses = result_of(fit, before_all, before)
-    rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
-    result = replace(
-        of_poses,
-        residuals_mm=of_poses.residuals_mm[poses.pose],
-        sample_weight=of_poses.sample_weight[poses.pose],
-        outliers=tuple(chain(*rows)),
-    )
+    result = result_of(fit, before_all, before)
     if not are_findings_ignored():
-        for finding in chain(findings_of_fit(fit, of_poses, bare, poses), outliers(result)):
+        for finding in chain(findings_of_fit(fit, result, bare), outliers(result)):
             finding.report()
     return result
 

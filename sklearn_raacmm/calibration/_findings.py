@@ -5,14 +5,14 @@
 
 import numpy as np
 
-from sklearn_raacmm.calibration._fit import FOUND, MAX_ROUNDS, table_jacobian
+from sklearn_raacmm.calibration._fit import FOUND, MAX_ROUNDS
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
 from sklearn_raacmm.calibration._worth import covariance_of
-from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
-from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
+from sklearn_raacmm.measurements import Explanation, base_motions, moved_positions
+from sklearn_raacmm.utils import Finding, row_numbers
 
 # Standard deviations by which a parameter is off the table: once in 1.7 million by chance.
 _SDS_OFF = 5.0
@@ -45,24 +45,25 @@ _FAR = 5.0
 _MOST_OUTLIERS = 0.1
 
 
-def findings_of_fit(fit, result, bare, poses):
+def findings_of_fit(fit, result, bare):
     """All findings, but that of outliers; `bare` is the fit without the correction, or None."""
+    numbers = fit.problem.poses.first  # of the rows as they were given
     if not fit.converged:
         scatter = result.scatter_after_mm
         text = f"the calibration did not settle in {MAX_ROUNDS} rounds; its scatter is"
         yield Finding("not-settled", f"{text} {scatter:.4g} mm.", size_mm=scatter)
     for i in fit.still:
         text = (
-            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows:"
+            f"Joint {i + 1}, which slides, stands still at {fit.angles[0, i]:.6g} mm in all rows: "
+            "it is taken as fixed, and its scale is not looked for."
         )
         advice = (
             "What is learnt holds there. To learn more, measure with this joint elsewhere, too."
         )
-        text = f"{text} it is taken as fixed, and its scale is not looked for."
         yield Finding("slide-still", text, advice, joints=(i + 1,))
     yield from _few_rows(fit.problem, result.rank, result.n_free)
     scatter = result.typical_scatter_mm
-    for part in (label_findings(fit, result, poses.first), _lengths(fit, result)):
+    for part in (label_findings(fit, result, numbers), _lengths(fit, result)):
         found = list(part)
         yield from found
         if any(finding.weight == "repair" for finding in found):
@@ -72,12 +73,11 @@ def findings_of_fit(fit, result, bare, poses):
     if bare is not None:
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
-        groups, left = result.groups[poses.first], result.residuals_mm
         held = np.flatnonzero(fit.problem.n_shown == 3)  # no touches
-        held = held[thinned(fit.problem.index[held], len(held))]
-        turns = fit.nominal_arm.phases(fit.angles[held])
-        yield from moved_positions(left[held], turns, groups[held], poses.first[held])
-    yield from moved_set_up(fit, poses.first)
+        held = held[thinned(fit.index[held], len(held))]
+        turns, rows = fit.nominal_arm.phases(fit.angles[held]), numbers[held]
+        yield from moved_positions(result.residuals_mm[rows], turns, result.groups[rows], rows)
+    yield from moved_set_up(fit, numbers)
     yield from _poses_alike(fit)
 
 
@@ -86,7 +86,7 @@ def _lengths(fit, result):
     if fit.problem.lengths:
         cones = fit.of(lengths=[], offsets=None)
         if not [*_no_such_arm(fit, result, cones.distances().mean())]:
-            yield from wrong_lengths(fit, cones, encode_groups(result.groups)[0])
+            yield from wrong_lengths(fit, result, cones)
 
 
 def _few_rows(problem, rank, n_free):
@@ -113,12 +113,14 @@ def _no_such_arm(fit, result, after):
     """A fit that has settled, and leaves a scatter of so many mm, makes no sense."""
     reach, before = fit.nominal_arm.reach_mm, result.scatter_before_mm
     if after > min(SHARE_OF_REACH * reach, 2 * before + 1e-6 * reach):
-        text = f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm"
+        text = (
+            f"The points still scatter by {after:.4g} mm ({before:.4g} mm before; the arm reaches "
+            f"{reach:.4g} mm)."
+        )
         advice = (
             "Look at the labels, known lengths, the order and sense of the joints, the convention "
             "of the table, and the unit of the angles."
         )
-        text = f"{text} reaches {reach:.4g} mm)."
         yield Finding("no-such-arm", text, advice, "repair", size_mm=after)
 
 
@@ -139,7 +141,7 @@ def _far(fit, sd):
     if length == "auto" and len(seen) > 1:
         square, n = np.square(fit.x[seen] - fit.nominal[seen]), len(seen)
         size = np.sqrt((FOUND["length_mm"][0] ** 2 + square.sum() - square) / n)
-        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * PRICE / (n + 1))
+        wider = (2 * _TYPED_MM / size) ** (2 / (n + 1)) * np.exp(2 * Explanation.PRICE / (n + 1))
         far[seen] = np.minimum(far[seen], size * np.sqrt(n * (wider - 1)))
     far[~fit.is_free] = np.inf
     return far
@@ -204,14 +206,14 @@ def _harm(corrected, bare):
 
 def _poses_alike(fit):
     """Away from the poses of the test little more is known of the arm than its table says."""
-    arm, n = fit.arm(), np.count_nonzero(fit.kind != "probe_mm") + 3
+    arm, n = fit.arm(), fit.n_table + 3
     is_free = fit.is_free[:n]
     # Of too few rows another finding tells.
     if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * fit.mask.sum():
         return
     angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
-    points, jac = table_jacobian(arm, angles)
+    points, jac = fit.table_jacobian(arm, angles)
     free = [jac[:, :, -3:], base_motions(points, arm.reach_mm)]
     if fit.problem.points is None:  # which cannot see the scale
         free.append(points[:, :, None] / arm.reach_mm)

@@ -4,19 +4,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections import deque
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi, norm
 
 from sklearn_raacmm.arm import FIELDS
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.measurements import STILL_MM, Whitening, base_motions
-from sklearn_raacmm.utils import align, centred, chunks, group_sums, robust_scale, slip_factors
+from sklearn_raacmm.utils import align, centred, chunks, robust_scale, slip_factors, summing
 
 # Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
 # how many parameters that were seen the guess is worth, and its bounds
@@ -53,9 +51,8 @@ _EVIDENCE_ROUNDS = 8
 # this part. Least damping, and where a step is given up.
 _MAX_STEPS, _SMALL_GAIN = 100, 1e-10
 _DAMPING, _MOST_DAMPING = 1e-8, 1e8
-# Normal equations whose Cholesky factor has a smaller pivot than this are solved by the QR
-# decomposition: their condition is squared.
-_LEAST_PIVOT = 1e-8
+# Directions that the normal equations show by less than this part are rounding: no step goes there.
+_ROUNDING = 1e-14
 # Rows whose Jacobian is made at a time, and most rows of which it is held for the next look: 11 MB
 # for 27 parameters. Of more rows sums over blocks are held, and a few numbers of each row.
 _BLOCK, _HELD = 4096, 2**14
@@ -66,6 +63,10 @@ _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
 # tail may be longer than it is taken to be. 4 of 200 simulated sets are named.
 _FALSE_NAMES, _SDS_OF_TAILS = 0.05, norm.isf(0.01)
+# Beyond the limit of these a row is better not learned from, though it may be sound: with the slope
+# of the tail as it was found three in ten of small sets without outliers have such a row, which
+# costs a fit next to nothing.
+DOUBTED = {"false_names": _FALSE_NAMES, "n_sd": 0.0}
 # The part of the distances whose size tells how long the tail of the others is.
 _TAIL = 0.9
 
@@ -87,18 +88,24 @@ class Fit:
     ):  # fmt: skip
         self.nominal_arm, self.problem, self.angles = arm, problem, problem.angles
         self.loss, self.free, self.priors = loss, free, priors
+        self.n_tools, self.n_stations = problem.n_tools, problem.n_stations
+        # Where points were measured all rows are beside one mean.
+        self.index = np.zeros(len(self.angles), int) if self.n_stations else problem.index
+        n, n_groups = len(self.angles), self.index.max() + 1
+        # Blocks of rows, and what sums up the rows of each position in them.
+        self.blocks = chunks(n, _BLOCK)
+        self.summing = [summing(self.index[part], None, n_groups) for part in self.blocks]
         self.correct(correction)
-        self.turning = np.setdiff1d(np.arange(arm.n_joints), arm.slides)
+        self.slides, every = arm.slides, np.arange(arm.n_joints)
+        self.turning = np.setdiff1d(every, self.slides)
         # Joints that slide, but stand still in all rows.
-        self.still = [i for i in arm.slides if np.ptp(self.angles[:, i]) < STILL_MM]
+        self.still = [i for i in self.slides if np.ptp(self.angles[:, i]) < STILL_MM]
         self._name_parameters()
         self.x, self.sigma, self.converged = self.nominal.copy(), 1.0, False
-        self.weights: Any = np.ones(len(self.angles))
-        # Where points were measured all rows are beside one mean.
-        self.index = np.zeros(len(self.angles), int) if problem.n_stations else problem.index
+        self.weights: Any = np.ones(n)
         self.scale = self._common_scale()
         points, places = self.points(), []  # first guess of every base
-        for s in range(problem.n_stations):
+        for s in range(self.n_stations):
             rows = rows_of(problem.stations, s)
             places.append(align(points[rows], problem.points[rows]))
         self.rotations = np.array([rotation for rotation, _ in places])
@@ -107,8 +114,8 @@ class Fit:
 
     def _name_parameters(self):
         """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
-        arm, slides, problem = self.nominal_arm, self.nominal_arm.slides, self.problem
-        probes = in_brackets(problem.tool_labels, problem.n_tools)
+        arm, slides, problem = self.nominal_arm, self.slides, self.problem
+        probes = in_brackets(problem.tool_labels, self.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
         table = np.concatenate([getattr(arm, name) for name in FIELDS[:-1]])
         is_length = np.array([not name.startswith(ANGLES) for name in self.names])
@@ -126,6 +133,7 @@ class Fit:
         self.is_free = np.array(is_free + ["probe" in self.free] * 3 * len(probes))
         scales = np.abs(arm.joint_signs[slides])
         self.nominal = np.concatenate([table, scales, *[arm.probe] * len(probes)])
+        self.n_table = len(table) + len(slides)
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
         length, *_ = self.priors
         given = *self.priors, length, "auto", "auto", _SLIDE_SCALE
@@ -182,7 +190,7 @@ class Fit:
         """Weights of the rows by what they touched, without slips; None for measured points."""
         if self.problem.features:
             return self.problem.touched.weights(self.points())
-        return None if self.problem.n_stations else slip_factors(self.points(), self.index)
+        return None if self.n_stations else slip_factors(self.points(), self.index)
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -195,14 +203,11 @@ class Fit:
 
     def _fields(self, x, tool) -> dict[str, Any]:
         """The fields of an arm, with the probe of a tool, by the parameters."""
-        arm, slides, start = (
-            self.nominal_arm,
-            self.nominal_arm.slides,
-            4 * self.nominal_arm.n_joints,
-        )
-        parts = [*np.split(x[:start], 4), x[start + len(slides) + 3 * tool :][:3]]
-        signs = np.sign(arm.joint_signs)
-        signs[slides] *= x[start : start + len(slides)]
+        ends = np.append(np.arange(1, 5) * len(self.nominal_arm.a), self.n_table)
+        *parts, scales, probes = np.split(x[: len(self.nominal)], ends)
+        signs = np.sign(self.nominal_arm.joint_signs)
+        signs[self.slides] *= scales
+        parts.append(probes[3 * tool :][:3])
         return dict(zip(FIELDS, parts, strict=True)) | {"joint_signs": signs}
 
     def run(self, is_free=None):
@@ -220,7 +225,7 @@ class Fit:
             )
             if self.converged:
                 break
-        if self.problem.features and mask[: -3 * self.problem.n_tools].any():
+        if self.problem.features and mask[: -3 * self.n_tools].any():
             self._take_best_table(mask)
         return self
 
@@ -256,7 +261,7 @@ class Fit:
         deviations.
         """
         finite = np.where(np.isfinite(covariance), covariance, 0.0)
-        at: Any = None if self.problem.n_stations else self.touched(self.x, mask)
+        at: Any = None if self.n_stations else self.touched(self.x, mask)
         spread = np.empty(len(self.angles))
         total = np.bincount(self.index, self.weights)
         for part, rows in self._data(self.x, mask, at):
@@ -266,7 +271,7 @@ class Fit:
             if self.problem.features:
                 basis = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
-            elif not self.problem.n_stations:
+            elif not self.n_stations:
                 own = self.weights[part] / total[self.index[part]]
                 taken += own[:, None, None] * np.eye(3)
             values, axes = np.linalg.eigh(taken)
@@ -283,8 +288,9 @@ class Fit:
             sigma = np.sqrt(np.mean(seen[used] ** 2) / self.problem.n_shown[used].mean())
         else:
             # Outliers would shift the median to larger ones of the others.
-            seen = self.as_of_three(seen)[used]
-            sigma = robust_scale(seen[seen <= doubt_limit(seen, 0.0)], 3)
+            three = self.as_of_three(seen)
+            near = used & (three <= outlier_limit(three[used], 0.0, **DOUBTED))
+            sigma = robust_scale(seen[near], self.problem.n_shown[near])
         self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](self.as_of_three(distances) / self.sigma)
 
@@ -307,7 +313,7 @@ class Fit:
         """Gauss-Newton steps at given weights, damped where they do not lower the squares."""
         sums, damping = self._sums(self.x, mask), 0.0
         for _ in range(_MAX_STEPS):
-            step, gain = gauss_newton_step(sums, damping, lambda: self.rows(self.x, mask))
+            step, gain = gauss_newton_step(sums, damping)
             x = self.x.copy()
             x[mask] += step
             if gain <= _SMALL_GAIN * sums[-1, -1]:
@@ -330,7 +336,7 @@ class Fit:
     def _take(self, x):
         """Go on from these parameters; turns of the bases are small ones about the last."""
         self.x = x
-        for s in range(self.problem.n_stations):
+        for s in range(self.n_stations):
             self.rotations[s] = self._rotation(x, s)
             x[self.base_columns(s)[:3]] = 0
 
@@ -351,7 +357,7 @@ class Fit:
             yield from held
             return
         points, held = np.empty((n, 3)), []
-        for part in chunks(n, _BLOCK):
+        for part in self.blocks:
             block = (part, *self.located_at(x, part))
             points[part] = block[1]
             if n <= _HELD:
@@ -361,20 +367,29 @@ class Fit:
 
     def located_at(self, x, rows):
         """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
-        problem, angles, n_table = (
-            self.problem,
-            self.angles[rows],
-            self.kind.tolist().index("probe_mm"),
-        )
+        problem, angles, n_table = self.problem, self.angles[rows], self.n_table
         points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(self.nominal)))
         tools = None if problem.tools is None else problem.tools[rows]
-        for tool in range(problem.n_tools):
+        for tool in range(self.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
             arm = self.nominal_arm.on_trial(**self._fields(x, tool))
-            points[of], own = table_jacobian(arm, angles[of])
+            points[of], own = self.table_jacobian(arm, angles[of])
             jac[of, :, :n_table], jac[of, :, start : start + 3] = np.split(own, [n_table], axis=2)
         if self.correction is not None:
             points -= self.correction[rows]
+        return points, jac
+
+    def table_jacobian(self, arm, angles):
+        """Points (n, 3) that an arm shows, mm, and their derivatives (n, 3, n_table + 3).
+
+        By the table, the scales of what slides, and the probe.
+        """
+        points, jac = arm.parameter_jacobian(angles)
+        if slides := self.slides:
+            n = len(arm.a)
+            along = jac[:, :, 2 * n : 3 * n][:, :, slides]
+            scales = along * (np.sign(arm.joint_signs) * arm.own_angles(angles))[:, None, slides]
+            jac = np.concatenate([jac[:, :, : 4 * n], scales, jac[:, :, 4 * n :]], axis=2)
         return points, jac
 
     def free_columns(self, x, mask):
@@ -408,7 +423,7 @@ class Fit:
             explained: Any = 0.0
             for part, columns in self.free_columns(x, mask):
                 columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
-                explained = explained + group_sums(columns, index[part], None, len(whitened.unit))
+                explained = explained + self.summed(part, columns)
             moves = whitened.unit @ explained[:, :, :-1]
             return rows.forms, moves, whitened.unit, rows, explained, whitened
         # Sums of differences from the first row, so that a large mean costs no digits.
@@ -417,9 +432,15 @@ class Fit:
         sums: Any = 0.0
         for part, columns in self.free_columns(x, mask):
             first = columns[0] if first is None else first
-            sums = sums + group_sums(columns - first, index[part], weights[part], len(total))
+            sums = sums + self.summed(part, weights[part, None, None] * (columns - first))
         means = sums / total + first
         return means[:, :, -1], means[:, :, :-1], means
+
+    def summed(self, part, values):
+        """Sums over the rows of each position in a block, of values (m, ...)."""
+        matrix = self.summing[self.blocks.index(part)]
+        sums = matrix @ values.reshape(len(values), -1)
+        return sums.reshape(len(sums), *values.shape[1:])
 
     def _beside_touched(self, x, mask, at):
         """Yield blocks of rows, and their residuals (m, 3) as the last column of their Jacobian."""
@@ -437,9 +458,9 @@ class Fit:
         """The same of measured points. Derivatives by the turn of a base are those after it."""
         problem, n_table = self.problem, np.count_nonzero(mask[: len(self.nominal)])
         for part, columns in self.free_columns(x, mask):
-            rows = np.insert(columns, [n_table] * 6 * problem.n_stations, 0.0, axis=2)
+            rows = np.insert(columns, [n_table] * 6 * self.n_stations, 0.0, axis=2)
             stations = None if problem.stations is None else problem.stations[part]
-            for s in range(problem.n_stations):
+            for s in range(self.n_stations):
                 of, shift = rows_of(stations, s), x[self.base_columns(s)[3:]]
                 rows[of] = self._rotation(x, s) @ rows[of]
                 first = n_table + 6 * s
@@ -455,7 +476,7 @@ class Fit:
         """
         slope = self.scale[mask[: len(self.scale)]]
         scale, by_length = self.scale @ x[: len(self.scale)], np.flatnonzero(slope)
-        is_tracked = self.problem.n_stations
+        is_tracked = self.n_stations
         parts = self._beside_points(x, mask) if is_tracked else self._beside_touched(x, mask, at)
         for part, rows in parts:
             if scale > 0 and not is_tracked:
@@ -491,7 +512,7 @@ class Fit:
 
         Of the data, then of the known lengths, then of the prior.
         """
-        at = None if self.problem.n_stations else self.touched(x, mask)
+        at = None if self.n_stations else self.touched(x, mask)
         for _, rows in self._data(x, mask, at):
             yield rows.reshape(-1, rows.shape[2])
         if self.problem.lengths:
@@ -525,9 +546,9 @@ class Fit:
         if problem.features:
             weights = np.ones(len(points)) if weights is None else weights
             return problem.touched.linearised(points, weights).residual
-        if not problem.n_stations:
+        if not self.n_stations:
             return centred(points, problem.index, weights)
-        for s in range(problem.n_stations):
+        for s in range(self.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
             points[rows] -= (problem.points[rows] - shift) @ self.rotations[s]
         return points
@@ -603,12 +624,8 @@ class Fit:
         """
         misfit, _, pulled, every = self.misfit(mask)
         index, k = self.index, pulled.shape[0]
-        count = np.bincount(index)[:, None, None]
-        means: Any = sum(
-            group_sums(columns, index[part], None, len(count))
-            for part, columns in self.free_columns(self.x, every)
-        )
-        means = means / count
+        sums: Any = sum(self.summed(*block) for block in self.free_columns(self.x, every))
+        means = sums / np.bincount(index)[:, None, None]
         base = base_motions(means[:, :, -1], self.nominal_arm.reach_mm).reshape(-1, 6)
         base, flat = np.linalg.qr(base)[0], means.reshape(-1, means.shape[2])
 
@@ -637,20 +654,6 @@ def in_brackets(labels, n):
     return [f"[{label}]" for label in labels] or [""] * n
 
 
-def table_jacobian(arm, angles):
-    """Points (n, 3) in mm, and their derivatives (n, 3, n_parameters).
-
-    By the table, the scales of what slides, and the probe.
-    """
-    points, jac = arm.parameter_jacobian(angles)
-    if slides := arm.slides:
-        n = len(arm.a)
-        along = jac[:, :, 2 * n : 3 * n][:, :, slides]
-        scales = along * (np.sign(arm.joint_signs) * arm.own_angles(angles))[:, None, slides]
-        jac = np.concatenate([jac[:, :, : 4 * n], scales, jac[:, :, 4 * n :]], axis=2)
-    return points, jac
-
-
 def triangle(blocks):
     """Triangular factor of the rows of all blocks, as the QR decomposition of all has it."""
     root: Any = None
@@ -659,28 +662,17 @@ def triangle(blocks):
     return root
 
 
-def gauss_newton_step(sums, damping, blocks):
+def gauss_newton_step(sums, damping):
     """Step of least squares (k,), and by how much it lowers the sum of squares if all is linear.
 
     `sums` (k + 1, k + 1) are the products of the Jacobian's columns, and of the residuals, which
-    are the last one; `blocks()` are the rows themselves. The damping, as a part of the squares of
-    each column, is Marquardt's.
+    are the last one. The damping, as a part of the squares of each column, is Marquardt's.
     """
-    normal, slope = sums[:-1, :-1].copy(), sums[:-1, -1]
+    normal, slope = sums[:-1, :-1], sums[:-1, -1]
     size = np.sqrt(np.diag(normal))
     size[size == 0] = 1
-    normal /= np.outer(size, size)
-    normal[np.diag_indices(len(size))] += damping
-    factor: Any = None
-    with suppress(LinAlgError):
-        factor = cho_factor(normal, lower=True, check_finite=False)
-    if factor and np.square(np.diag(factor[0])).min(initial=1.0) > _LEAST_PIVOT:
-        step = -cho_solve(factor, slope / size, check_finite=False) / size
-    else:
-        root = triangle(blocks())
-        whole = np.concatenate([root[:, :-1] / size, np.sqrt(damping) * np.eye(len(size))])
-        target = -np.r_[root[:, -1], np.zeros(len(size))]
-        step = np.linalg.lstsq(whole, target, rcond=1e-12)[0] / size
+    normal = normal / np.outer(size, size) + max(damping, _ROUNDING) * np.eye(len(size))
+    step = -np.linalg.solve(normal, slope / size) / size
     return step, float(-slope @ step)
 
 
@@ -697,15 +689,6 @@ def inverse_normal(root):
     open_ = np.abs(vectors[~known]).max(axis=0, initial=0.0) > 1e-6
     covariance[open_, open_] = np.inf
     return covariance
-
-
-def doubt_limit(distances, sigma):
-    """Distance beyond which a row is better not learned from, though it may be sound.
-
-    As `outlier_limit`, with the slope of the tail as it was found: three in ten of small sets
-    without outliers have a row beyond it, which costs a fit next to nothing.
-    """
-    return outlier_limit(distances, sigma, _FALSE_NAMES, 0.0)
 
 
 def outlier_limit(distances, sigma, false_names=_FALSE_NAMES / 2, n_sd=_SDS_OF_TAILS):

@@ -11,8 +11,8 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
-from sklearn_raacmm.measurements import PRICE
-from sklearn_raacmm.utils import Finding, encode_groups, group_means, row_numbers
+from sklearn_raacmm.measurements import Explanation
+from sklearn_raacmm.utils import Finding, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
 # the right places (``tests/calibration/test_labels.py``).
@@ -20,7 +20,7 @@ APART_MM = 40.0
 # Rows of which all distances are looked at: of 3000 they take 36 MB.
 MOST_ROWS = 3000
 # Nats by which a row that is not at its own place has to be likelier at another one: fewer than
-# `PRICE`, as by chance few slips end at another place.
+# `Explanation.PRICE`, as by chance few slips end at another place.
 _PRICE_OF_ROW = 3.0
 # Rows or places that a sentence names.
 _NAMED = 4
@@ -86,8 +86,8 @@ def label_findings(fit, result, numbers) -> Iterator[Finding]:
     `numbers` (n,) are what the rows are called.
     """
     if fit.problem.points is None:
-        labels = encode_groups(result.groups)[0]
-        far = np.isin(np.arange(len(numbers)), result.outliers)
+        labels = fit.problem.labels
+        far = np.isin(numbers, result.outliers)
         if fit.problem.features:
             known = fit.points(), labels.tolist(), fit.problem.lengths
             yield from fit.problem.touched.findings(*known)
@@ -172,7 +172,7 @@ def _same_places(centres, labels, sigma):
     n = len(centres)
     if n < 3 or not sigma > 0:
         return
-    near = _one_place_mm(centres, sigma, PRICE, n * (n - 1) / 2)
+    near = _one_place_mm(centres, sigma, Explanation.PRICE, n * (n - 1) / 2)
     place = fcluster(linkage(centres, "single"), near, "distance")
     for code in np.flatnonzero(np.bincount(place) > 1):
         of = np.flatnonzero(place == code)

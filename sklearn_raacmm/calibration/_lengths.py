@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from sklearn_raacmm.calibration._worth import covariance_of, errors_of_lengths
-from sklearn_raacmm.measurements import UNITS, likeliest
+from sklearn_raacmm.calibration._result import CalibrationResult
+from sklearn_raacmm.calibration._worth import covariance_of
+from sklearn_raacmm.measurements import UNITS, Explanation, Measurements
 from sklearn_raacmm.utils import Finding, floats, listed
 
-# Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
-_LENGTH_OUTLIER = 5.0
 # A change of the arm's scale by the known lengths that has to be explained: as a part, and in
 # standard deviations of what cones and table say without them. Real arms with their lengths come to
 # 1.0, simulated ones to 1.8, those whose table was measured by tape to 6.7
@@ -31,17 +30,12 @@ _BEST_MM, _BEST_SHARE = 2e-4, 5e-7
 _TABLE, _CONSTANT_MM = 0.03, 100.0
 
 
-def are_wrong(errors: np.ndarray, sds: np.ndarray) -> np.ndarray:
-    """Which known lengths disagree with the rest of the data, by their errors and these sds."""
-    return np.abs(errors) > _LENGTH_OUTLIER * sds
-
-
-def wrong_lengths(fit, bare, labels):
+def wrong_lengths(fit, result, bare):
     """The finding that known lengths disagree with one another, or with table and cones.
 
-    `bare` is the fit without them; `labels` name the positions.
+    `bare` is the fit without them.
     """
-    lengths, mask = fit.problem.lengths, bare.mask
+    lengths, labels, mask = fit.problem.lengths, fit.problem.labels, bare.mask
     best = [_BEST_MM + _BEST_SHARE * entry[2] for entry in lengths]
     if wrong := [entry for entry, sd in zip(lengths, best, strict=True) if entry[3] < sd]:
         said = ", ".join(f"{_ends(one, labels)} to {one[3]:g} mm" for one in wrong)
@@ -55,7 +49,7 @@ def wrong_lengths(fit, bare, labels):
     sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
     if abs(change) > min(_CHANGE, _SDS * sd) or fit.sigma > _BENDS * bare.sigma:
         at = bare.touched(bare.x, mask)
-        causes, off = _causes(fit.problem, at, covariance, bare, labels)
+        causes, off = _causes(fit.problem, at, covariance, bare)
     if causes:
         which = "; another known length tells which is right" * (len(causes) > 1)
         size = f"{100 * abs(change):.3g} % {'larger' if change > 0 else 'smaller'}"
@@ -69,20 +63,16 @@ def wrong_lengths(fit, bare, labels):
         )
         yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
         return
-    yield from disagreeing(lengths, *errors_of_lengths(fit), labels)
+    yield from disagreeing(fit.problem, result)
 
 
-def disagreeing(
-    lengths: Sequence[Any], errors: np.ndarray, sds: np.ndarray, labels: Any
-) -> Iterator[Finding]:
-    """The finding that known lengths disagree with the rest, by their errors, mm, and these sds.
-
-    `labels` name the numbers of the ends of the `lengths`.
-    """
+def disagreeing(measured: Measurements, result: CalibrationResult) -> Iterator[Finding]:
+    """The finding that known lengths of the measurements disagree with the rest."""
+    lengths, labels, errors = measured.lengths, measured.labels, result.length_errors_mm
     wrong = [
         f"{_ends(lengths[k], labels)} is {lengths[k][2] + errors[k]:.6g} mm, given as "
         f"{lengths[k][2]:g} +- {lengths[k][3]:g} mm"
-        for k in np.flatnonzero(are_wrong(errors, sds)).tolist()
+        for k in np.flatnonzero(result.wrong_lengths).tolist()
     ]
     if wrong:
         text = (
@@ -92,13 +82,13 @@ def disagreeing(
         yield Finding("wrong-length", text, size_mm=np.abs(errors).max())
 
 
-def _causes(problem, at, covariance, bare, labels):
+def _causes(problem, at, covariance, bare):
     """The likeliest causes of such lengths, (code, words) each, and by how much these are off, mm.
 
     None where that they are right is likelier. `at` is what was touched, of the fit without
     lengths, and `covariance` is that of its parameters.
     """
-    lengths = problem.lengths
+    lengths, labels = problem.lengths, problem.labels
     given, sd = np.array([entry[2:] for entry in lengths], dtype=float).T
     n, explained = len(given), []
     found, slope, sd_of_ends = bare.known(lengths, at)
@@ -130,7 +120,7 @@ def _causes(problem, at, covariance, bare, labels):
     for said, by in of_all:
         value = log_likelihood(left, more=np.outer(by, by))
         explained.append((value, ("wrong-length", said)))
-    return likeliest(explained, log_likelihood(left)), np.abs(left).max()
+    return Explanation.likeliest(explained, log_likelihood(left)), np.abs(left).max()
 
 
 def _other_ends(entry, places, labels, variance):

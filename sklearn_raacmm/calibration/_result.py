@@ -20,6 +20,8 @@ _WORDS = {
     "a": "length a", "alpha": "twist", "d": "length d", "theta_offset": "zero", "scale": "scale",
 }  # fmt: skip
 _MOST_CHANGES = 8
+# Standard deviations of a known length beyond which it disagrees: once in 1.7 million.
+_LENGTH_OUTLIER = 5.0
 # Rows and combinations that are printed.
 _N_SHOWN = 10
 
@@ -153,6 +155,14 @@ class CalibrationResult:
         """Mean distance from where rows belong, without the outliers, mm."""
         distance = np.linalg.norm(self.residuals_mm, axis=1)
         return float(np.delete(distance, list(self.outliers)).mean())
+
+    @property
+    def wrong_lengths(self) -> np.ndarray:
+        """Which known lengths disagree with the rest of the data, (n_lengths,) of bool.
+
+        By more than five standard deviations of their errors.
+        """
+        return np.abs(self.length_errors_mm) > _LENGTH_OUTLIER * self.length_sd_mm
 
     @property
     def changes(self) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sklearn_raacmm.calibration._fit import rows_of
-from sklearn_raacmm.measurements import LEAST_ROWS, base_motions, best_split
+from sklearn_raacmm.measurements import Explanation, base_motions, best_split
 from sklearn_raacmm.utils import Finding, row_numbers
 
 # Share of the squares that a set-up of its own behind a row has to take away, beside what chance
@@ -57,7 +57,7 @@ def moved_set_up(fit, numbers) -> Iterator[Finding]:
     columns = root * np.concatenate([columns, bases.reshape(*left.shape, -1)], axis=2)
     ridge, left = np.r_[ridge, np.zeros(6 * n_stations)], root[:, :, 0] * left
     for own in of_stations:
-        if len(own) >= 3 * LEAST_ROWS:
+        if len(own) >= 3 * Explanation.LEAST_ROWS:
             yield from _moved_in(own, left, columns, ridge, root, effects, numbers)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.calibration._fit import (
+    DOUBTED,
     UNKNOWN_PLACE_MM,
-    doubt_limit,
     in_brackets,
     inverse_normal,
     outlier_limit,
@@ -37,8 +37,8 @@ _OPEN = np.sqrt(3.0)
 
 
 def result_of(fit, given, before):
-    """Everything that is to be known of a fit that has settled."""
-    problem = fit.problem
+    """Everything that is to be known of a fit that has settled, of rows as they were given."""
+    problem, pose = fit.problem, fit.problem.poses.pose
     stations = in_brackets(problem.station_labels, problem.n_stations)
     names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
     values, bases = fit.x.copy(), []
@@ -46,19 +46,19 @@ def result_of(fit, given, before):
         turn, shift = np.split(fit.base_columns(s), 2)
         values[turn] = Rotation.from_matrix(rotation).as_rotvec()
         bases.append((rotation, values[shift]))
-    groups = None
-    if problem.points is None:
-        groups = problem.labels[problem.index[problem.poses.pose]]
     # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
     robust = fit.as_of_three(fit.robust_distances())
     informative = robust[problem.informative]
     limit = float(outlier_limit(informative, fit.sigma))
     farthest = np.argsort(-robust, kind="stable")
-    doubtful = robust > min(limit, doubt_limit(informative, fit.sigma))
-    outliers = [int(i) for i in farthest if robust[i] > limit]
+    doubtful = robust > min(limit, outlier_limit(informative, fit.sigma, **DOUBTED))
+    outliers = [i for i in farthest if robust[i] > limit]
+    rows = tuple(row for i in outliers for row in np.flatnonzero(pose == i).tolist())
     if outliers:  # of touches that show one coordinate a shorter distance is as rare
         limit = min(limit, float(fit.robust_distances()[outliers].min()))
-    errors, sds = errors_of_lengths(fit)
+    errors, sd_of_ends = fit.lengths_found()
+    # What the table does not explain is much the same in all touches of a feature.
+    common = fit.sigma * bool(problem.features)
     return CalibrationResult(
         arm=fit.arm(),
         names=tuple(names),
@@ -69,14 +69,14 @@ def result_of(fit, given, before):
         scatter_given_mm=float(given),
         scatter_before_mm=float(before),
         scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(fit.first_weights()),
+        residuals_mm=fit.residuals(fit.first_weights())[pose],
         length_errors_mm=errors,
-        length_sd_mm=sds,
+        length_sd_mm=np.sqrt(fit.stated_sd**2 + sd_of_ends**2 + common**2),
         sigma_mm=float(fit.sigma),
-        outliers=tuple(outliers),
+        outliers=rows,
         outlier_limit_mm=limit,
-        sample_weight=np.where(doubtful, 0.0, 1.0),
-        groups=groups,
+        sample_weight=np.where(doubtful, 0.0, 1.0)[pose],
+        groups=None if fit.n_stations else problem.labels[problem.index[pose]],
         features=problem.stated,
         arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
         bases=dict(zip(problem.station_labels, bases, strict=False)),
@@ -121,14 +121,6 @@ def _identified(fit, names):
         "scale_sd": scale_sd,
         "scale_sd_corrected": corrected,
     }
-
-
-def errors_of_lengths(fit):
-    """Errors of the known lengths, mm, and their standard deviations, of the two ends as well."""
-    errors, sd_of_ends = fit.lengths_found()
-    # What the table does not explain is much the same in all touches of a feature.
-    common = fit.sigma * bool(fit.problem.features)
-    return errors, np.sqrt(fit.stated_sd**2 + sd_of_ends**2 + common**2)
 
 
 def covariance_of(fit):

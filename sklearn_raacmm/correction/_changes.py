@@ -22,7 +22,7 @@ from sklearn_raacmm.correction._change import changes_of, parts_of, with_names
 from sklearn_raacmm.correction._condition import thin
 from sklearn_raacmm.correction._rows import TAKEN_UP, Expected, place_columns, slipped_rows
 from sklearn_raacmm.error_model import Rows
-from sklearn_raacmm.measurements import EQUAL
+from sklearn_raacmm.measurements import Explanation
 from sklearn_raacmm.utils import group_means
 
 # Orders of the harmonics that a knocked or loosened encoder shows first.
@@ -108,7 +108,7 @@ class Table:
 def named_changes(
     expected: Expected,
     refitted: Sequence[str] = ("base", "probe"),
-    least_nats: float = EQUAL,
+    least_nats: float = Explanation.EQUAL,
     only: Sequence[str] = (),
 ) -> list[str] | None:
     """Changes that new rows name, one after another; None: all columns may.

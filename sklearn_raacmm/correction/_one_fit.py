@@ -15,7 +15,7 @@ from sklearn.base import clone
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_raacmm.arm import FIELDS, Arm
-from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
+from sklearn_raacmm.calibration import calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
 from sklearn_raacmm.measurements import Features, order_explained_by, position_residuals
@@ -285,15 +285,14 @@ class Data:
             again = several and calibrate(calibration.arm, self.measured, correction=model)
         if again:
             seen._leave_out_wrong(again)
-            given = self.measured.lengths, again.length_errors_mm, again.length_sd_mm
-            for finding in disagreeing(*given, self.measured.labels):
+            for finding in disagreeing(self.measured, again):
                 finding.report()
         return seen, np.intersect1d(far, np.r_[rows[model.pose_weight_ == 0], lonely])
 
     def _leave_out_wrong(self, calibration):
         """Leave out the known lengths that disagree with the rest of a calibration."""
         if self.lengths and self.points is None:
-            wrong = are_wrong(calibration.length_errors_mm, calibration.length_sd_mm)
+            wrong = calibration.wrong_lengths
             self.measured = self.measured.without_lengths(wrong)
             self.lengths = [one for one, out in zip(self.lengths, wrong, strict=False) if not out]
 

@@ -22,8 +22,8 @@ from sklearn_raacmm.error_model import (
     known_lengths,
     touched_rows,
 )
-from sklearn_raacmm.measurements import Measurements, base_motions, check_length, medians_of
-from sklearn_raacmm.utils import centred, encode_groups, floats, listed
+from sklearn_raacmm.measurements import Measurements, base_motions, check_length
+from sklearn_raacmm.utils import centred, encode_groups, floats, listed, medians_of
 
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.

@@ -22,16 +22,8 @@ from sklearn_raacmm.correction._condition import (
 )
 from sklearn_raacmm.correction._rows import Expected, place_columns
 from sklearn_raacmm.error_model import LEAST_POSITIONS, ArmResidualRegressor
-from sklearn_raacmm.measurements import (
-    FAR,
-    PRICE,
-    base_motions,
-    explanations,
-    likeliest,
-    medians_of,
-    of_own_points,
-)
-from sklearn_raacmm.utils import Finding
+from sklearn_raacmm.measurements import Explanation, base_motions, of_own_points
+from sklearn_raacmm.utils import Finding, medians_of
 
 # Rows that are looked at, evenly from all, and how many there have to be: for speed.
 _ROWS, _LEAST_ROWS = 120, 12
@@ -98,7 +90,7 @@ def what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[Fi
     def spread_of(some, table):
         return _Spread(wider.at(np.frombuffer(some, dtype=int)), table)
 
-    every = explanations(
+    every = Explanation.of_residuals(
         rows.y, expected, rows.X, n_joints, rows.codes,
         lambda angles: linear.predict(angles)[0], expected,
         base_motions(linear.arm.forward(rows.X[:, :n_joints]), linear.arm.reach_mm),
@@ -107,10 +99,10 @@ def what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[Fi
     tried = islice(every, 1 if as_given else None)  # as given they are of another arm only
     fair = [one for one in tried if not (few and one.code == "other-table")]
     gains = [_gain(one, given, expected, spread_of) for one in fair]
-    likely = likeliest(zip(gains, fair, strict=True))
+    likely = Explanation.likeliest(zip(gains, fair, strict=True))
     if not likely:
         nats = float("-inf") if few else _gain_of_another(of_rows)
-        if nats > PRICE:
+        if nats > Explanation.PRICE:
             said = (
                 f"That the new residuals, {_rms(given):.3g} mm about the model, are of another arm "
                 f"is likelier by {nats:.0f} nats than that some of this one has changed."
@@ -228,7 +220,9 @@ class _Spread:
         """
         middle = medians_of(left, self.shown.rows.codes)
         distance = np.linalg.norm(left - middle, axis=1)
-        share = np.minimum(1.0, FAR * np.median(distance) / np.maximum(distance, 1e-300))
+        share = np.minimum(
+            1.0, Explanation.FAR * np.median(distance) / np.maximum(distance, 1e-300)
+        )
         left = middle + share[:, None] * (left - middle)
         left = self.of(left)
         along = np.square(self.axes.T @ left)

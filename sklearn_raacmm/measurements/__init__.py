@@ -6,18 +6,7 @@
 # ruff: noqa: F401  (used by the other subpackages)
 
 from sklearn_raacmm.measurements._dwells import STILL_MM, find_dwells, find_poses, within_turn
-from sklearn_raacmm.measurements._explanations import (
-    EQUAL,
-    FAR,
-    LEAST_ROWS,
-    PRICE,
-    UNITS,
-    best_split,
-    explanations,
-    likeliest,
-    medians_of,
-    of_own_points,
-)
+from sklearn_raacmm.measurements._explanations import UNITS, Explanation, best_split, of_own_points
 from sklearn_raacmm.measurements._features import Features, Form, check_length
 from sklearn_raacmm.measurements._measurements import Measurements, given_causes
 from sklearn_raacmm.measurements._moved_positions import moved_positions

@@ -1,16 +1,18 @@
 """What may be wrong with residuals: one table of explanations, for every function that asks.
 
-`WORDS` says what each is called and what to do about it, `explanations` what it does to the data.
-Where a model says how residuals scatter, likelihoods are compared by `likeliest`; deviations of a
-single-point test are those of the arm's own points to the last digit, and compared with them.
+`WORDS` says what each is called and what to do about it, `Explanation.of` what it does to the data.
+Where a model says how residuals scatter, likelihoods are compared by `Explanation.likeliest`;
+deviations of a single-point test are those of the arm's own points to the last digit, and compared
+with them.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from itertools import combinations_with_replacement, permutations, product
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -27,10 +29,6 @@ from sklearn_raacmm.utils import (
 
 What = TypeVar("What")
 
-# Nats by which an explanation has to be better than the data as given, beside the logarithm of how
-# many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of real data
-# that nothing is wrong with. Within the second nothing tells two explanations apart: a choice.
-PRICE, EQUAL = 11.0, 7.0
 UNITS = {25.4: "inches", 10.0: "centimetres", 1000.0: "metres", 1e-3: "micrometres"}
 _FILES = "Are angles and points from two files, of which one has a row more, or another order?"
 WORDS = {
@@ -72,9 +70,8 @@ _EXCHANGES = [
     if order != (0, 1, 2) or len(set(signs)) > 1
 ]
 _TURNS, _JOINTS = 10_000, 20
-# Rows that an order can be seen of. Residuals farther off than so many medians count as though they
-# lay there.
-_LEAST_ROWS, FAR = 12, 3.0
+# Rows that an order can be seen of.
+_LEAST_ROWS = 12
 # Rows at the end from which on they are late. With fewer, 3 of 24 simulated updates with one slip
 # in the last row but one were refused; see ``tests/correction/test_update.py``.
 _LEAST_LATE = 5
@@ -92,13 +89,12 @@ _NO_MEAN, _OTHERS = 1e-3, 10.0
 # What another model has left of deviations looks like these, and is a legitimate target of a fit.
 _MAYBE_MEANT = ("other-table", "rows-unrelated")
 
-# Rows on either side of a change.
-LEAST_ROWS = 8
 # Part of the squares of a move that is added: rows at one place cannot show a turn.
 _RIDGE = 1e-4
 
 
-class Explanation(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Explanation:
     """What may be wrong with residuals, and what is then left of them beside what is expected."""
 
     code: str  # of `WORDS`
@@ -109,6 +105,16 @@ class Explanation(NamedTuple):
     factor: float = 1.0  # of each coordinate
     first: int = 0  # the first row that it is about
     of: np.ndarray | None = None  # (n,) rows of the residuals, where they are others
+
+    # Nats by which an explanation has to be better than the data as given, beside the logarithm of
+    # how many of its kind are tried: `benchmarks/bench_check.py findings` counts what is said of
+    # real data that nothing is wrong with. Within `EQUAL` nothing tells two apart: a choice.
+    PRICE: ClassVar[float] = 11.0
+    EQUAL: ClassVar[float] = 7.0
+    # Residuals farther off than so many medians count as though they lay there.
+    FAR: ClassVar[float] = 3.0
+    # Rows on either side of a change.
+    LEAST_ROWS: ClassVar[int] = 8
 
     def said(self, numbers: np.ndarray) -> str:
         """The words, with the row from which on it is so; `numbers` are what rows are called."""
@@ -123,70 +129,68 @@ class Explanation(NamedTuple):
         rows = row_numbers(numbers[[self.first]]) if self.first else ()
         return Finding(self.code, text, WORDS[self.code][1], weight, rows=rows, size_mm=size_mm)
 
+    @staticmethod
+    def likeliest(explained: Iterable[tuple[float, What]], given: float = PRICE) -> list[What]:
+        """The best of (nats, explanation) and all that are as likely, the best first.
 
-def likeliest(explained: Iterable[tuple[float, What]], given: float = PRICE) -> list[What]:
-    """The best of (nats, explanation) and all that are as likely, the best first.
+        None where the data as given are likelier than the best, or its gain is less than its price.
+        """
+        ranked = sorted(explained, key=lambda one: -one[0])
+        best = ranked[0][0]
+        return [one for nats, one in ranked if nats > best - Explanation.EQUAL and best > given]
 
-    None where the data as given are likelier than the best, or its gain is less than its price.
-    """
-    ranked = sorted(explained, key=lambda one: -one[0])
-    best = ranked[0][0]
-    return [one for nats, one in ranked if nats > best - EQUAL] if best > given else []
+    @classmethod
+    def of_residuals(
+        cls,
+        y: np.ndarray,
+        expected: np.ndarray,
+        angles: np.ndarray,
+        n_joints: int,
+        codes: np.ndarray | None,
+        predict: Callable[[np.ndarray], np.ndarray],
+        correction: np.ndarray | None,
+        motions: np.ndarray | None = None,
+    ) -> Iterator["Explanation"]:
+        """Yield what may have been done to residuals (n, 3), in mm: of another arm first.
 
-
-def explanations(
-    y: np.ndarray,
-    expected: np.ndarray,
-    angles: np.ndarray,
-    n_joints: int,
-    codes: np.ndarray | None,
-    predict: Callable[[np.ndarray], np.ndarray],
-    correction: np.ndarray | None,
-    motions: np.ndarray | None = None,
-) -> Iterator[Explanation]:
-    """Yield what may have been done to residuals (n, 3), in mm, that they are of another arm first.
-
-    `expected` (n, 3) is what they should be at the angles, and `predict` says so for others; a
-    `correction` (n, 3) may have been taken away. `codes` (n,) are the positions, where these have
-    offsets.
-    """
-    every = np.arange(len(y))
-    yield Explanation("another-arm", "", y, every)
-    yield Explanation("other-table", "", y - expected, every)
-    yield Explanation("rows-unrelated", "", y, every)
-    yield Explanation("sign-of-residuals", "", -y - expected, every)
-    for factor, unit in UNITS.items():
-        left = factor * y - expected
-        yield Explanation("unit-of-residuals", unit, left, every, len(UNITS), factor)
-    if correction is not None:
-        yield Explanation("corrected-already", "", y + correction - expected, every)
-        yield Explanation("sign-of-residuals", "", y + 2 * correction - expected, every)
-    best = max(_EXCHANGES, key=lambda one: np.vdot(y @ one.T, expected))
-    names = [("-" if row.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in best]
-    turns = [(best, " ".join(names), len(_EXCHANGES))]
-    for mirror, words in ((1.0, "they are turned"), (-1.0, "they are turned and mirrored")):
-        turns.append((mirror * align(mirror * y, expected)[0], words, _TURNS))
-    for turn, words, n_tried in turns:
-        yield Explanation("axes-of-residuals", words, y @ turn.T - expected, every, n_tried)
-    # Two joints exchanged, or one and the same reversed.
-    for i, j in combinations_with_replacement(range(n_joints), 2):
-        changed = angles.copy()
-        changed[:, [i, j]] = angles[:, [j, i]] * (-1 if i == j else 1)
-        words = f"joint {i + 1} is reversed"
-        if i < j:
+        `expected` (n, 3) is what they should be at the angles, and `predict` says so for others; a
+        `correction` (n, 3) may have been taken away. `codes` (n,) are the positions, where these
+        have offsets; `motions` (n, 3, 6) is what a base that moves does to them.
+        """
+        every = np.arange(len(y))
+        yield cls("another-arm", "", y, every)
+        yield cls("other-table", "", y - expected, every)
+        yield cls("rows-unrelated", "", y, every)
+        yield cls("sign-of-residuals", "", -y - expected, every)
+        for factor, unit in UNITS.items():
+            left = factor * y - expected
+            yield cls("unit-of-residuals", unit, left, every, len(UNITS), factor)
+        if correction is not None:
+            yield cls("corrected-already", "", y + correction - expected, every)
+            yield cls("sign-of-residuals", "", y + 2 * correction - expected, every)
+        best = max(_EXCHANGES, key=lambda one: np.vdot(y @ one.T, expected))
+        names = [f"{'-' if row.sum() < 0 else ''}{'xyz'[np.abs(row).argmax()]}" for row in best]
+        turns = [(best, " ".join(names), len(_EXCHANGES))]
+        for mirror, words in ((1.0, "they are turned"), (-1.0, "they are turned and mirrored")):
+            turns.append((mirror * align(mirror * y, expected)[0], words, _TURNS))
+        for turn, words, n_tried in turns:
+            yield cls("axes-of-residuals", words, y @ turn.T - expected, every, n_tried)
+        # Two joints exchanged, or one and the same reversed.
+        for i, j in combinations_with_replacement(range(n_joints), 2):
+            changed = angles.copy()
+            changed[:, [i, j]] = angles[:, [j, i]] * (-1 if i == j else 1)
             words = f"joints {i + 1} and {j + 1} are exchanged"
-        yield Explanation("joints", words, y - predict(changed), every, _JOINTS)
-    yield from _late(y, expected, codes)
-    if codes is None and motions is not None and len(y) >= 3 * LEAST_ROWS:
-        row, left = _moved_from(y - expected, motions)
-        # A slipped row is no move, though one may explain a part of it.
-        kept = every[tukey_weights(left) > 0]
-        if 3 * LEAST_ROWS <= len(kept) < len(y):
-            row, left = _moved_from((y - expected)[kept], motions[kept])
-        else:
-            kept = every
-        taken = _TURNS**2 * len(kept)
-        yield Explanation("moved-station", "", left, kept, taken, first=int(kept[row]))
+            words = f"joint {i + 1} is reversed" if i == j else words
+            yield cls("joints", words, y - predict(changed), every, _JOINTS)
+        yield from _late(y, expected, codes)
+        if codes is None and motions is not None and len(y) >= 3 * cls.LEAST_ROWS:
+            left = y - expected
+            # A slipped row is no move, though one may explain a part of it.
+            kept = every[tukey_weights(_moved_from(left, motions)[1]) > 0]
+            kept = kept if len(kept) >= 3 * cls.LEAST_ROWS else every
+            row, left = _moved_from(left[kept], motions[kept])
+            taken = _TURNS**2 * len(kept)
+            yield cls("moved-station", "", left, kept, taken, first=int(kept[row]))
 
 
 def _moved_from(left, motions):
@@ -207,7 +211,7 @@ def _late(y, expected, codes):
         parts = [y[of] - expected[rows] for of in (rows, rows + step)]
         middles = (medians_of(one, None if codes is None else codes[rows]) for one in parts)
         good, late = (np.square(a - b).sum(axis=1) for a, b in zip(parts, middles, strict=True))
-        limit = FAR**2 * max(np.median(good), np.median(late))
+        limit = Explanation.FAR**2 * max(np.median(good), np.median(late))
         ahead = np.cumsum(np.minimum(good, limit) - np.minimum(late, limit))
         ahead = np.r_[0.0, ahead]
         ahead[1 - _LEAST_LATE : -1] = np.inf  # the last rows alone are slips
@@ -257,7 +261,7 @@ def of_own_points(
     as_given = Explanation("", "", given - own, every)
     if explains(as_given):
         return True, []
-    tried = [*explanations(given, own, angles, arm.n_joints, codes, own_of, known)]
+    tried = [*Explanation.of_residuals(given, own, angles, arm.n_joints, codes, own_of, known)]
     # Any deviations are those of some table where there are few.
     jac = arm.parameter_jacobian(angles)[1]
     slope, shown = steps(jac.reshape(len(y), -1)), steps(own)
@@ -298,7 +302,7 @@ def best_split(
     those `extra` (n, 3, q) of the move the squares fall by :math:`g' S^{-1} g`, :math:`g = E'r` and
     :math:`S = E'E - E'C H^{-1} C'E`.
 
-    Returns the share, the number among the `own` rows (n_own,), at least three times `LEAST_ROWS`,
+    Returns the share, the number among the `own` rows (n_own,), three times the least or more,
     the move (q,) and what is then left of all rows (n, 3).
     """
     flat = columns.reshape(-1, columns.shape[2])
@@ -311,7 +315,7 @@ def best_split(
     squares = behind(np.einsum("ncq,ncr->nqr", move_of, move_of))
     shared = behind(np.einsum("ncq,ncp->nqp", move_of, columns[own]))
     slope = behind(np.einsum("ncq,nc->nq", move_of, left[own]))
-    rows = np.arange(LEAST_ROWS, len(own) - LEAST_ROWS)
+    rows = np.arange(Explanation.LEAST_ROWS, len(own) - Explanation.LEAST_ROWS)
     rest = squares[rows] - shared[rows] @ inverse @ shared[rows].transpose(0, 2, 1)
     # What the rows cannot tell from the fit is no move.
     scale = np.trace(squares[rows], axis1=1, axis2=2)[:, None, None] * np.eye(extra.shape[2])

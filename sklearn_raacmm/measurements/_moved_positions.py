@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.measurements._dwells import find_dwells
-from sklearn_raacmm.measurements._explanations import likeliest
+from sklearn_raacmm.measurements._explanations import Explanation
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
 # Poses that are looked at together, and the fewest on either side of a step: what lasts for fewer
@@ -76,7 +76,7 @@ def find_steps(left: np.ndarray, angles: np.ndarray, codes: np.ndarray) -> list[
         parts: Any = [(0, one, of_all)]
         while parts:
             low, part, squares = parts.pop()
-            for cut in likeliest(_nats(squares, usual, len(left)))[:1]:
+            for cut in Explanation.likeliest(_nats(squares, usual, len(left)))[:1]:
                 cuts.append(low + cut)
                 halves = (low, part[:cut]), (low + cut, part[cut:])
                 parts += [

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, position_residuals
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.measurements import medians_of, of_own_points
-from sklearn_raacmm.utils import centred, collected_findings
+from sklearn_raacmm.measurements import of_own_points
+from sklearn_raacmm.utils import centred, collected_findings, medians_of
 
 MORE = [pytest.param(name, marks=pytest.mark.exhaustive) for name in ("panda_6", "panda_7")]
 ARMS = {}
