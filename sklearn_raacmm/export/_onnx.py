@@ -138,19 +138,17 @@ def _elevation(height, reach):
 
 def convert(program):
     """A program as an ONNX model: input X; outputs y, and std if the program has it."""
-    graph = _Graph()
+    program, graph = program.pruned("y", "std"), _Graph()
     helper, proto = graph.onnx.helper, graph.onnx.TensorProto
     values: Any = [_Traced(graph, "X", np.zeros((1, program.n_inputs)))]
     for op in program.ops[1:]:
         inputs = [values[i] for i in op.inputs]
         values.append(OPERATIONS[op.name](*inputs, **op.given))
     outputs = []
-    for name in ("y", "std"):
-        if name in program.outputs:
-            number = program.outputs[name]
-            graph("Identity", values[number].name, into=name)
-            shape = [None, program.ops[number].size]
-            outputs.append(helper.make_tensor_value_info(name, proto.DOUBLE, shape))
+    for name, number in program.outputs.items():
+        graph("Identity", values[number].name, into=name)
+        shape = [None, program.ops[number].size]
+        outputs.append(helper.make_tensor_value_info(name, proto.DOUBLE, shape))
     inputs = [helper.make_tensor_value_info("X", proto.DOUBLE, [None, program.n_inputs])]
     made = helper.make_graph(graph.nodes, "sklearn_raacmm", inputs, outputs, graph.tensors)
     versions = [helper.make_opsetid("", _OPSET)]
