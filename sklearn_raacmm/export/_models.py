@@ -8,6 +8,7 @@ One method for each kind of step: it adds the step's operations to those before 
 
 from functools import cached_property, reduce
 from operator import add
+from typing import Any
 
 import numpy as np
 from sklearn.preprocessing import StandardScaler
@@ -39,8 +40,8 @@ def build_program(model, std=False, fade="exact", poses=None):
     `poses` (n, n_inputs), and from few numbers; with False nothing fades.
 
     Its outputs are ``y``; ``point``, the corrected point in mm, where there is an arm and y has
-    three numbers; ``trust``, the share of the correction that is left, and ``doubt``, squared in
-    mm^2, where it fades; ``std``, if asked for.
+    three numbers; ``trust``, the share of the correction that is left, where it fades; ``std``, if
+    asked for.
     """
     return nearly(_Reader(Chain(model), std).whole(), fade, poses)
 
@@ -68,12 +69,12 @@ def compare_shares(program):
 class _Reader:
     """Reads a chain of steps: it adds their operations to a program."""
 
-    def __init__(self, chain, std, exact=None, fade="exact", poses=None):
+    def __init__(self, chain, std, exact: Any = None, fade: Any = "exact", poses=None):
         self.chain, self.std = chain, std
-        self.exact, self.fade, self.given_poses = exact, fade, poses
+        self.fade, self.given_poses = fade, poses
         self.arm, self.unit = chain.arm_and_unit
         self.p = Program(chain.n_inputs, chain, exact)
-        self.x, self.found = self.p.x, {}  # outputs beside y and std
+        self.x, self.trust = self.p.x, None
 
     def whole(self):
         """The program."""
@@ -83,15 +84,14 @@ class _Reader:
         outputs = {"y": y}
         if self.arm is not None and y.size == 3:
             outputs["point"] = self.probe - y
-        if "trust" in self.found:
-            outputs["trust"] = p("finite", self.found["trust"], y)
-            outputs["doubt"] = self.found["doubt"]
+        if self.trust is not None:
+            outputs["trust"] = p("finite", self.trust, y)
         if self.std:
             outputs["std"] = p("finite", np.sqrt(v), y)
         p.outputs = {name: value.number for name, value in outputs.items()}
         return p.pruned(*outputs)
 
-    def read(self, steps, x):
+    def read(self, steps, x) -> tuple[Any, Any]:
         """Prediction and variance (or None) of steps, the last of which is a regressor."""
         for number, (path, step) in enumerate(steps):
             if isinstance(step, CylindricalResidualTarget):
@@ -136,7 +136,8 @@ class _Reader:
 
     def cylindrical(self, path, step, rest, x):
         """A regressor in the cylindrical frame of the probe's azimuth."""
-        p, n, direction = self.p, step.n_features_in_ - 2, None
+        p, n = self.p, step.n_features_in_ - 2
+        direction: Any = None
         if step._drops_direction:
             # A direction that comes with the features becomes NaN where its norm is not 1.
             given, x = x[[n, n + 1]], x[np.arange(n)]
@@ -259,7 +260,7 @@ class _Reader:
                     near = fading.near_mm**4
                     nearness = near / (doubt * doubt + near)
                     share = share * (nearness * (1 - fading.far) + fading.far)
-            self.found, y = {"trust": share, "doubt": doubt}, y * share
+            self.trust, y = share, y * share
         if v is not None:
             v = v * linear.std_scale**2
             v = v if step.helps_ else np.maximum(v, fading.size_mm**2 / 3)
@@ -302,7 +303,7 @@ class _Reader:
             # Any root gives the same variances; a triangle has half the entries.
             return np.asarray(np.linalg.qr(half[order].T, mode="r")).T
 
-        v = None
+        v: Any = None
         if self.std:
             root = triangle(linear.gauge_free_half)
             seen = () if poses is None else seen_columns(linear, poses, order)
@@ -316,19 +317,21 @@ class _Reader:
             if len(waves[0]):
                 doubt = doubt + self.of_joints(vectors, *waves)
             return y, v, np.maximum(doubt + constant, 0.0)
-        same = v is not None and np.array_equal(linear.fading_half, linear.gauge_free_half)
-        squares = v if same else variances(triangle(linear.fading_half))
+        squares = v
+        if v is None or not np.array_equal(linear.fading_half, linear.gauge_free_half):
+            squares = variances(triangle(linear.fading_half))
         return y, v, squares.dots(np.ones(3))
 
     def poses(self, linear):
         """Poses from far to near in rad, with the extra columns; then those that are given."""
-        doubt = self.exact.pruned("doubt")
-        poses = poses_from_far_to_near(self.chain, lambda rows: doubt.run(rows)["doubt"][:, 0])
-        if self.given_poses is not None:
-            poses = np.concatenate([poses, self.given_poses])
         factors = np.ones(self.x.size)
         unit = np.pi / 180 if self.unit == "deg" else 1.0
         factors[: self.arm.n_joints] = self.arm.by_type(unit)
+        poses = poses_from_far_to_near(
+            self.chain, lambda rows: linear.predict_with_doubt(rows * factors)[2]
+        )
+        if self.given_poses is not None:
+            poses = np.concatenate([poses, self.given_poses])
         return poses * factors
 
     def of_joints(self, vectors, joints, about, series, means):

@@ -39,14 +39,14 @@ class Program:
     ops : list of Op
         The first is the input.
     outputs : dict of int
-        Numbers of y and, where they exist, of point, trust, doubt and std.
+        Numbers of y and, where they exist, of point, trust and std.
     chain : object
         The model's steps, for what is said of them.
     exact : Program or None
         The program that this one is nearly.
     """
 
-    def __init__(self, n_inputs, chain=None, exact=None):
+    def __init__(self, n_inputs, chain: Any, exact: "Program | None" = None):
         self.ops, self.outputs = [Op("input", (), {}, n_inputs)], {}
         self.chain, self.exact, self._known = chain, exact, {}
         self.x = Value(self, 0)
@@ -106,7 +106,7 @@ class Program:
         return found
 
     @cached_property
-    def fingerprint(self):
+    def fingerprint(self) -> str:
         """SHA-256 of every operation and constant that the prediction is made of.
 
         A program that is nearly another has that one's.
