@@ -14,6 +14,7 @@ from sklearn_raacmm.acceptance import LABELS, AcceptanceRun, Artefact
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._generators import (
     calibrated_arm,
+    directions_at,
     draw_cones,
     draw_gauges,
     machine_and_stream,
@@ -176,6 +177,5 @@ class _Drawn:
 
 def _half_sphere(n, turn):
     """Directions (n, 3) spread evenly over the upper half of a sphere."""
-    z = 1 - (np.arange(n) + 0.5) / n
-    azimuth, across = _GOLDEN_ANGLE * n * (1 - z) + turn, np.sqrt(1 - z**2)
-    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z])
+    height = 1 - (np.arange(n) + 0.5) / n
+    return directions_at(height, _GOLDEN_ANGLE * n * (1 - height) + turn)

@@ -90,10 +90,11 @@ def _functions(program, name, real):
     point, trust = [f"{real} point_mm[3];"] * corrects, [f"{real} trust[1];"] * fades
     call = f"evaluate({', '.join([x, out, *['point_mm'] * corrects, *['trust'] * fades])});"
     extra = ", ".join(plain(label) for label, _ in chain.extra)
-    texts = comments(
-        x=x.replace("_", " "), out=out, n=n, q=q, unit=unit, upper=name.upper(),
+    text = template(
+        "comments", x=x.replace("_", " "), out=out, n=n, q=q, unit=unit, upper=name.upper(),
         then=f";\n   then {extra}" if extra else "",
     )  # fmt: skip
+    texts = dict(re.findall(r"^= (\w+): (.*(?:\n   .*)*)", text, re.MULTILINE))
     texts[verb] += "\n   " + texts["status"] + texts["faded"] * fades
     found = []
 
@@ -158,13 +159,6 @@ def check_name(name):
             f"at most {_MAX_NAME} characters; got {name!r:.60}."
         )
     return name
-
-
-def comments(**given):
-    """Comments on the public functions, by name."""
-    return dict(
-        re.findall(r"^= (\w+): (.*(?:\n   .*)*)", template("comments", **given), re.MULTILINE)
-    )
 
 
 def plain(text):

@@ -178,19 +178,20 @@ class _Writer:
         self.put(*(f"    {line}" for line in lines.splitlines() if line))
 
     def _finite(self, number, op):
-        y, x = op.inputs
-        self._refused(number, f"all_finite({self.array(x)}, {self.ops[x].size})", y)
+        x = op.inputs[1]
+        self._refused(number, op, f"all_finite({self.array(x)}, {self.ops[x].size})")
 
-    def _refused(self, number, condition, y):
+    def _refused(self, number, op, condition):
         self.put(f"const int ok{number} = {condition};")
-        self._assign(number, lambda i: f"ok{number} ? {self.at(y, i)} : ({self.real})NAN")
+        y = partial(self.at, op.inputs[0])
+        self._assign(number, lambda i: f"ok{number} ? {y(i)} : ({self.real})NAN")
 
     def _within(self, number, op):
-        y, x = op.inputs
+        x = self.array(op.inputs[1])
         low, high = (self.tables.literal(op.given[key]) for key in ("low", "high"))
-        name, n = self.array(x), self.ops[x].size
-        parts = [f"{name}[{j}] >= {low} && {name}[{j}] <= {high}" for j in range(n)]
-        self._refused(number, " && ".join(parts), y)
+        n = self.ops[op.inputs[1]].size
+        parts = [f"{x}[{j}] >= {low} && {x}[{j}] <= {high}" for j in range(n)]
+        self._refused(number, op, " && ".join(parts))
 
     def _affine(self, number, op):
         matrix, shift = op.given["matrix"], op.given["shift"]

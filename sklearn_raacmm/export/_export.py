@@ -13,18 +13,17 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_files import check_name, make_test, sources
-from sklearn_raacmm.export._load_c import answers_in_c, check_fade
+from sklearn_raacmm.export._load_c import answers_in_c, check_options
 from sklearn_raacmm.export._model_card import ModelCard
 from sklearn_raacmm.export._models import build_program, compare_shares, nearly
 from sklearn_raacmm.export._onnx import convert, run_onnx
 from sklearn_raacmm.export._proof import SINGLE_SUMS, check_answers, make_test_rows, rows_as_json
-from sklearn_raacmm.utils import check_flags, write_whole
+from sklearn_raacmm.utils import write_whole
 
 
 def _check(card, fade, std):
     """Refuse what cannot be one of these parameters."""
-    check_flags(std=std)
-    check_fade(fade)
+    check_options(std, fade)
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
 

@@ -190,15 +190,15 @@ def load_c(
         compiled = load_c(model)
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
-    check_flags(std=std)
-    check_fade(fade)
+    check_options(std, fade)
     program = build_program(model, std, fade)
     flat = np.ndim(model.predict(program.chain.typical_rows(1))) == 1
     return CompiledModel(program, flat=flat)
 
 
-def check_fade(fade):
-    """Refuse what cannot be how a correction fades."""
+def check_options(std, fade):
+    """Refuse what cannot say whether there is a deviation, or how a correction fades."""
+    check_flags(std=std)
     if not (fade is False or (isinstance(fade, str) and fade in ("small", "exact"))):
         raise ValueError(f"fade must be 'small', 'exact' or False, got {fade!r:.60}.")
 

@@ -7,7 +7,6 @@ import contextlib
 import hashlib
 import json
 import re
-import unicodedata
 from typing import Any
 
 import numpy as np
@@ -73,11 +72,8 @@ def escaped(text):
 
     Of a longer one `_LONGEST` characters are shown, then "...".
     """
-    # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
-    line = "".join(
-        " " if unicodedata.category(c)[0] == "C" or unicodedata.category(c) in ("Zl", "Zp") else c
-        for c in str(text)
-    )
+    # Nor ends of lines, surrogates, and formats that turn the direction of writing.
+    line = "".join(c if c.isprintable() else " " for c in str(text))
     line = line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
     line = re.sub(r"([\\`*\[\]|~#!]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", line)
     return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
