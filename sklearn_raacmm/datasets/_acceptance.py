@@ -14,13 +14,12 @@ from sklearn_raacmm.acceptance import LABELS, AcceptanceRun, Artefact
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._generators import (
     calibrated_arm,
-    directions_at,
     draw_cones,
     draw_gauges,
     machine_and_stream,
     take_readings,
 )
-from sklearn_raacmm.datasets._simulation import SimulatedArm
+from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_at
 
 _TESTS = ("probing", "articulation", "length", "diameter", "single-point", "volumetric")
 _LENGTHS = (200.0, 400.0, 600.0, 800.0, 1000.0)

@@ -12,13 +12,8 @@ from scipy.spatial.transform import Rotation
 from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
-from sklearn_raacmm.datasets._generators import (
-    directions_at,
-    draw_cones,
-    machine_and_stream,
-    measure,
-)
-from sklearn_raacmm.datasets._simulation import SimulatedArm
+from sklearn_raacmm.datasets._generators import draw_cones, machine_and_stream, measure
+from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_at
 from sklearn_raacmm.utils import floats
 
 # Standard deviations of a certificate, mm: the size of a ball, and the length of a block.

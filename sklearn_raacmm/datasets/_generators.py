@@ -329,12 +329,6 @@ def _reachable(machine, n_poses, rng, draws, n_tries):
     return np.array(places), reached
 
 
-def directions_at(height, azimuth):
-    """Unit vectors (n, 3) of this height and azimuth."""
-    across = np.sqrt(1 - height**2)
-    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), height])
-
-
 def _in_direction(machine, share, rng):
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(-_MAX_ELEVATION, _MAX_ELEVATION)
     across, up = np.cos(elevation), np.sin(elevation)
