@@ -47,8 +47,8 @@ class Program:
     """
 
     def __init__(self, n_inputs, chain: Any, exact: "Program | None" = None):
-        self.ops, self.outputs = [Op("input", (), {}, n_inputs)], {}
-        self.chain, self.exact, self._known = chain, exact, {}
+        self.ops, self.outputs = [Op("input", (), {}, n_inputs)], dict[str, int]()
+        self.chain, self.exact, self._known = chain, exact, dict[Any, Any]()
         self.x = Value(self, 0)
 
     @property
