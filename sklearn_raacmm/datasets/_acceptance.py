@@ -19,7 +19,7 @@ from sklearn_raacmm.datasets._generators import (
     machine_and_stream,
     take_readings,
 )
-from sklearn_raacmm.datasets._simulation import SimulatedArm
+from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_at
 
 _TESTS = ("probing", "articulation", "length", "diameter", "single-point", "volumetric")
 _LENGTHS = (200.0, 400.0, 600.0, 800.0, 1000.0)
@@ -176,6 +176,5 @@ class _Drawn:
 
 def _half_sphere(n, turn):
     """Directions (n, 3) spread evenly over the upper half of a sphere."""
-    z = 1 - (np.arange(n) + 0.5) / n
-    azimuth, across = _GOLDEN_ANGLE * n * (1 - z) + turn, np.sqrt(1 - z**2)
-    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z])
+    height = 1 - (np.arange(n) + 0.5) / n
+    return directions_at(height, _GOLDEN_ANGLE * n * (1 - height) + turn)

@@ -13,7 +13,7 @@ from sklearn.utils import check_random_state, check_scalar
 
 from sklearn_raacmm.datasets._arm_errors import ArmErrors
 from sklearn_raacmm.datasets._generators import draw_cones, machine_and_stream, measure
-from sklearn_raacmm.datasets._simulation import SimulatedArm
+from sklearn_raacmm.datasets._simulation import SimulatedArm, directions_at
 from sklearn_raacmm.utils import floats
 
 # Standard deviations of a certificate, mm: the size of a ball, and the length of a block.
@@ -98,7 +98,8 @@ def make_features(
     points, near, lengths = [], [], []
     for kind, place, own in zip([*kinds, *blocks], places, poses, strict=True):
         label = groups[-1] + 1 if groups else 0
-        out = _half_sphere(n_touches, touched)
+        height, azimuth = touched.uniform(size=n_touches), touched.uniform(-np.pi, np.pi, n_touches)
+        out = directions_at(height, azimuth)  # over the upper half
         one = [np.zeros((n_touches, 3))]
         if kind == "sphere":
             one = [(size + tip_diameter) / 2 * out]
@@ -122,13 +123,6 @@ def make_features(
     data = measure(simulated, every, near, rng, np.array(groups), features)
     data.update(features=features, lengths=lengths)
     return data
-
-
-def _half_sphere(n, rng):
-    """Directions (n, 3) over the upper half of a sphere."""
-    height, azimuth = rng.uniform(size=n), rng.uniform(-np.pi, np.pi, n)
-    across = np.sqrt(1 - height**2)
-    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), height])
 
 
 def _square(n, half, rng):

@@ -390,6 +390,12 @@ def directions_of(angles: np.ndarray) -> np.ndarray:
     return np.concatenate([signs[:1], signs])
 
 
+def directions_at(height, azimuth):
+    """Unit vectors (n, 3) of this height and azimuth."""
+    across = np.sqrt(1 - height**2)
+    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), height])
+
+
 def _points(name, points, shape) -> np.ndarray:
     points = floats(name, points, finite=True)
     if points.shape != shape:

@@ -13,19 +13,17 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._c_files import check_name, make_test, sources
-from sklearn_raacmm.export._load_c import answers_in_c, check_fade
+from sklearn_raacmm.export._load_c import answers_in_c, check_options
 from sklearn_raacmm.export._model_card import ModelCard
-from sklearn_raacmm.export._models import build_program, compare_shares
+from sklearn_raacmm.export._models import build_program, compare_shares, nearly
 from sklearn_raacmm.export._onnx import convert, run_onnx
-from sklearn_raacmm.export._program import hash_program, run
 from sklearn_raacmm.export._proof import SINGLE_SUMS, check_answers, make_test_rows, rows_as_json
-from sklearn_raacmm.utils import check_flags, write_whole
+from sklearn_raacmm.utils import write_whole
 
 
 def _check(card, fade, std):
     """Refuse what cannot be one of these parameters."""
-    check_flags(std=std)
-    check_fade(fade)
+    check_options(std, fade)
     if not (card is None or isinstance(card, str | dict)):
         raise TypeError(f"card must be what describe gives, or text, got {card!r:.60}.")
 
@@ -165,10 +163,10 @@ def export_c(
     header_path = path.with_suffix(".h")
     files = {path: source, header_path: header}
     if poses is not None:
-        gap = np.nanmax(np.abs(run(program, rows["X"])["y"] - rows["y"]))
+        gap = np.nanmax(np.abs(program.run(rows["X"])["y"] - rows["y"]))
         if sums:
             gap += 0.1 * SINGLE_SUMS * np.nanmax(np.abs(rows["y"]))
-        text = make_test(rows, gap, name, path.stem, dtype, program.about["corrects"])
+        text = make_test(rows, gap, name, path.stem, dtype, "point" in program.outputs)
         files[path.with_name(f"{path.stem}_test.c")] = text
     write_whole(files)
     return path, header_path
@@ -180,16 +178,15 @@ def _faded(model, poses, fade, std, dtype="double"):
     Where this is not as in ``predict``, the exact program is compared with that, and the rows have
     what the other one gives.
     """
-    exact, rows = build_program(model, std), make_test_rows(model, poses, std, dtype)
-    if "trust" not in exact.outputs or fade == "exact":
+    exact = build_program(model, std)
+    rows = make_test_rows(exact.chain, poses, std, dtype)
+    program = nearly(exact, fade, poses)
+    if program is exact:
         return exact, rows, []
-    check_answers("the exact program", rows, run(exact, rows["X"]))
-    program = build_program(model, std, fade=fade, poses=poses)
-    rows["y"] = run(program, rows["X"])["y"]
-    if not fade:
-        notes = ["nothing fades: a correction is whole where the model knows nothing, too"]
-        return program, rows, notes
-    return program, rows, [compare_shares(model, exact, program)]
+    check_answers("the exact program", rows, exact.run(rows["X"]))
+    rows["y"] = program.run(rows["X"])["y"]
+    nothing = "nothing fades: a correction is whole where the model knows nothing, too"
+    return program, rows, [compare_shares(program) if fade else nothing]
 
 
 def _check_in_c(program, rows, dtype, **limits):
@@ -207,7 +204,7 @@ def _check_in_c(program, rows, dtype, **limits):
         text = f"single precision, at {known.sum()} rows: within {gap:.1e}{unit} of {of}"
         notes.append(f"{text}, {gap / size:.1e} of the largest")
         if "point" in found:
-            exact = run(program, rows["X"])["point"]
+            exact = program.run(rows["X"])["point"]
             gap = np.abs(found["point"] - exact)[known].max(initial=0.0)
             notes[-1] += f"; the point within {gap:.1e} mm"
     return notes
@@ -232,7 +229,7 @@ def fingerprint(model: object) -> str:
     ValueError
         If the model cannot be exported.
     """
-    return hash_program(build_program(model))
+    return build_program(model).fingerprint
 
 
 def to_onnx(
@@ -290,7 +287,7 @@ def to_onnx(
     _check(card, fade, std)
     program, rows, notes = _faded(model, None, fade, std)
     made = convert(program)
-    facts = {"sklearn_raacmm_version": __version__, "fingerprint": hash_program(program)}
+    facts = {"sklearn_raacmm_version": __version__, "fingerprint": program.fingerprint}
     found = run_onnx(made, rows["X"])
     if found is not None:
         notes += check_answers("the ONNX file", rows, found)

@@ -19,8 +19,6 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.export._c_files import sources
 from sklearn_raacmm.export._models import build_program
-from sklearn_raacmm.export._program import hash_program
-from sklearn_raacmm.export._steps import typical_rows
 from sklearn_raacmm.utils import check_flags, write_whole
 
 # Same results on all machines of a kind: no option that depends on the processor.
@@ -51,10 +49,10 @@ class CompiledModel:
     def __init__(
         self, program: Any, dtype: str = "double", flags: Sequence[str] = _FLAGS, flat: bool = False
     ) -> None:
-        self.fingerprint: str = hash_program(program)
+        self.fingerprint: str = program.fingerprint
         self.n_features_in_: int = program.n_inputs
         self.n_outputs_: int = program.n_outputs
-        self._verb = "correct" if program.about["corrects"] else "predict"
+        self._verb = "correct" if "point" in program.outputs else "predict"
         self._real = np.float64 if dtype == "double" else np.float32
         library = _library(sources(program, NAME, NAME, dtype), flags)
         self._functions = {
@@ -192,14 +190,15 @@ def load_c(
         compiled = load_c(model)
         compiled.correct(joint_angles)  # one row: 1 to 2 microseconds, 10 where it fades
     """
+    check_options(std, fade)
+    program = build_program(model, std, fade)
+    flat = np.ndim(model.predict(program.chain.typical_rows(1))) == 1
+    return CompiledModel(program, flat=flat)
+
+
+def check_options(std, fade):
+    """Refuse what cannot say whether there is a deviation, or how a correction fades."""
     check_flags(std=std)
-    check_fade(fade)
-    flat = np.ndim(model.predict(typical_rows(model, 1))) == 1
-    return CompiledModel(build_program(model, std, fade=fade), flat=flat)
-
-
-def check_fade(fade):
-    """Refuse what cannot be how a correction fades."""
     if not (fade is False or (isinstance(fade, str) and fade in ("small", "exact"))):
         raise ValueError(f"fade must be 'small', 'exact' or False, got {fade!r:.60}.")
 

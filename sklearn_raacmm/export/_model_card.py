@@ -7,7 +7,6 @@ import contextlib
 import hashlib
 import json
 import re
-import unicodedata
 from typing import Any
 
 import numpy as np
@@ -17,15 +16,7 @@ from sklearn.utils import check_consistent_length
 
 from sklearn_raacmm._version import __version__
 from sklearn_raacmm.export._models import build_program
-from sklearn_raacmm.export._program import hash_program
-from sklearn_raacmm.export._steps import (
-    but_slides,
-    check_fitted,
-    described,
-    extra_columns,
-    find_arm,
-    leaves,
-)
+from sklearn_raacmm.export._steps import Chain
 from sklearn_raacmm.utils import encode_groups, floats
 
 # Characters shown of a text that comes from outside.
@@ -81,11 +72,8 @@ def escaped(text):
 
     Of a longer one `_LONGEST` characters are shown, then "...".
     """
-    # C: control, format (it may turn the direction of writing), surrogates; Zl, Zp: ends of line.
-    line = "".join(
-        " " if unicodedata.category(c)[0] == "C" or unicodedata.category(c) in ("Zl", "Zp") else c
-        for c in str(text)
-    )
+    # Nor ends of lines, surrogates, and formats that turn the direction of writing.
+    line = "".join(c if c.isprintable() else " " for c in str(text))
     line = line if len(line) <= _LONGEST else line[:_LONGEST] + "..."
     line = re.sub(r"([\\`*\[\]|~#!]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", line)
     return line.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").strip()
@@ -148,53 +136,48 @@ def describe(
     >>> print(str(card)[:32])
     # Residual correction of an arm
     """
-    check_fitted(model)
+    chain = Chain(model)
     if X is None and (y is not None or groups is not None):
         raise ValueError("y and groups describe rows of X, which is None.")
-    arm, unit = _arm(model)
-    n = next(leaves(model))[1].n_features_in_
-    then = "".join(f", then {name}" for name, _ in extra_columns(model))
+    try:
+        arm, _ = chain.arm_and_unit
+    except ValueError:  # an azimuth that is not an arm's, or two arms: not what can be described
+        arm = None
+    then = "".join(f", then {name}" for name, _ in chain.extra)
     card = ModelCard(
         written_by=f"sklearn_raacmm {__version__}, scikit-learn {sklearn.__version__}",
         fingerprint=None,
-        steps=[described(step) for _, step in leaves(model)],
-        input=f"{n} columns"
+        steps=chain.described(),
+        input=f"{chain.n_inputs} columns"
         if arm is None
-        else f"{arm.n_joints} joint angles in {unit}{but_slides(arm.slides)}{then}",
+        else f"{arm.n_joints} joint angles in {chain.units}{then}",
         output="residual of the probe in the base frame, mm: subtract it from the measured point"
         if arm is not None
         else "as fitted",
     )
     with contextlib.suppress(ValueError):  # a model that cannot be exported has none
-        card["fingerprint"] = hash_program(build_program(model))
+        card["fingerprint"] = build_program(model).fingerprint
     if arm is not None:
         table = json.loads(arm.to_json())
         card["arm"] = {k: v for k, v in table.items() if not k.startswith("format")}
-    *_, (_, last) = leaves(model)
+    last = chain.steps[-1][1]
     findings = vars(model).get("findings_") or vars(last).get("findings_", ())
     if findings:
         card["findings"] = [f"{finding.weight}: {finding}" for finding in findings]
-    updates = getattr(last, "updates_", ())
-    if updates:
+    if updates := getattr(last, "updates_", ()):
         card["updates"] = [dict(entry) for entry in updates]
     if X is not None:
-        card["training"] = _training(model, X, y, groups)
+        card["training"] = _training(chain, arm, X, y, groups)
     return card
 
 
-def _arm(model):
-    try:
-        return find_arm(model)
-    except ValueError:  # an azimuth that is not an arm's, or two arms: not what can be described
-        return None, None
-
-
-def _training(model, X, y, groups):
+def _training(chain, arm, X, y, groups):
     """What the model was fitted on."""
-    (arm, unit), n = _arm(model), next(leaves(model))[1].n_features_in_
     X = floats("X", X, -1)
-    if X.shape[1] != n:
-        raise ValueError(f"X has {X.shape[1]} columns, but the model was fitted on {n}.")
+    if X.shape[1] != chain.n_inputs:
+        raise ValueError(
+            f"X has {X.shape[1]} columns, but the model was fitted on {chain.n_inputs}."
+        )
     codes = None if groups is None else encode_groups(groups, len(X))[1]
     if y is not None:
         y = floats("y", y, finite=True)
@@ -213,13 +196,13 @@ def _training(model, X, y, groups):
     if arm is None:
         return facts
     X, given = np.split(X, [arm.n_joints], axis=1)
+    unit = chain.arm_and_unit[1]
     units = f"{unit}_and_mm" if arm.slides else unit
     facts[f"smallest_joint_angles_{units}"] = X.min(axis=0).round(4).tolist()
     facts[f"largest_joint_angles_{units}"] = X.max(axis=0).round(4).tolist()
-    for (name, _), column in zip(extra_columns(model), given.T, strict=True):
-        facts[f"range_of_{name.replace(' ', '_')}"] = [float(column.min()), float(column.max())]
     points = arm.forward(X, angle_unit=unit)
-    radius = np.hypot(*points[:, :2].T)
-    facts["distance_from_the_base_axis_mm"] = [float(radius.min()), float(radius.max())]
-    facts["height_mm"] = [float(points[:, 2].min()), float(points[:, 2].max())]
-    return facts
+    names = (f"range_of_{name.replace(' ', '_')}" for name, _ in chain.extra)
+    ranges = dict(zip(names, given.T, strict=True))
+    ranges["distance_from_the_base_axis_mm"] = np.hypot(*points[:, :2].T)
+    ranges["height_mm"] = points[:, 2]
+    return facts | {key: [float(v.min()), float(v.max())] for key, v in ranges.items()}

@@ -3,11 +3,8 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable
-
 import numpy as np
 
-from sklearn_raacmm.export._program import OPERATIONS
 from sklearn_raacmm.network import by_feature, radial
 
 # Centres of a network up to which its standard deviation is written: a table of 4 million numbers.
@@ -18,58 +15,21 @@ MOST_CENTERS = 2000
 _CLEAR = 1e-6
 
 
-# Operations by the functions of NumPy that a kernel may consist of.
-_FUNCTIONS: dict[Callable, str] = {np.less: "less"}
-_FUNCTIONS |= {f: name for name, f in OPERATIONS.items() if isinstance(f, np.ufunc)}
-del _FUNCTIONS[np.arctan2]  # which holds in the right half plane only
-
-
-class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
-    """Stands for an array while a kernel's functions of it are written as operations."""
-
-    def __init__(self, p, value):
-        self.p, self.value = p, value
-
-    def __array_ufunc__(self, ufunc, method, *inputs, **_):
-        p, values = self.p, [v.value if isinstance(v, _Traced) else v for v in inputs]
-        if ufunc is np.greater_equal:
-            return _Traced(p, p("sub", 1.0, p("less", *values)))
-        if ufunc in (np.negative, np.square):
-            ufunc, values = np.multiply, [*values, -1.0 if ufunc is np.negative else values[0]]
-        if ufunc not in _FUNCTIONS:
-            raise _unknown(ufunc)
-        return _Traced(p, p(_FUNCTIONS[ufunc], *values))
-
-    def __array_function__(self, function, types, args, kwargs):
-        if function is not np.clip:
-            raise _unknown(function)
-        return np.minimum(np.maximum(*args[:2]), args[2])
-
-
-def _unknown(function):
-    known = ", ".join(f.__name__ for f in (*_FUNCTIONS, np.negative, np.square, np.clip))
-    return ValueError(
-        f"A kernel uses numpy.{function.__name__}, which cannot be written as C or ONNX; {known} "
-        "can."
-    )
-
-
 def network(p, step, x, std):
     """Prediction and variance (or None) of an `RBFNetRegressor`."""
     found = [_one_network(p, part, x, std) for part in step.networks_]
     if len(found) == 1:
         return found[0]
     place = np.argsort(np.concatenate([part.outputs for part in step.networks_]))
-    y = p.take(p("join", *(y for y, _ in found)), place)
-    return y, p.take(p("join", *(v for _, v in found)), place) if std else None
+    y = p("join", *(y for y, _ in found))[place]
+    return y, p("join", *(v for _, v in found))[place] if std else None
 
 
 def _one_network(p, net, x, std):
     """Prediction and variance (or None) of outputs that share centres."""
-    phi, linear = None, net.polynomial[1:].T
-    y = p("add", p.constant(net.polynomial[0]), 0.0)
-    if np.any(linear):
-        y = p.affine(x, linear, net.polynomial[0])
+    phi, constant, linear = None, net.polynomial[0], net.polynomial[1:].T
+    y = p.constant(constant) + 0.0
+    y = x.affine(linear, constant) if np.any(linear) else y
     if len(net.centers):
         # Centred as predict does it: the rounding is the same.
         centers = net.seen(net.centers)
@@ -78,16 +38,13 @@ def _one_network(p, net, x, std):
             "distances", _seen(p, net, x), shift=shift, inverse_width=1 / net.length_scale,
             centers=(centers - shift) / net.length_scale,
         )  # fmt: skip
-        phi = radial(net.kernel, _Traced(p, squares)).value
-        if np.any(linear):
-            y = p("add", y, p.affine(phi, net.coef.T))
-        else:
-            y = p.affine(phi, net.coef.T, net.polynomial[0])
+        phi = radial(net.kernel, squares)
+        y = y + phi.affine(net.coef.T) if np.any(linear) else phi.affine(net.coef.T, constant)
     if not std:
         return y, None
     variance = _network_variance(p, net, x, phi)
     if np.any(net.of_outliers()):
-        variance = p("add", variance, p.constant(net.of_outliers()))
+        variance = variance + p.constant(net.of_outliers())
     return y, variance
 
 
@@ -101,14 +58,11 @@ def _seen(p, net, x):
         if not np.any(steps):
             found.append(p.constant(ranks[0]))
             continue
-        n = len(values) - 1
-        own = p.take(x, np.full(n, number))
-        ramp = p("div", p("sub", own, values[:-1]), np.diff(values))
-        ramp = p("sub", 1.0, p("max", p("sub", 1.0, p("max", ramp, 0.0)), 0.0))
-        own = p.take(x, [number])
-        outside = (p("sub", own, values[-1]), p("sub", values[0], own))
-        outside = (p("max", part, 0.0) for part in outside)
-        found.append(p.affine(p("join", ramp, *outside), steps[None], ranks[:1]))
+        ramp = (x[np.full(len(values) - 1, number)] - values[:-1]) / np.diff(values)
+        ramp = 1.0 - np.maximum(1.0 - np.maximum(ramp, 0.0), 0.0)
+        own = x[number]
+        outside = (np.maximum(beyond, 0.0) for beyond in (own - values[-1], values[0] - own))
+        found.append(p("join", ramp, *outside).affine(steps[None], ranks[:1]))
     return p("join", *found)
 
 
@@ -131,21 +85,20 @@ def _network_variance(p, net, x, phi):
     columns = [phi] if k else []
     if len(net.tail_map):
         slopes, constant = net.tail_map[:, 1:], net.tail_map[:, 0]
-        varies = np.any(slopes)
-        columns.insert(0, p.affine(x, slopes, constant) if varies else p.constant(constant))
+        columns.insert(0, x.affine(slopes, constant) if np.any(slopes) else p.constant(constant))
     for output in range(len(net.outputs)):
         of_prior, of_weights = net.roots(output)
         variance = p.constant(1.0)
         if len(of_weights):
             # From the last row to the first, so that each column ends where its zeros begin.
-            seen = p.affine(p("join", *columns), of_weights[::-1])
-            variance = p("add", p("dots", seen, seen), variance)
-        variance = p("mul", variance, net.noise_variance[output])
+            seen = p("join", *columns).affine(of_weights[::-1])
+            variance = seen.dots(seen) + variance
+        variance = variance * net.noise_variance[output]
         outside = p.constant(1.0)
         if k:
-            seen = p.affine(phi, of_prior)
-            outside = p("max", p("sub", 1.0, p("dots", seen, seen)), 0.0)
-        parts.append(p("add", p("mul", outside, net.signal_variance[output]), variance))
+            seen = phi.affine(of_prior)
+            outside = np.maximum(1.0 - seen.dots(seen), 0.0)
+        parts.append(outside * net.signal_variance[output] + variance)
     return p("join", *parts)
 
 
@@ -171,18 +124,16 @@ def _variance_by_one_matrix(p, net, x, phi):
             _polynomial_variance(p, net, x, phi, T, D, turn, *ridge)
             for ridge in zip(net.alpha, known, strict=True)
         ]
-        variance = p("add", variance, p("mul", p("join", *tails), noise))
+        variance = variance + p("join", *tails) * noise
     weights = 1 - (noise / signal)[:, None] / known
     distinct, which = np.unique(weights, axis=0, return_inverse=True)
     if len(distinct) > 2 or np.any(distinct < 0):
-        g = p.affine(phi, turn)
-        inside = p.affine(p("mul", g, g), weights)
+        inside = np.square(phi.affine(turn)).affine(weights)
     else:
         roots = [np.linalg.qr(np.sqrt(row)[:, None] * turn, mode="r") for row in distinct]
-        g = [p.affine(phi, root) for root in roots]
-        inside = p.take(p("join", *(p("dots", one, one) for one in g)), which.ravel())
-    outside = p("max", p("sub", 1.0, inside), 0.0)
-    return p("add", variance, p("mul", outside, signal))
+        g = [phi.affine(root) for root in roots]
+        inside = p("join", *(one.dots(one) for one in g))[which.ravel()]
+    return variance + np.maximum(1.0 - inside, 0.0) * signal
 
 
 def _polynomial_variance(p, net, x, phi, T, D, turn, alpha, known):
@@ -191,7 +142,7 @@ def _polynomial_variance(p, net, x, phi, T, D, turn, alpha, known):
     left = np.vstack([T - D @ weights, -np.sqrt(alpha) * weights])
     root = np.asarray(np.linalg.qr(left, mode="r")).T
     of_x, J = np.linalg.solve(root, net.tail_map), np.linalg.solve(root, weights.T @ turn)
-    u = p("sub", p.constant(of_x[:, 0]), p.affine(phi, J))
+    u = p.constant(of_x[:, 0]) - phi.affine(J)
     if np.any(of_x[:, 1:]):
-        u = p("add", u, p.affine(x, of_x[:, 1:]))
-    return p("dots", u, u)
+        u = u + x.affine(of_x[:, 1:])
+    return u.dots(u)

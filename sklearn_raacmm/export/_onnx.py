@@ -15,10 +15,8 @@ from sklearn_raacmm.export._program import OPERATIONS
 
 # Version of the operators: they stand unchanged since 13, and runtimes of 2022 know 17.
 _OPSET = 17
-# Of so few columns, a product with zeros and ones is faster than to gather them one by one.
-_FEW = 96
 # Types of numbers that are cast when a file is loaded.
-_SMALL = (np.float32, np.int16, np.int8)
+_SMALL = (np.float32, np.int16)
 _OPERATORS = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "maximum": "Max",
     "minimum": "Min", "matmul": "MatMul", "sqrt": "Sqrt", "sin": "Sin", "exp": "Exp",
@@ -102,8 +100,6 @@ class _Traced(np.lib.mixins.NDArrayOperatorsMixin):
         if np.all(np.diff(index) == 1):
             bounds = (whole(v) for v in (index[0], index[-1] + 1, 1))
             return self._node(self.like[:, index], "Slice", self, *bounds)
-        if self.like.ndim == 2 and self.shape[1] <= _FEW:
-            return self @ np.eye(self.shape[1], dtype=np.int8)[:, index]
         return self._node(self.like[:, index], "Gather", self, whole(*index), axis=1)
 
     def reshape(self, *shape):
@@ -138,19 +134,17 @@ def _elevation(height, reach):
 
 def convert(program):
     """A program as an ONNX model: input X; outputs y, and std if the program has it."""
-    graph = _Graph()
+    program, graph = program.pruned("y", "std"), _Graph()
     helper, proto = graph.onnx.helper, graph.onnx.TensorProto
     values: Any = [_Traced(graph, "X", np.zeros((1, program.n_inputs)))]
     for op in program.ops[1:]:
         inputs = [values[i] for i in op.inputs]
         values.append(OPERATIONS[op.name](*inputs, **op.given))
     outputs = []
-    for name in ("y", "std"):
-        if name in program.outputs:
-            number = program.outputs[name]
-            graph("Identity", values[number].name, into=name)
-            shape = [None, program.ops[number].size]
-            outputs.append(helper.make_tensor_value_info(name, proto.DOUBLE, shape))
+    for name, number in program.outputs.items():
+        graph("Identity", values[number].name, into=name)
+        shape = [None, program.ops[number].size]
+        outputs.append(helper.make_tensor_value_info(name, proto.DOUBLE, shape))
     inputs = [helper.make_tensor_value_info("X", proto.DOUBLE, [None, program.n_inputs])]
     made = helper.make_graph(graph.nodes, "sklearn_raacmm", inputs, outputs, graph.tensors)
     versions = [helper.make_opsetid("", _OPSET)]

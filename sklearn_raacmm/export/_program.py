@@ -9,7 +9,8 @@ the writers know these operations and no kind of model.
 # SPDX-License-Identifier: BSD-3-Clause
 
 import hashlib
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,12 +29,27 @@ class Op(NamedTuple):
     size: int  # numbers in a row of its result
 
 
-class Program(NamedTuple):
-    """Operations in their order, which of their results are wanted, and plain facts."""
+class Program:
+    """Operations in their order: ``p("add", a, b)`` adds one, and so does ``a + b``.
 
-    ops: tuple  # of Op; the first is the input
-    outputs: dict  # of int: y, and where they exist point, trust and std
-    about: dict  # fit for JSON
+    Numbers and arrays become constants. The same operation on the same values is there once.
+
+    Attributes
+    ----------
+    ops : list of Op
+        The first is the input.
+    outputs : dict of int
+        Numbers of y and, where they exist, of point, trust and std.
+    chain : object
+        The model's steps, for what is said of them.
+    exact : Program or None
+        The program that this one is nearly.
+    """
+
+    def __init__(self, n_inputs, chain: Any, exact: "Program | None" = None):
+        self.ops, self.outputs = [Op("input", (), {}, n_inputs)], dict[str, int]()
+        self.chain, self.exact, self._known = chain, exact, dict[Any, Any]()
+        self.x = Value(self, 0)
 
     @property
     def n_inputs(self):
@@ -43,23 +59,8 @@ class Program(NamedTuple):
     def n_outputs(self):
         return self.ops[self.outputs["y"]].size
 
-
-class Value(int):
-    """The number of a value of a program that is being built."""
-
-
-class Builder:
-    """Collects operations: ``p("add", a, b)`` is the sum. Numbers and arrays become constants.
-
-    The same operation on the same values is there once.
-    """
-
-    def __init__(self, n_inputs):
-        self.ops, self._known, self.x = [], {}, Value(0)
-        self._add("input", (), {}, n_inputs)
-
     def __call__(self, name, *inputs, **given):
-        inputs = tuple(v if isinstance(v, Value) else self.constant(v) for v in inputs)
+        inputs = tuple((v if isinstance(v, Value) else self.constant(v)).number for v in inputs)
         given = {key: v if isinstance(v, str) else np.asarray(v) for key, v in given.items()}
         key = (name, inputs, _bytes(given))
         if key in self._known:
@@ -77,69 +78,54 @@ class Builder:
         else:
             with np.errstate(all="ignore"):
                 result = compute(*(np.zeros((1, op.size)) for op in before), **given)
-            found = self._add(name, inputs, given, result.shape[1])
+            self.ops.append(Op(name, inputs, given, result.shape[1]))
+            found = Value(self, len(self.ops) - 1)
         self._known[key] = found
         return found
-
-    def _add(self, name, inputs, given, size):
-        self.ops.append(Op(name, inputs, given, size))
-        return Value(len(self.ops) - 1)
 
     def constant(self, value):
         """A row of constants."""
         return self("constant", value=np.ravel(np.asarray(value, dtype=float)))
 
-    def size(self, value):
-        """How many numbers a row of a value has."""
-        return self.ops[value].size
+    def pruned(self, *names):
+        """The program of some outputs: only what these need, in the same order."""
+        outputs = {name: self.outputs[name] for name in names if name in self.outputs}
+        used, pending = {0}, list(outputs.values())
+        while pending:
+            number = pending.pop()
+            if number not in used:
+                used.add(number)
+                pending += self.ops[number].inputs
+        place = {old: new for new, old in enumerate(sorted(used))}
+        found = Program(self.n_inputs, self.chain, self.exact)
+        found.ops = [
+            self.ops[number]._replace(inputs=tuple(place[i] for i in self.ops[number].inputs))
+            for number in place
+        ]
+        found.outputs = {name: place[i] for name, i in outputs.items()}
+        return found
 
-    def take(self, x, *index):
-        """Some columns of a value, by their numbers."""
-        return self("take", x, index=np.concatenate([np.atleast_1d(i) for i in index]))
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of every operation and constant that the prediction is made of.
 
-    def affine(self, x, matrix, shift=None):
-        """A matrix times a value, and a shift."""
-        shift = np.zeros(len(matrix)) if shift is None else shift
-        return self("affine", x, matrix=matrix, shift=shift)
+        A program that is nearly another has that one's.
+        """
+        if self.exact is not None:
+            return self.exact.fingerprint
+        digest = hashlib.sha256()
+        for op in self.pruned("y").ops:
+            digest.update(repr((op.name, op.inputs, op.size, _bytes(op.given))).encode())
+        return digest.hexdigest()
 
-    def length(self, x):
-        """Euclidean length, one number."""
-        return self("sqrt", self("dots", x, x))
-
-    def sum(self, x):
-        """The sum of a value's numbers."""
-        return self("dots", x, np.ones(self.size(x)))
-
-
-def pruned(program, names):
-    """The program of some outputs: only what these need, in the same order."""
-    outputs = {name: program.outputs[name] for name in names if name in program.outputs}
-    used, pending = {0}, list(outputs.values())
-    while pending:
-        number = int(pending.pop())
-        if number not in used:
-            used.add(number)
-            pending += program.ops[number].inputs
-    place = {old: new for new, old in enumerate(sorted(used))}
-    ops = tuple(
-        op._replace(inputs=tuple(place[i] for i in op.inputs))
-        for number, op in enumerate(program.ops)
-        if number in used
-    )
-    return Program(ops, {name: place[int(i)] for name, i in outputs.items()}, program.about)
-
-
-def hash_program(program):
-    """SHA-256 of every operation and constant that the prediction is made of.
-
-    A program that is nearly another has that one's.
-    """
-    if "fingerprint" in program.about:
-        return program.about["fingerprint"]
-    digest = hashlib.sha256()
-    for op in pruned(program, ("y",)).ops:
-        digest.update(repr((op.name, op.inputs, op.size, _bytes(op.given))).encode())
-    return digest.hexdigest()
+    def run(self, X):
+        """Outputs at the rows of X, as a dict of arrays (n, size)."""
+        values = [np.asarray(X, dtype=float)]
+        with np.errstate(all="ignore"):  # a row that is refused comes out as NaN
+            for op in self.ops[1:]:
+                result = OPERATIONS[op.name](*(values[i] for i in op.inputs), **op.given)
+                values.append(np.broadcast_to(result, (len(X), op.size)))
+        return {name: values[i] for name, i in self.outputs.items()}
 
 
 def _bytes(given):
@@ -154,14 +140,60 @@ def _bytes(given):
     return tuple(found)
 
 
-def run(program, X):
-    """Outputs of a program at the rows of X, as a dict of arrays (n, size)."""
-    values = [np.asarray(X, dtype=float)]
-    with np.errstate(all="ignore"):  # a row that is refused comes out as NaN
-        for op in program.ops[1:]:
-            result = OPERATIONS[op.name](*(values[i] for i in op.inputs), **op.given)
-            values.append(np.broadcast_to(result, (len(X), op.size)))
-    return {name: values[i] for name, i in program.outputs.items()}
+class Value(np.lib.mixins.NDArrayOperatorsMixin):
+    """A value of a program that is being built: arithmetic and NumPy's functions add operations."""
+
+    __iter__: Any = None  # its numbers are taken by `value[index]`
+
+    def __init__(self, program, number):
+        self.program, self.number = program, number
+
+    @property
+    def size(self):
+        """How many numbers a row of it has."""
+        return self.program.ops[self.number].size
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **_):
+        if ufunc is np.greater_equal:
+            return 1.0 - np.less(*inputs)
+        if ufunc in (np.negative, np.square):
+            ufunc, inputs = np.multiply, (*inputs, -1.0 if ufunc is np.negative else inputs[0])
+        if ufunc not in _FUNCTIONS:
+            raise _unknown(ufunc)
+        return self.program(_FUNCTIONS[ufunc], *inputs)
+
+    def __array_function__(self, function, types, args, kwargs):
+        if function is not np.clip:
+            raise _unknown(function)
+        return np.minimum(np.maximum(*args[:2]), args[2])
+
+    def __getitem__(self, index):
+        return self.program("take", self, index=np.atleast_1d(index))
+
+    def dots(self, x):
+        """Dot products of every run of its numbers with those of x."""
+        return self.program("dots", self, x)
+
+    def affine(self, matrix, shift=None):
+        """A matrix times it, and a shift."""
+        shift = np.zeros(len(matrix)) if shift is None else shift
+        return self.program("affine", self, matrix=matrix, shift=shift)
+
+    def length(self):
+        """Euclidean length, one number."""
+        return np.sqrt(self.dots(self))
+
+    def within(self, x, low, high):
+        """Itself, or NaN where a number of x is outside these bounds."""
+        return self.program("within", self, x, low=low, high=high)
+
+
+def _unknown(function):
+    known = ", ".join(f.__name__ for f in (*_FUNCTIONS, np.negative, np.square, np.clip))
+    return ValueError(
+        f"A kernel uses numpy.{function.__name__}, which cannot be written as C or ONNX; {known} "
+        "can."
+    )
 
 
 # -- what the operations are ----------------------------------------------------------------------
@@ -300,3 +332,8 @@ OPERATIONS = {
     "distances": _distances,
     "variances": _variances,
 }
+
+# Operations by the functions of NumPy that make them.
+_FUNCTIONS: dict[Any, str] = {np.less: "less"}
+_FUNCTIONS |= {f: name for name, f in OPERATIONS.items() if isinstance(f, np.ufunc)}
+del _FUNCTIONS[np.arctan2]  # which holds in the right half plane only

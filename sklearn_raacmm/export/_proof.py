@@ -9,8 +9,6 @@ import warnings
 
 import numpy as np
 
-from sklearn_raacmm.export._steps import n_inputs, typical_rows
-
 # Test rows: given ones, corners of their ranges, and what is no number.
 _N_INSIDE, _N_CORNERS, _N_BAD = 20, 8, 4
 # How far a file may be from predict, as a share of the largest expected number: double keeps 1e-12
@@ -28,15 +26,15 @@ SINGLE_SUMS = 1e-4
 _NOTHING = 1e-9
 
 
-def make_test_rows(model, poses=None, std=False, dtype="double"):
+def make_test_rows(chain, poses=None, std=False, dtype="double"):
     """32 rows with what ``predict`` gives: given ones, corners of their ranges, NaN and infinity.
 
-    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `typical_rows`. The dict
-    has X, y and, with `std`, std: one row each; NaN where predict refuses.
+    `poses` (n, n_inputs) are rows to take some of; None: random ones, see `Chain.typical_rows`. The
+    dict has X, y and, with `std`, std: one row each; NaN where predict refuses.
     """
     if poses is None:
-        poses = typical_rows(model, 200)
-    poses, n = np.asarray(poses, dtype=np.float64), n_inputs(model)
+        poses = chain.typical_rows(200)
+    poses, n, model = np.asarray(poses, dtype=np.float64), chain.n_inputs, chain.model
     finite = bool(np.isfinite(poses).all())
     if poses.ndim != 2 or poses.shape[1] != n or not len(poses) or not finite:
         raise ValueError(

@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 from sklearn_raacmm import ArmResidualRegressor, calibrate, check_correction, position_residuals
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export._models import build_program
-from sklearn_raacmm.export._program import run
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_the_program_has_the_sums(fitted):
     _, (_, model), _, shown = fitted
     with np.errstate(all="ignore"):
         for fade in ("exact", "small", False):
-            found = run(build_program(model, std=True, fade=fade), shown)
+            found = build_program(model, std=True, fade=fade).run(shown)
             y, std = model.predict(shown, return_std=True)
             if fade == "exact":
                 assert_allclose(found["y"], y, atol=1e-9)

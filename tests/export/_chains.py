@@ -20,7 +20,6 @@ from sklearn_raacmm import (
 )
 from sklearn_raacmm.export import export_c, to_onnx
 from sklearn_raacmm.export._models import build_program
-from sklearn_raacmm.export._program import run
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"]
 STRICT += ["-Wdouble-promotion", "-Wstrict-overflow=1", "-Wfloat-conversion"]
@@ -93,7 +92,7 @@ def ways_out(folder, model, X, std=False):
     """Name, mean and deviation or None of every way out of Python."""
     for compiler in COMPILERS:
         yield compiler, *in_c(folder, compiler, model, X, std)
-    found = run(build_program(model, std), X)
+    found = build_program(model, std).run(X)
     yield "program", found["y"], found.get("std")
     try:
         import onnxruntime

@@ -20,7 +20,6 @@ from sklearn_raacmm import Arm, CylindricalResidualTarget, PoseFeatures, RBFNetR
 from sklearn_raacmm.export import describe, export_c, fingerprint
 from sklearn_raacmm.export._load_c import answers_in_c
 from sklearn_raacmm.export._models import build_program
-from sklearn_raacmm.export._program import run
 
 from ._chains import (
     COMPILERS,
@@ -73,7 +72,7 @@ def test_every_way_out_agrees_with_predict(tmp_path, data, form, joints, encodin
     for way, found, _ in ways_out(tmp_path, model, X):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12, err_msg=way)
     # A coordinate of a metre is rounded to 1e-13 at every joint.
-    points = run(build_program(model), X)["point"]
+    points = build_program(model).run(X)["point"]
     np.testing.assert_allclose(points, data.arm.forward(X) - expected, rtol=0, atol=5e-12)
 
 

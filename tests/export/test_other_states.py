@@ -12,7 +12,6 @@ from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import columns_of
 from sklearn_raacmm.export import describe, export_c, to_onnx
 from sklearn_raacmm.export._models import build_program
-from sklearn_raacmm.export._program import run
 
 from ._chains import COMPILERS, STRICT, ways_out
 
@@ -118,7 +117,7 @@ def assert_same_files(model, X):
     assert getattr(again, "updates_", ()) == getattr(model, "updates_", ())
     mean, std = model.predict(X, return_std=True)
     np.testing.assert_array_equal(again.predict(X, return_std=True), (mean, std))
-    np.testing.assert_allclose(run(build_program(model, std=True), X)["std"], std, rtol=1e-9)
+    np.testing.assert_allclose(build_program(model, std=True).run(X)["std"], std, rtol=1e-9)
 
 
 def test_a_registered_arm(data, tmp_path):
@@ -186,7 +185,7 @@ def test_a_moved_probe_is_exported_anew(params):
     for probe in ((0, 0, 400), (30, -20, 60)):
         X = rng.uniform(-3, 3, (20, 6 + len(params.get("extra", ()))))
         moved = model.with_arm(ARM.replace(probe=probe))
-        found = run(build_program(moved, std=True), X)
+        found = build_program(moved, std=True).run(X)
         mean, std = moved.predict(X, return_std=True)
         np.testing.assert_allclose(found["y"], mean, atol=1e-9)
         np.testing.assert_allclose(found["std"], std, rtol=1e-6)

@@ -8,8 +8,8 @@ import pytest
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import _small_doubt, export_c, fingerprint, load_c, to_onnx
-from sklearn_raacmm.export._models import _in_16_bits, build_program
-from sklearn_raacmm.export._program import run
+from sklearn_raacmm.export._models import build_program
+from sklearn_raacmm.export._small_doubt import in_16_bits
 
 from ._chains import COMPILERS, angles_everywhere, needs_compiler, of_arm
 
@@ -62,8 +62,8 @@ def test_the_share_is_nearly_that_of_predict(models, monkeypatch, name, many):
     size = fading.size_mm**2
     expected = size / (size + fading.factor**2 * np.maximum(doubt - fading.known_mm**2, 0.0))
     small, exact = build_program(model, fade="small"), build_program(model)
-    found = run(small, rows)["trust"][:, 0]
-    np.testing.assert_allclose(run(exact, rows)["trust"][:, 0], expected, rtol=1e-9)
+    found = small.run(rows)["trust"][:, 0]
+    np.testing.assert_allclose(exact.run(rows)["trust"][:, 0], expected, rtol=1e-9)
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.02)
     assert np.ptp(expected) > 0.2
     assert numbers(small) < 0.5 * numbers(exact)
@@ -79,14 +79,14 @@ def test_16_bits_a_number_are_taken_where_deviations_do_not_feel_it(models):
     program = build_program(model, std=True, fade="small")
     root = max((op.given["root"] for op in program.ops if op.name == "variances"), key=np.size)
     assert root.dtype == np.float32
-    np.testing.assert_allclose(run(program, X)["std"], std, rtol=3e-4)
+    np.testing.assert_allclose(program.run(X)["std"], std, rtol=3e-4)
     columns = model.linear_model_.columns(X)
     columns, others = (part.reshape(3 * len(part), -1) for part in (columns[::2], columns[1::2]))
     half = model.linear_model_.gauge_free_half
-    assert _in_16_bits(half, columns, others) is None
+    assert in_16_bits(half, columns, others)[1] is None
     waves = slice(model.linear_model_.layout.n_waves)
     half, columns, others = half[waves], columns[:, waves], others[:, waves]
-    whole, unit = _in_16_bits(half, columns, others)
+    whole, unit = in_16_bits(half, columns, others)
     exact = np.linalg.norm(columns @ half, axis=1)
     found = np.linalg.norm((columns * unit) @ whole, axis=1)
     np.testing.assert_allclose(found, exact, rtol=5e-4)
@@ -97,7 +97,7 @@ def test_rounding_of_columns_that_go_together_is_made_good():
     root = np.tril(rng.normal(size=(60, 60)))
     few = rng.normal(size=(10, 60))
     others, columns = (rng.normal(size=(n, 10)) @ few for n in (300, 200))
-    whole, unit = _in_16_bits(root, columns, others)
+    whole, unit = in_16_bits(root, columns, others)
     assert np.all(np.triu(whole, 1) == 0)
     off, plain = (
         np.linalg.norm(columns @ (numbers * unit[:, None] - root))
@@ -111,7 +111,7 @@ def test_every_file_gives_what_the_small_program_gives(models, tmp_path):
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
     model, X = models["degrees"]
     rows = poses(model, X)
-    expected = run(build_program(model, fade="small"), rows)["y"]
+    expected = build_program(model, fade="small").run(rows)["y"]
     # C multiplies tables of the doubt in single precision.
     atol = 1e-5 * np.abs(expected).max()
     found = load_c(model).predict(rows)
