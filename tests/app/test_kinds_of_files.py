@@ -476,6 +476,17 @@ def test_a_spreadsheet_as_it_is_used(book):
         read_table(book, 6, sheet="Info")
 
 
+def test_headings_between_rows_of_a_spreadsheet(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (Q, ["Position A"], *DEG[:2].tolist(), ["Position B"], *DEG[2:].tolist()):
+        book.active.append(row)
+    book.save(tmp_path / "log.xlsx")
+    table = read_table(tmp_path / "log.xlsx", 6)
+    np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
+    assert table.positions.tolist() == ["Position A"] * 2 + ["Position B"] * 2
+
+
 def rezipped(path, change):
     """The archive again, with one file's text changed."""
     buffer = io.BytesIO()
