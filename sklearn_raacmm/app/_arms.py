@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import load_arm, print_notes
+from sklearn_raacmm.app._files import check_outputs, load_arm, print_notes
 from sklearn_raacmm.app._given import Given, parse_numbers
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
 from sklearn_raacmm.correction import arm_from_data
-from sklearn_raacmm.utils import check_places, write_whole
+from sklearn_raacmm.utils import write_whole
 
 # Names that drawings and papers give the columns; the first three are needed.
 _COLUMNS = {
@@ -72,10 +72,8 @@ def arm(options):
         raise TableError("--modified and --probe belong to --dh.")
     if options.into and not options.out:
         raise TableError("--into needs --out, the file to write; it may be the same file.")
-    to_file = options.out not in (None, "-")
-    if to_file:
-        read = [options.source, options.dh, options.from_data]
-        check_places([options.out], filter(None, read))
+    if options.out != "-":
+        check_outputs(options, [options.out], [options.source, options.dh, options.from_data])
     shown = _meant_arm(options)
     if options.up:
         shown = shown.replace(up=parse_numbers("--up", options.up))
@@ -86,7 +84,7 @@ def arm(options):
         text = shown.update_urdf(options.into, base=options.base, tip=options.tip)
     if options.out == "-":
         options.stdout.write(text)
-    if to_file:
+    elif options.out:
         write_whole({options.out: text})
         print(f"Written to {options.out}")
     return 0, json.loads(shown.to_json())

@@ -54,22 +54,22 @@ def read_bag(path, n_joints, topics=()):
     states = [(stamp, one.position) for stamp, one in joints if tuple(one.name) == names]
     times, angles = (np.array(values, dtype=float) for values in zip(*states, strict=True))
     fields = [f"{field}{i}" for field in ("name", "position") for i in range(len(names))]
-    if not points:
-        rows = [[t, *names, *row] for t, row in zip(times.tolist(), angles.tolist(), strict=True)]
-        return f"Log of ROS, {len(rows)} messages", ["time", *fields], list(enumerate(rows, 1))
-    at, xyz = (np.array(values) for values in zip(*map(_point, points), strict=True))
-    behind = np.searchsorted(times, at, side="right").clip(1, len(times) - 1)
-    between = (at >= times[0]) & (at <= times[-1]) & (np.diff(times)[behind - 1] <= _GAP)
-    if not between.any():
-        raise ValueError(
-            f"none of {len(at)} points lies between messages of the joints that are at most {_GAP} "
-            "s apart: do both have the same clock?"
-        )
-    turns = np.unwrap(angles, axis=0).T
-    own = np.column_stack([at, *(np.interp(at, times, column) for column in turns), xyz])[between]
+    own, what = np.column_stack([times, angles]), f"{len(times)} messages"
+    if points:
+        at, xyz = (np.array(values) for values in zip(*map(_point, points), strict=True))
+        behind = np.searchsorted(times, at, side="right").clip(1, len(times) - 1)
+        between = (at >= times[0]) & (at <= times[-1]) & (np.diff(times)[behind - 1] <= _GAP)
+        if not between.any():
+            raise ValueError(
+                f"none of {len(at)} points lies between messages of the joints that are at most "
+                f"{_GAP} s apart: do both have the same clock?"
+            )
+        turned = [np.interp(at, times, column) for column in np.unwrap(angles, axis=0).T]
+        own = np.column_stack([at, *turned, xyz])[between]
+        what = f"{len(own)} of {len(at)} points, those between messages of the joints"
+        fields += [f"{axis} [m]" for axis in "xyz"]
     rows = [[t, *names, *numbers] for t, *numbers in own.tolist()]
-    what = f"Log of ROS, {len(rows)} of {len(at)} points, those between messages of the joints"
-    return what, ["time", *fields, *(f"{axis} [m]" for axis in "xyz")], list(enumerate(rows, 1))
+    return f"Log of ROS, {what}", ["time", *fields], list(enumerate(rows, 1))
 
 
 def _messages(log, kinds, topics, what):

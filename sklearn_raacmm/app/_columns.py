@@ -122,16 +122,11 @@ def _heading(source, cells, n_numbers):
 
 def _are_sections(source, rows, n_numbers):
     """Whether headings such as "Position P1" stand above rows, the first ones too."""
-    if source.table is not None:
-        return False
     is_data = [source.count(cells) >= n_numbers for _, cells, *_ in rows]
     headings = [_heading(source, cells, n_numbers) for _, cells, *_ in rows[:-1]]
-    headed = [i for i, heading in enumerate(headings) if heading and is_data[i + 1]]
-    of_kind = re.compile(r"[\W_]*\d+$|\W+\w{1,2}\d*$")
-    kinds = {
-        heading: of_kind.sub("", heading).lower() for heading in map(headings.__getitem__, headed)
-    }
-    return len(kinds) > 1 and len({*kinds.values()}) == 1 and not any(is_data[: headed[0]])
+    above = [(i, one) for i, one in enumerate(headings) if one and is_data[i + 1]]
+    kinds = {one: re.sub(r"[\W_]*\d+$|\W+\w{1,2}\d*$", "", one).lower() for _, one in above}
+    return len(kinds) > 1 and len({*kinds.values()}) == 1 and not any(is_data[: above[0][0]])
 
 
 class Columns:

@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 
 _VALUE = r"([+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)"
 _IN_LIST = rf"(?:^|,)\s*{_VALUE}"
-_OF_AXIS = rf'[Aj]\d(?:\s+|="){_VALUE}'
+_OF_AXIS = rf'[Aj]\d(?:\s+|="(?=[-+.\deE]*")){_VALUE}'
 # The name of a record, where it has one. Bounded, so that no long cell takes minutes.
 _NAMED = r"(?:\b(\w{1,80})\s?=\s?)?"
 # The axes of a jointtarget, and a point of a Fanuc with its number and its name.

@@ -339,8 +339,8 @@ def _find_sheet(path, n_numbers, wanted):
         comma = replace(point, separator=";", decimal=",")
         if best := _most_numbers([(point, some), (comma, some)], n_numbers):
             return best
-    several = f"the sheet{'s' * (len(candidates) > 1)} {', '.join(candidates)}"
-    raise TableError(f"{path}: no row with {n_numbers} numbers was found in {several}.")
+    several = ", nor in ".join(candidates)
+    raise TableError(f"{path}: no row with {n_numbers} numbers was found in the sheet {several}.")
 
 
 def read_sheets(path):
@@ -405,14 +405,12 @@ def _columns_of(content):
     for name, values in content.items():
         values = np.asarray(values)  # a file of MATLAB has a few other things
         if fields := values.dtype.names:
-            parts = {field: values[field] for field in fields}
-            alone = values.ndim == 0
-            yield from _columns_of({k: v.item() if alone else v for k, v in parts.items()})
+            parts = (values[field] if values.ndim else values[field].item() for field in fields)
+            yield from _columns_of(dict(zip(fields, parts, strict=True)))
         elif values.ndim == 1:
             yield name, values
         elif values.ndim == 2:
-            of_joints = values.shape[0] * _WIDER <= values.shape[1]
-            columns = values if of_joints else values.T
+            columns = values if len(values) * _WIDER <= values.shape[1] else values.T
             yield from ((f"{name}{i}", column) for i, column in enumerate(columns, 1))
 
 

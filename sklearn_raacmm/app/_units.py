@@ -12,28 +12,24 @@ from sklearn_raacmm.app._sources import TableError, unit_in
 # An angle beyond two whole turns in rad is in degrees, as `Arm.forward` supposes when it warns; one
 # beyond two turns in degrees is none of a joint.
 _SURELY_DEGREES, _TWO_TURNS = 4 * np.pi, 720
-# Words of loggers and people for a unit, in the languages that they write.
-_WORDS = {
-    "deg": "deg degree degrees degrees. degs ° º grad 度 도 degré degrés grado grados gradi градус "
-    "град градусы stopnie graus grau derece",
-    "rad": "rad rads radian radians radianes radianti bogenmaß 弧度 ラジアン рад",
-    "gon": "gons grades neugrad",
-    "mm": "毫米 millimeter millimeters millimetre millimetres",
-    "m": "米 meter meters metre metres",
-    "um": "µm μm",
-    "inch": "in inches",
-    "ft": "feet",
-    "counts": "count counts pulses pulse ticks inc inkremente",
-}
-_UNIT_OF_WORD = {word: unit for unit, words in _WORDS.items() for word in words.split()}
-# Units of angles: degrees or radians, and how many of them each is.
-_ANGLES = {
-    "deg": ("deg", 1.0), "rad": ("rad", 1.0), "gon": ("deg", 0.9), "mrad": ("rad", 1e-3),
-    "mdeg": ("deg", 1e-3), "arcsec": ("deg", 1 / 3600), "turns": ("deg", 360.0),
+# Of each unit: what it is a multiple of, how many of it, and the words of loggers and people for
+# it, in the languages that they write.
+_OF_UNIT = {
+    "deg": ("deg", 1.0, "deg degree degrees degrees. degs ° º grad 度 도 degré degrés grado grados "
+            "gradi градус град градусы stopnie graus grau derece"),
+    "rad": ("rad", 1.0, "rad rads radian radians radianes radianti bogenmaß 弧度 ラジアン рад"),
+    "gon": ("deg", 0.9, "gon gons grades neugrad"), "mrad": ("rad", 1e-3, "mrad"),
+    "mdeg": ("deg", 1e-3, "mdeg"), "arcsec": ("deg", 1 / 3600, "arcsec"),
+    "turns": ("deg", 360.0, "turns"),
+    "mm": ("mm", 1.0, "mm 毫米 millimeter millimeters millimetre millimetres"),
+    "cm": ("mm", 10.0, "cm"), "m": ("mm", 1000.0, "m 米 meter meters metre metres"),
+    "um": ("mm", 1e-3, "um µm μm"), "inch": ("mm", 25.4, "inch in inches"),
+    "ft": ("mm", 304.8, "ft feet"),
+    "counts": ("counts", 1.0, "count counts pulses pulse ticks inc inkremente"),
 }  # fmt: skip
-MM_PER_UNIT = {
-    "": 1.0, "mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4, "ft": 304.8,
-}  # fmt: skip
+_UNIT_OF_WORD = {word: unit for unit, (*_, words) in _OF_UNIT.items() for word in words.split()}
+_ANGLES = {unit: (of, n) for unit, (of, n, _) in _OF_UNIT.items() if of in ("deg", "rad")}
+MM_PER_UNIT = {"": 1.0} | {unit: n for unit, (of, n, _) in _OF_UNIT.items() if of == "mm"}
 # A unit that stands above the table for all of it: "// Units: Inches, Degrees", "LINEAR  METRE",
 # "points in m". Of words that mean other things, too, the sentence's part has to end there.
 _STATED = re.compile(
@@ -41,7 +37,7 @@ _STATED = re.compile(
     r"(?!(?:m|in|turns|ft)\b(?!\s*(?:[,;/)]|and\b|$)))([^\W\d]+)(?:[\s,;/]+(?:and\s+)?([^\W\d]+))?",
     re.IGNORECASE,
 )
-UNITS = (*_UNIT_OF_WORD, *_ANGLES, *filter(None, MM_PER_UNIT), "s", "ms", "-", "°c")
+UNITS = (*_UNIT_OF_WORD, "s", "ms", "-", "°c")
 # No number in brackets is a unit: j[0].
 _UNIT = re.compile(
     r"^(.*?)\s*[\[(/]\s*(?!\d+\s*[\])]?$)([^\])/]+?)\s*[\])]?$|^(.*?)(°)$|"

@@ -421,6 +421,12 @@ def test_what_could_be_read_wrongly_is_asked_for(text, sentence, tmp_path):
         read_table(tmp_path / "log.csv", 6)
 
 
+def test_decimal_commas_in_attributes_lose_no_decimals(tmp_path):
+    (tmp_path / "log.dtx").write_text(re.sub(r"(\d)\.(\d)", r"\1,\2", KINDS["staubli dtx"]["text"]))
+    with pytest.raises(TableError, match="no row with 6 numbers was found"):
+        read_table(tmp_path / "log.dtx", 6, labelled=False)
+
+
 def test_numbers_beyond_two_turns_are_no_angles(tmp_path):
     path = tmp_path / "poses.csv"
     path.write_text(joined([[f"p{i}" for i in range(1, 7)], *np.c_[POINTS, DEG[:, 3:]]]))
@@ -474,6 +480,17 @@ def test_a_spreadsheet_as_it_is_used(book):
         read_table(book, 6, sheet="Blatt")
     with pytest.raises(TableError, match="no row with 6 numbers was found in the sheet Info"):
         read_table(book, 6, sheet="Info")
+
+
+def test_headings_between_rows_of_a_spreadsheet(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (Q, ["Position A"], *DEG[:2].tolist(), ["Position B"], *DEG[2:].tolist()):
+        book.active.append(row)
+    book.save(tmp_path / "log.xlsx")
+    table = read_table(tmp_path / "log.xlsx", 6)
+    np.testing.assert_allclose(in_rad(table), RAD, atol=3e-6)
+    assert table.positions.tolist() == ["Position A"] * 2 + ["Position B"] * 2
 
 
 def rezipped(path, change):
