@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.correction._condition import Evidence, condition, narrowed, rows_of, thin
+from sklearn_raacmm.correction._condition import Evidence, Posterior, narrowed, rows_of, thin
 from sklearn_raacmm.correction._rows import (
     Expected,
-    n_coordinates,
     new_rows,
     place_columns,
     positions_of,
@@ -112,7 +111,7 @@ class Change:
         linear, rows = self.expected.linear, self.expected.rows
         coef, seen, after = self._conditioned(self.expected, self.place)
         self.ended = after.logs
-        errors, noise, std = after.left_out
+        errors, noise, std = after.left_out()
         # Until new poses say otherwise errors exceed what is expected as those of the old model do.
         logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
         scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
@@ -162,8 +161,8 @@ class Change:
             for number in range(fold.max() + 1):
                 out = fold == number
                 rest = expected.at(~out & used)
-                if not why_too_few(rest.rows):
-                    coef, seen, _ = self._conditioned(rest, self.place[~out & used], True)
+                if not why_too_few(rest):
+                    coef, seen, _ = self._conditioned(rest, self.place[~out & used])
                     correction[out] = expected.columns[out] @ coef
                     flat = doubts[out].reshape(-1, doubts.shape[2])
                     doubts[out] = narrowed(flat, seen).reshape(doubts[out].shape)
@@ -173,18 +172,17 @@ class Change:
         known = weights, rows.codes, self.positions, before, rows.centre
         return judge(rows.y, correction, doubt, fading, *known)
 
-    def _conditioned(self, expected, place, means_only=False):
+    def _conditioned(self, expected, place):
         """Coefficients, what rows show of the root of the fading, and the `Posterior`.
 
         What new rows leave open of base, tool and change is no reason to let the whole correction
         fade: the change is shrunk to the old model for that already.
         """
         linear, shown, p = expected.linear, expected.shown, len(expected.linear.coef)
-        columns, spread, doubts = map(shown, (expected.columns, expected.spread, expected.doubts))
-        place, weights = shown(place), np.r_[expected.rows.weights, np.ones(len(shown.errors))]
-        given = columns, place, shown.y, weights, self.log_noise, self.ended, means_only
-        after = condition(linear, self.changes, *given, shown.rank, shown.n_unknown, spread)
-        root = np.sqrt(weights * after.row_weight)[:, None, None] / after.noise_sd
+        columns, doubts, place = map(shown, (expected.columns, expected.doubts, place))
+        given = shown, columns, place, self.log_noise, self.ended
+        after = Posterior(linear, self.changes, *given)
+        root = np.sqrt(shown.weights * after.row_weight)[:, None, None] / after.noise_sd
         seen, free = (np.concatenate(part * root) for part in (doubts, place))
         seen = seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0]
         return after.mean[:p] + self.fold @ after.mean[p:], seen, after
@@ -340,13 +338,14 @@ def transferred_model(models, arm, X, y, groups=None):
     rows = rows if own.offsets else rows._replace(codes=None)
     change = Change(Expected.of(prior, rows), _LOG_NOISE_OF_MAKE, positions=positions)
     linear, entry, pose_weight = change.model()
-    rows = rows._replace(weights=pose_weight * new.pose_weight_)
+    weights = pose_weight * new.pose_weight_
+    rows = rows.weighted(weights)
     part, size = changes_of(prior)
     sd = np.array([entry["tau"][name] for name in part]) * size
     known = prior, np.hstack([prior.half, np.diag(sd)]), rows, entry["noise_sd_mm"]
     gain = _log_evidence(*known) - _evidence_of_fit(own, rows)
     fading = replace(new.fading_, factor=_FADING, most=1.0, far=1.0)
-    fading, judgement = change.judged(fading, rows.weights)
+    fading, judgement = change.judged(fading, weights)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
         new.linear_model_ = replace(linear, offsets=own.offsets, informed_half=None)
@@ -459,7 +458,8 @@ def _log_evidence(linear, half, rows, noise_sd):
     place = place_columns(linear.arm, rows.X, with_base=rows.codes is None)
     left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])[:, :, 0]
     seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
-    flat, left, _ = rows_of(seen, left, np.ones(len(left)), seen[:, :, :0], np.zeros((0, 0)))
+    flat, left = rows_of(seen, left, np.ones(len(left)))
+    n = 3 * (len(rows.X) - (0 if rows.codes is None else rows.codes.max() + 1))
     nothing = np.zeros(0), np.zeros(0)
-    given = nothing, flat, flat, left, noise_sd**2, n_coordinates(rows), (0.0, 0.0)
+    given = nothing, flat, flat, left, noise_sd**2, n, (0.0, 0.0)
     return -float(Evidence(*given)(np.zeros(1))[0])

@@ -16,7 +16,6 @@ from sklearn_raacmm.correction._changes import named_changes
 from sklearn_raacmm.correction._rows import (
     REGISTERED_PLACE_MM,
     Expected,
-    n_coordinates,
     new_rows,
     place_columns,
     why_too_few,
@@ -137,11 +136,11 @@ def update_correction(
     rows = new_rows(model, X, y, groups, lengths, features)
     linear: Any = model.linear_model_
     updated: Any = deepcopy(model)
-    if few := why_too_few(rows):
+    expected = Expected.of(as_prior(linear), rows)
+    if few := why_too_few(expected):
         said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()
         return updated
-    expected = Expected.of(as_prior(linear), rows)
     for finding in what_is_wrong(model, expected):
         finding.report()
     if np.abs(_left(model, expected)).max() <= ROUNDED * linear.arm.reach_mm:
@@ -168,7 +167,7 @@ def nothing_changed(model: ArmResidualRegressor, expected: Expected, date: objec
     Noise of any size is an explanation like a change, and taken where none is clearly likelier
     (``benchmarks/bench_after_the_lab.py knocks`` has both).
     """
-    if why_too_few(expected.rows) or named_changes(expected, ["base"]) != []:
+    if why_too_few(expected) or named_changes(expected, ["base"]) != []:
         return False
     _as_it_was(model, expected, date)
     return True
@@ -178,7 +177,7 @@ def _as_it_was(model, expected, date):
     """Note in `updates_` that rows showed noise alone."""
     rows = expected.rows
     left = rows.along(rows.whitening().centred(_left(model, expected)))
-    n = n_coordinates(rows) - len(rows.lengths)
+    n = expected.shown.n_coordinates - len(rows.lengths)
     noise_mm = float(np.sqrt(np.square(left).sum() / n))
     entry = {"date": day(date), "n_poses": len(left), "tau": {}, "noise_sd_mm": noise_mm}
     model.updates_ = (*vars(model).get("updates_", ()), entry)

@@ -16,8 +16,8 @@ from sklearn_raacmm.correction._condition import (
     TAU,
     TAU_LOG_SD,
     Evidence,
+    Posterior,
     Whitened,
-    condition,
     rows_of,
 )
 from sklearn_raacmm.correction._rows import Expected, place_columns
@@ -142,25 +142,25 @@ def _gain_of_another(expected):
     """
     linear, rows, shown = expected.linear, expected.rows, expected.shown
     place = place_columns(rows.arm, rows.X, rows.codes is None)
-    parts = expected.columns, expected.spread, place, _table_columns(rows.arm, rows.X)
-    columns, spread, place, table = map(shown, parts)
+    parts = expected.columns, place, _table_columns(rows.arm, rows.X)
+    columns, place, table = map(shown, parts)
     part, size = changes_of(linear)
     changes = part, np.where(part == "kinematics", _IN_USE, 1.0) * size
-    weights = np.r_[rows.weights, np.ones(len(rows.lengths))]
-    given = columns, place, shown.y, weights, LOG_NOISE
-    after = condition(linear, changes, *given, None, True, shown.rank, shown.n_unknown, spread)
-    weights = weights * after.row_weight
+    after = Posterior(linear, changes, shown, columns, place, LOG_NOISE)
+    weights = shown.weights * after.row_weight
     every, left = np.concatenate([columns, place, table], axis=2), shown.y - columns @ linear.coef
-    flat, left, spread = rows_of(every, left, weights, spread, linear.half)
+    flat, left = rows_of(every, left, weights)
     n, p, q = int(shown.rank[weights > 0].sum()) - shown.n_unknown, len(size), place.shape[2]
-    _, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
+    own, tool, base, table = np.split(flat, [p, p + 3, p + q], axis=1)
 
     def of(changes, *fixed, y=left, start=None):
         given = changes, flat, np.hstack(fixed), y, linear.noise_variance, n, LOG_NOISE
-        return Evidence(*given).highest(start)
+        evidence = Evidence(*given)
+        return -float(evidence(evidence.lowest(start))[0])
 
-    change = max(of(changes, spread, base, *free, start=after.logs) for free in ((), (tool,)))
-    unknown = left + flat[:, :p] @ linear.coef
+    known = own @ linear.half, base
+    change = max(of(changes, *known, *free, start=after.logs) for free in ((), (tool,)))
+    unknown = left + own @ linear.coef
     whole = np.full(p, "all"), _ALL_OF_IT * changes[1]
     tables = (of(whole, base, tool, share * table, y=unknown) for share in _SAME_MAKE)
     return max(tables) - change
