@@ -280,23 +280,14 @@ def _one_fold(data, model, train, test):
         fitted, noise = data.fit(model, corrected, train)
         share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-    points, of_given = (data.shown(one, test) for one in (calibration, as_given))
-    lengths = []
     # A length is judged by another: without any, the scale would be that of the nominal table.
     is_known = data.points is not None or data.lengths_among(train)
     judged = [one for one in data.lengths_among(test) if one[0] != one[1]] if is_known else []
-    if judged:
-        errors = (data.length_errors(p, test, judged) for p in (points, points - correction))
-        lengths = list(zip(judged, *errors, strict=True))
-    is_tracker = data.points is not None
-    if is_tracker:
-        of_given = data.residuals(as_given, test)
-    left, to_correct = (
-        data.residuals(one, test) if is_tracker else points for one in (calibration, corrected)
-    )
-    sides = (of_given, left, to_correct - correction)
-    given, before, after = sides if is_tracker else (data.about(one, test) for one in sides)
-    return given, before, after, std, lengths, share
+    points = data.shown(calibration, test)
+    errors = (data.length_errors(p, test, judged) for p in (points, points - correction))
+    sides = (as_given, 0.0), (calibration, 0.0), (corrected, correction)
+    left = (data.residuals(one, test, less, robust=False) for one, less in sides)
+    return *left, std, list(zip(judged, *errors, strict=True)), share
 
 
 def _table(data, before, after):
