@@ -18,12 +18,7 @@ from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import (
-    KINDS,
-    known_length,
-    order_explained_by,
-    with_forms,
-)
+from sklearn_raacmm.measurements import KINDS, known_length, order_explained_by, with_forms
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,

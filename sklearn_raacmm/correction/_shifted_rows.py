@@ -31,10 +31,8 @@ def shifted_rows(arm: Arm, angles: np.ndarray, points: np.ndarray) -> Finding | 
     as_given = np.minimum(np.abs(measured - known), most)
     found = []
     for shift in (1, -1):
-        moved = np.full(n - 1, most)
-        own = slice(0, n - 2) if shift > 0 else slice(1, n - 1)
-        other = slice(1, n - 1) if shift > 0 else slice(0, n - 2)
-        moved[own] = np.minimum(np.abs(measured[own] - known[other]), most)
+        moved = np.minimum(np.abs(measured - np.roll(known, -shift)), most)
+        moved[-1 if shift > 0 else 0] = most
         # From point k on: the steps before it, but for the last, which leads there, and from it on.
         before = np.r_[0.0, 0.0, np.cumsum(as_given)[:-1]]
         left = before + np.r_[np.cumsum(moved[::-1])[::-1], 0.0]
@@ -46,14 +44,9 @@ def shifted_rows(arm: Arm, angles: np.ndarray, points: np.ndarray) -> Finding | 
         return None
     k = 0 if k == 1 and moved[0] <= size else k
     row = row_numbers([k])[0]
-    what = (
-        "a point is missing there" if shift > 0 else "a point is there twice, or a pose is missing"
-    )
-    return Finding(
-        "shifted-rows",
-        f"From row {row} on each point is that of the {'next' if shift > 0 else 'last'} row: "
-        f"{what}.",
-        "Give both files a column of names, or mend the rows.",
-        "refuse",
-        rows=(row,),
-    )
+    of, what = "last", "a point is there twice, or a pose is missing"
+    if shift > 0:
+        of, what = "next", "a point is missing there"
+    said = f"From row {row} on each point is that of the {of} row: {what}."
+    advice = "Give both files a column of names, or mend the rows."
+    return Finding("shifted-rows", said, advice, "refuse", rows=(row,))

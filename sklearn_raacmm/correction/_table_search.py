@@ -172,7 +172,9 @@ def search_table(
     largest = np.abs(raw * arm.by_type(1.0, 0.0)).max()
     candidates = _candidates(arm, angle_unit, largest, points is not None)
     few = raw[rows]
-    ranked = [(_quick_scatter(one, few, codes, few_points), price, one) for price, one in candidates]
+    ranked = [
+        (_quick_scatter(one, few, codes, few_points), price, one) for price, one in candidates
+    ]
     ranked.sort(key=lambda entry: (*entry[:2], entry[2].change))
     # Of those that coincide about as well as the best of their hand, the simple ones first. A
     # mirror image coincides as well, but for what calibration has to find.
