@@ -94,8 +94,8 @@ def predict_acceptance(
     tests = [test for test in LAYOUTS if test != "pose" and test in plan.test]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}
     ideal = np.zeros_like(points)
-    for test, own in rows.items():
-        ideal[own] = _on_artefacts(test, Readings(plan, own, points - mean))
+    for own in rows.values():
+        ideal[own] = _on_artefacts(Readings(plan, own, points - mean))
     found: dict[str, list[float]] = {}
     for k in range(n_draws):
         # Sizes are off by what they are stated to be known to.
@@ -110,19 +110,19 @@ def predict_acceptance(
     return {name: tuple(three.tolist()) for name, three in ends.items()}
 
 
-def _on_artefacts(test, readings):
+def _on_artefacts(readings):
     """Points nearest to these that lie on perfect artefacts, (n, 3), mm."""
-    points, tip = readings.points.copy(), readings.run.tip_mm
-    if test in SPHERES:
+    points, tip = readings.points.copy(), readings.tip_mm
+    if readings.test in SPHERES:
         for rows in readings.groups("artefact", "position").values():
             centre, _, distances = fit_sphere(points[rows])
             radius = (readings.artefact(rows).size_in_test + tip) / 2
             points[rows] = centre + (points[rows] - centre) * (radius / distances)[:, None]
-    elif test in BARS:
+    elif readings.test in BARS:
         end = np.char.lower(readings.run.end[readings.rows])
         for rows in readings.groups("artefact", "position", "repeat").values():
             a, b = (rows[end[rows] == name] for name in "ab")
-            size = readings.artefact(rows).size_in_test + tip * (test == "bidirectional")
+            size = readings.artefact(rows).size_in_test + tip
             along = points[b] - points[a]
             long = np.linalg.norm(along, axis=1, keepdims=True)
             points[a] -= (size / long - 1) / 2 * along
