@@ -171,19 +171,20 @@ def search_table(
     rows, codes, few_points = _few_rows(len(raw), positions, points)
     largest = np.abs(raw * arm.by_type(1.0, 0.0)).max()
     candidates = _candidates(arm, angle_unit, largest, points is not None)
-    few = raw[rows]
-    ranked = [
-        (_quick_scatter(one, few, codes, few_points), price, one) for price, one in candidates
+    few = raw[rows], codes, few_points
+    quick = [
+        (price, replace(one, scatter_mm=_quick_scatter(one, *few))) for price, one in candidates
     ]
-    ranked.sort(key=lambda entry: (*entry[:2], entry[2].change))
+    ranked = sorted(quick, key=lambda entry: (entry[1].scatter_mm, entry[0], entry[1].change))
     # Of those that coincide about as well as the best of their hand, the simple ones first. A
     # mirror image coincides as well, but for what calibration has to find.
-    place, tried = _places(ranked[0][2], raw), [ranked[0][1:]]
-    mirrored = [_are_mirrored(place, _places(one, raw)) for *_, one in ranked[:_LOOKED_AT]]
+    place, tried = _places(ranked[0][1], raw), ranked[:1]
+    mirrored = [_are_mirrored(place, _places(one, raw)) for _, one in ranked[:_LOOKED_AT]]
     for hand in (False, True):
         of_hand = [entry for entry, other in zip(ranked, mirrored, strict=False) if other == hand]
-        near = [one for left, *one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
-        tried += sorted(near, key=lambda one: (one[0], one[1].change))[:_CALIBRATED]
+        limit = _ABOUT_THE_SAME * min((one.scatter_mm for _, one in of_hand), default=0.0)
+        near = [entry for entry in of_hand if entry[1].scatter_mm <= limit]
+        tried += sorted(near, key=lambda entry: (entry[0], entry[1].change))[:_CALIBRATED]
 
     def calibrated(price, one, **measured):
         """The change, and its price: one for each thing changed, and the size of what is left.
