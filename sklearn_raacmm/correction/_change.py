@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.correction._condition import Evidence, Posterior, narrowed, rows_of, thin
+from sklearn_raacmm.correction._condition import Posterior, Whitened, narrowed, thin
 from sklearn_raacmm.correction._rows import (
     Expected,
     new_rows,
@@ -456,10 +456,10 @@ def _log_evidence(linear, half, rows, noise_sd):
     """Log density of the residuals, without constants: base and tool are nearly free."""
     columns, whitened = linear.columns(rows.X), rows.whitening()
     place = place_columns(linear.arm, rows.X, with_base=rows.codes is None)
-    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])[:, :, 0]
-    seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
-    flat, left = rows_of(seen, left, np.ones(len(left)))
+    left = (rows.y - columns @ linear.coef)[:, :, None]
+    every = whitened.deviations(np.concatenate([left, columns @ half, place], axis=2))
+    left, *seen = every.reshape(-1, every.shape[2]).T / noise_sd
     n = 3 * (len(rows.X) - (0 if rows.codes is None else rows.codes.max() + 1))
-    nothing = np.zeros(0), np.zeros(0)
-    given = nothing, flat, flat, left, noise_sd**2, n, (0.0, 0.0)
-    return -float(Evidence(*given)(np.zeros(1))[0])
+    whiten = Whitened(np.transpose(seen), np.zeros((len(left), 0)), n)
+    square = float(np.square(whiten(left)).sum())
+    return -0.5 * square - whiten.log_root - n * float(np.log(noise_sd))
