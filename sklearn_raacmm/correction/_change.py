@@ -148,7 +148,7 @@ class Change:
         a model that was of no use fewer than two.
         """
         rows, used = self.expected.rows._replace(weights=weights), weights > 0
-        expected = replace(self.expected, rows=rows)
+        expected = Expected(self.expected.linear, rows)
         labels = np.unique(self.positions[used])
         # A share of 0 was found for what there was before the change: two positions may end it.
         if len(labels) < (LEAST_POSITIONS if fading.most > 0 else 2):
@@ -156,7 +156,7 @@ class Change:
         order = np.random.default_rng(0).permutation(len(labels))
         of_label = np.searchsorted(labels, self.positions) % len(labels)
         fold = (order % min(_N_FOLDS, len(labels)))[of_label]
-        correction, doubts = expected.mean.copy(), self.expected.doubts.copy()
+        correction, doubts = expected.mean.copy(), expected.doubts.copy()
         with ignored_findings():  # what there is to report is reported of all poses
             for number in range(fold.max() + 1):
                 out = fold == number
@@ -336,7 +336,7 @@ def transferred_model(models, arm, X, y, groups=None):
     rows = new_rows(new, X, y, groups)
     positions = positions_of(rows)
     rows = rows if own.offsets else rows._replace(codes=None)
-    change = Change(Expected.of(prior, rows), _LOG_NOISE_OF_MAKE, positions=positions)
+    change = Change(Expected(prior, rows), _LOG_NOISE_OF_MAKE, positions=positions)
     linear, entry, pose_weight = change.model()
     weights = pose_weight * new.pose_weight_
     rows = rows.weighted(weights)

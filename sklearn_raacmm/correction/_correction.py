@@ -722,7 +722,7 @@ class Correction:
             base = align(self.arm.forward(measured.angles) - model.predict(X), measured.points)
         y, today = replace(self, base=base)._shown(measured)
         rows = new_rows(model, X, y, **today)
-        return y, today, Expected.of(as_prior(model.linear_model_), rows)
+        return y, today, Expected(as_prior(model.linear_model_), rows)
 
     def _scale_beside(self, linear):
         """Standard deviation of the common scale beside that of a linear model, or of none."""

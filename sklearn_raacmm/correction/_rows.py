@@ -4,9 +4,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -137,53 +137,53 @@ def place_columns(arm: Arm, angles: np.ndarray, with_base: bool) -> np.ndarray:
     return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
 
 
-@dataclass(frozen=True, eq=False)
 class Expected:
-    """What a linear model expects of some rows: its columns there, and roots of their covariance.
+    """What a linear model expects of some rows, checked by `new_rows`, in mm."""
 
-    `columns` (n, 3, p); `spread` is ``columns @ linear.half``, (n, 3, r), and `doubts` (n, 3, q)
-    the same by what corrections fade by. In mm.
-    """
+    def __init__(self, linear: LinearModel, rows: Rows) -> None:
+        self.linear, self.rows = linear, rows
 
-    linear: LinearModel
-    rows: Rows
-    columns: np.ndarray
-    spread: np.ndarray
-    doubts: np.ndarray
-
-    @classmethod
-    def of(cls, linear: LinearModel, rows: Rows) -> Self:
-        """Expectation of rows, checked by `new_rows`."""
-        columns, half, fading = linear.columns(rows.X), linear.half, linear.fading_half
+    def times(self, root: np.ndarray) -> np.ndarray:
+        """The columns times a root (p, r) of a covariance of the coefficients, (n, 3, r)."""
         # One product of matrices is three times as fast as one for each row.
-        flat = columns.reshape(-1, len(half))
-        spread = (flat @ half).reshape(*columns.shape[:2], half.shape[1])
-        doubts = spread if fading is half else (flat @ fading).reshape(*columns.shape[:2], -1)
-        return cls(linear, rows, columns, spread, doubts)
+        flat = self.columns.reshape(-1, len(root)) @ root
+        return flat.reshape(*self.columns.shape[:2], root.shape[1])
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """The model's columns there, (n, 3, p)."""
+        return self.linear.columns(self.rows.X)
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Root of the covariance of what is expected, (n, 3, r)."""
+        return self.times(self.linear.half)
+
+    @cached_property
+    def doubts(self) -> np.ndarray:
+        """The same of what corrections fade by, (n, 3, q)."""
+        return self.times(self.linear.fading_half)
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """The correction, (n, 3) in mm."""
+        """The correction, (n, 3)."""
         return self.columns @ self.linear.coef
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard deviation (n, 3) of the correction, of what a test can show."""
+        return np.linalg.norm(self.times(self.linear.gauge_free_half), axis=2)
 
     @cached_property
     def shown(self) -> "Shown":
         """What the rows show."""
         return Shown(self)
 
-    @cached_property
-    def std(self) -> np.ndarray:
-        """Standard deviation (n, 3) of the correction, of what a test can show, mm."""
-        root = self.linear.gauge_free_half
-        by = self.spread if root is self.linear.half else self.columns @ root
-        return np.linalg.norm(by, axis=2)
-
-    def at(self, which: np.ndarray | slice) -> Self:
+    def at(self, which: np.ndarray | slice) -> "Expected":
         """The same of some of the rows."""
-        some = (one[which] for one in (self.columns, self.spread, self.doubts))
-        return type(self)(self.linear, self.rows.at(which), *some)
+        return Expected(self.linear, self.rows.at(which))
 
-    def widened(self) -> Self:
+    def widened(self) -> "Expected":
         """The same by a model that is as uncertain as positions left out of this arm ask for.
 
         Never narrower than the posterior: tests of squares bear no tails that are longer than
@@ -192,8 +192,7 @@ class Expected:
         linear, wider = self.linear, max(self.linear.std_scale, 1.0)
         noise = np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance
         half, seen = wider * linear.half, wider * linear.seen
-        linear = replace(linear.with_noise(noise), half=half, seen=seen)
-        return replace(self, linear=linear, spread=wider * self.spread)
+        return Expected(replace(linear.with_noise(noise), half=half, seen=seen), self.rows)
 
 
 class Shown:

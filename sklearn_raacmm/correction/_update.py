@@ -182,7 +182,7 @@ def update_correction(
     rows = new_rows(model, X, y, groups, lengths, features)
     linear: Any = model.linear_model_
     updated: Any = deepcopy(model)
-    expected = Expected.of(as_prior(linear), rows)
+    expected = Expected(as_prior(linear), rows)
     if few := why_too_few(expected):
         said = f"{few}: the model is kept as it was."
         Finding("few-poses", said, "Register only, or measure more poses.").report()
@@ -298,7 +298,7 @@ def _what_is_wrong(model: ArmResidualRegressor, of_rows: Expected) -> Iterator[F
         used = used[np.bincount(of_used)[of_used] > 1]
     if len(used) < _LEAST_ROWS:
         return
-    of_rows, used = replace(of_rows, rows=rows).at(used), numbers[used]
+    of_rows, used = Expected(linear, rows).at(used), numbers[used]
     rows, expected, wider = of_rows.rows, of_rows.mean, of_rows.widened()
     given = rows.y - expected
     if _rms(given) < LEAST_NOISE_MM:  # rounding explains it
