@@ -18,7 +18,7 @@ from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import KINDS, known_length, order_explained_by, with_forms
+from sklearn_raacmm.measurements import Features, order_explained_by
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
@@ -72,7 +72,7 @@ class Data:
         # As long as they were when they were measured. Of a ball and itself it is its size.
         ends = labels.tolist()
         self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths]
-        kinds = zip(ends, [kind for kind, _ in measured.features or []], strict=False)
+        kinds = zip(ends, measured.features or [], strict=False)
         self.kinds = {label: kind for label, kind in kinds if kind != "cone"}
         self.n_shown = np.broadcast_to(measured.n_shown, len(codes))
         self.held = self.n_shown == 3
@@ -152,14 +152,9 @@ class Data:
         rows = np.arange(len(self.angles)) if rows is None else rows
         if self.points is not None:
             return rows, rows[:0]
-        labels, codes = np.unique(self.positions[rows], return_inverse=True)
-        alone = (np.bincount(codes, minlength=len(labels)) <= self._unknown(labels))[codes]
+        touched = self._touched(rows)[1]
+        alone = ~touched.scatter[touched.codes]
         return rows[~alone], rows[alone]
-
-    def _unknown(self, labels):
-        """How many of its touches the form of a feature takes, of each label; of a cone one."""
-        kinds = (self.kinds.get(label) for label in labels.tolist())
-        return np.array([KINDS[kind].n_unknowns if kind else 1 for kind in kinds], dtype=int)
 
     def blocks(self):
         """Block of each row: positions at one place, of one block, or joined by lengths are one."""
@@ -189,20 +184,20 @@ class Data:
         """Points (n, 3) that the calibrated arm shows in these rows, mm, in the base frame."""
         return calibration.arm.points_at(self.angles[rows], self.probes(calibration, rows))
 
-    def _with_forms(self, points, rows, robust):
+    def _touched(self, points, rows, robust):
         """Points (n, 3) of these rows about the form of their position, and the form by label.
 
         Those that are not slips, if `robust`, decide on the form.
         """
         labels, codes = encode_groups(self.positions[rows])
-        kinds = [(self.kinds.get(label, "cone"), None) for label in labels.tolist()]
-        about, forms = with_forms(kinds, codes, points, None if robust else np.ones(len(codes)))
-        return about.residual, dict(zip(labels.tolist(), forms, strict=True))
+        touched = Features([self.kinds.get(label, "cone") for label in labels.tolist()], codes)
+        about = touched.linearised(points, None if robust else np.ones(len(points)))
+        return about.residual, dict(zip(labels.tolist(), about.forms, strict=True))
 
     def length_errors(self, points, rows, entries, robust=False):
         """Errors of known lengths, mm, in points (n, 3) of these rows."""
-        form = self._with_forms(points, rows, robust)[1]
-        found = [known_length(form[a], form[b])[0] for a, b, *_ in entries]
+        form = self._touched(points, rows, robust)[1]
+        found = [form[a].length_to(form[b])[0] for a, b, *_ in entries]
         return np.subtract(found, [mm for _, _, mm, _ in self.at_centres(entries)])
 
     def at_centres(self, lengths):
@@ -220,10 +215,10 @@ class Data:
         left, std, surface = left.copy(), std.copy(), ~self.held & np.isfinite(left).all(axis=1)
         distance = np.linalg.norm(left[surface], axis=1)
         out = left[surface] / np.maximum(distance, 1e-300)[:, None]
-        labels, codes = np.unique(self.positions[surface], return_inverse=True)
-        n, unknown = np.bincount(codes), self._unknown(labels)
-        free = np.where(n > unknown, (n - unknown) / n, np.nan)
-        std[surface, 0] = np.linalg.norm(out * std[surface], axis=1) * np.sqrt(free[codes])
+        touched = self._touched(surface)[1]
+        n, unknown = np.bincount(touched.codes), touched.n_unknowns
+        free = np.where(n > unknown, (n - unknown) / n, np.nan)[touched.codes]
+        std[surface, 0] = np.linalg.norm(out * std[surface], axis=1) * np.sqrt(free)
         left[surface] = np.nan
         left[surface, 0] = np.where(np.isfinite(std[surface, 0]), distance, np.nan)
         return left, std
@@ -235,7 +230,7 @@ class Data:
         which rows that are not slips decide on, if `robust`.
         """
         if self.points is None:
-            return self._with_forms(self.shown(calibration, rows) - correction, rows, robust)[0]
+            return self._touched(self.shown(calibration, rows) - correction, rows, robust)[0]
         parts = (self.tools, self.stations)
         tools, stations = (None if part is None else part[rows] for part in parts)
         given = {"tools": tools, "stations": stations}

@@ -38,7 +38,7 @@ from sklearn_raacmm.error_model._blocks import of_blocks, sums_of_blocks
 from sklearn_raacmm.error_model._columns import BASE_MOTIONS
 from sklearn_raacmm.error_model._factored import waves
 from sklearn_raacmm.inference import Extra, GramRows, Sums
-from sklearn_raacmm.measurements import Form, known_length, whitening
+from sklearn_raacmm.measurements import Form, Whitening
 from sklearn_raacmm.utils import chunks, group_sums, stage, summing
 
 # Poses whose waves are held at a time: 7 MB for 400 orders of one joint. And such parts that are
@@ -102,7 +102,7 @@ class Rows(NamedTuple):
     def whitening(self, factor=1.0):
         """`Whitening` of the rows, their weights times a factor."""
         given = self.weights * factor, self.root, self.codes, self.unknowns, self.known
-        return whitening(*given, self.rank)
+        return Whitening(*given, self.rank)
 
     @property
     def rank(self) -> Any:
@@ -277,7 +277,7 @@ def known_lengths(forms, ends, points, found):
         ]
         if one == other:
             of_ends[1] = of_ends[0]
-        measured[i], *along = known_length(*of_ends)
+        measured[i], *along = of_ends[0].length_to(of_ends[1])
         slopes[:, i] = [slope[:q] for slope in along]
         # Forms are about y; a point is where the arm says that it is.
         measured[i] += sum(
