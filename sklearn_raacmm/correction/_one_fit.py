@@ -184,19 +184,23 @@ class Data:
         """Points (n, 3) that the calibrated arm shows in these rows, mm, in the base frame."""
         return calibration.arm.points_at(self.angles[rows], self.probes(calibration, rows))
 
-    def _touched(self, points, rows, robust):
+    def _touched(self, rows):
+        """Labels of these rows, and the `Features` that they name."""
+        labels, codes = encode_groups(self.positions[rows])
+        return labels, Features([self.kinds.get(label, "cone") for label in labels.tolist()], codes)
+
+    def _about_forms(self, points, rows, robust):
         """Points (n, 3) of these rows about the form of their position, and the form by label.
 
         Those that are not slips, if `robust`, decide on the form.
         """
-        labels, codes = encode_groups(self.positions[rows])
-        touched = Features([self.kinds.get(label, "cone") for label in labels.tolist()], codes)
+        labels, touched = self._touched(rows)
         about = touched.linearised(points, None if robust else np.ones(len(points)))
         return about.residual, dict(zip(labels.tolist(), about.forms, strict=True))
 
     def length_errors(self, points, rows, entries, robust=False):
         """Errors of known lengths, mm, in points (n, 3) of these rows."""
-        form = self._touched(points, rows, robust)[1]
+        form = self._about_forms(points, rows, robust)[1]
         found = [form[a].length_to(form[b])[0] for a, b, *_ in entries]
         return np.subtract(found, [mm for _, _, mm, _ in self.at_centres(entries)])
 
@@ -230,7 +234,7 @@ class Data:
         which rows that are not slips decide on, if `robust`.
         """
         if self.points is None:
-            return self._touched(self.shown(calibration, rows) - correction, rows, robust)[0]
+            return self._about_forms(self.shown(calibration, rows) - correction, rows, robust)[0]
         parts = (self.tools, self.stations)
         tools, stations = (None if part is None else part[rows] for part in parts)
         given = {"tools": tools, "stations": stations}
