@@ -81,21 +81,18 @@ def predict_acceptance(
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
     arm = known.arm if known else regressor.arm_
-    X = arm.check_angles(plan.angles, "rad")
-    points = arm.forward(X)
-    X = known.inputs(X) if known else X
-    rng, mean = check_random_state(random_state), regressor.predict(X)
+    X, rng = arm.check_angles(plan.angles, "rad"), check_random_state(random_state)
+    mean = regressor.predict(known.inputs(X) if known else X)
+    points = arm.forward(X) - mean
     if known:
-        draws = (points - mean)[:, :, None] - known.sample(
-            plan.angles, n_draws, rng, with_noise=True
-        )
+        draws = points[:, :, None] - known.sample(plan.angles, n_draws, rng, with_noise=True)
     else:
         draws = regressor.sample_y(X, n_draws, rng, with_noise=True) - mean[:, :, None]
     tests = [test for test in LAYOUTS if test != "pose" and test in plan.test]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}
     ideal = np.zeros_like(points)
     for own in rows.values():
-        ideal[own] = _on_artefacts(Readings(plan, own, points - mean))
+        ideal[own] = _on_artefacts(Readings(plan, own, points))
     found: dict[str, list[float]] = {}
     for k in range(n_draws):
         # Sizes are off by what they are stated to be known to.

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm, carried, check_arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._zeros import with_found_zeros
-from sklearn_raacmm.measurements import LEAST_ROWS
 from sklearn_raacmm.utils import (
     Finding,
     align,
@@ -244,8 +243,8 @@ def _rarer_changes(arm, measured, others):
         parts = [_quick_scatter(as_given, angles[m], None, points[m]) for m in (~late, late)]
         return float(np.average(parts, weights=[row, n - row]))
 
-    if n >= 2 * LEAST_ROWS:
-        rows = np.unique(np.linspace(LEAST_ROWS, n - LEAST_ROWS, _SPLITS).astype(int)).tolist()
+    if n >= 2 * _FEWEST_ROWS:
+        rows = np.unique(np.linspace(_FEWEST_ROWS, n - _FEWEST_ROWS, _SPLITS).astype(int)).tolist()
         k = rows.index(min(rows, key=left))
         row = min(range(rows[max(k - 1, 0)], rows[min(k + 1, len(rows) - 1)] + 1), key=left)
         late, (before, behind) = np.arange(n) >= row, row_numbers([row - 1, row])
