@@ -357,7 +357,7 @@ def _verdict(scores):
             f"Do not use it yet: at new {of} {change}, but {n_blocks} {what} are too few to "
             f"tell; measure at least {_FEWEST_POSITIONS}."
         )
-    shown = f"at new {of} {change}, {better} of {n} {of} better"
+    shown = f"at new {of}: {change}, {better} of {n} {of} better"
     if high < 1:
         least = np.argmax(after / np.maximum(before, 1e-300))
         unknown_lengths = [f for f in scores.findings if f.code == _UNKNOWN_LENGTHS]
