@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_raacmm.app._columns import Columns
-from sklearn_raacmm.app._files import find_rows, known_lengths, load_arm, parse_numbers, print_notes
+from sklearn_raacmm.app._files import load_arm, print_notes
+from sklearn_raacmm.app._given import Given, parse_numbers
 from sklearn_raacmm.app._sources import TableError, parse_number
 from sklearn_raacmm.arm import MAX_LENGTH_MM, Arm, read_far_axes, usual_pose
 from sklearn_raacmm.correction import arm_from_data
@@ -157,9 +158,10 @@ def _calibrated_ur(nominal, deltas):
 def _arm_of_layout(options):
     """The arm of a layout that a single-point test shows; what no data show is asked."""
     options.table, options.points = options.from_data, None
-    table = find_rows(options, Arm.from_lengths(options.layout, *[1.0] * 4)).read()
+    measured = Given(options, Arm.from_lengths(options.layout, *[1.0] * 4))
+    table = measured.layout.read()
     print_notes(table.notes)
-    unit, lengths = table.angle_unit, known_lengths(options)
+    unit, lengths = table.angle_unit, measured.lengths()
     given = options.layout, table.angles, table.positions, lengths
     arm = arm_from_data(*given, angle_unit=unit, mirrored=options.mirrored)
     height = arm.forward(table.angles, angle_unit=unit)[:, 2]

@@ -9,8 +9,7 @@ from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_poi
 from sklearn_raacmm.error_model._checks import check_fit
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._left_out import beside_table
-from sklearn_raacmm.error_model._noise import Noise
-from sklearn_raacmm.error_model._sums import candidate_sums, length_equations
+from sklearn_raacmm.error_model._sums import Noise, candidate_sums, length_equations
 from sklearn_raacmm.measurements import Features
 
 
