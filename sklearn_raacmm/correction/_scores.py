@@ -357,19 +357,21 @@ def _verdict(scores):
             f"Do not use it yet: at new {of} {change}, but {n_blocks} {what} are too few to "
             f"tell; measure at least {_FEWEST_POSITIONS}."
         )
-    shown = f"at new {of}: {change}, {better} of {n} {of} better"
+    shown = f"{change}, {better} of {n} {of} better"
     if high < 1:
         least = np.argmax(after / np.maximum(before, 1e-300))
         unknown_lengths = [f for f in scores.findings if f.code == _UNKNOWN_LENGTHS]
         helps = "It repeats better" if unknown_lengths else "It helps"
         said = (
-            f"{helps} {shown}; the one that "
+            f"{helps} at new {of}: {shown}; the one that "
             f"gained least went from {before[least]:.3f} to {after[least]:.3f} mm."
         )
         return True, " ".join([said, *map(str, unknown_lengths)])
     if scores.calibration_helps:
-        return False, f"Use the calibrated table without the correction: {shown} than calibrated."
+        return False, (
+            f"Use the calibrated table without the correction: at new {of} {shown} than calibrated."
+        )
     return False, (
-        f"Do not use it: {shown}; after is "
+        f"Do not use it: at new {of} {shown}; after is "
         f"{ratio:.2f} times before, and its 95 % interval, {low:.2f} to {high:.2f}, reaches 1."
     )
