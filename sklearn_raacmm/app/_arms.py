@@ -28,7 +28,7 @@ _COLUMNS = {
     "names": ("joint", "name", "joint name"),
     "joint_types": ("type", "joint type", "joint_type"),
 }
-_ANGLES = ("alpha", "theta_offset")
+_ANGLES, _WORDS = ("alpha", "theta_offset"), ("names", "joint_types")
 # How near to a quarter turn in rad a twist has to be, and the largest length in metres, by which
 # units are known that no header names.
 _QUARTER, _MOST_METRES = 1e-2, 10.0
@@ -191,12 +191,15 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
             where[field] = names.index(words[0])
         elif field in ("a", "alpha", "d"):
             raise TableError(f"{path} has no column {field!r}; it has {table}.")
-    rows = list(table.rows([where["a"]]))
-    sizes = {field: np.abs(table.numbers(rows, [where[field]])) for field in ("a", "alpha", "d")}
-    if np.any(np.abs(sizes["alpha"] - np.pi / 2) < _QUARTER) and sizes["alpha"].max() < 2 * np.pi:
+    rows, values = list(table.rows([where["a"]])), {}
+    for field, i in where.items():
+        read = table.labels(rows, i) if field in _WORDS else table.numbers(rows, [i])[:, 0]
+        values[field] = read.tolist()
+    a, alpha, d = (np.abs(values[field]) for field in ("a", "alpha", "d"))
+    if np.any(np.abs(alpha - np.pi / 2) < _QUARTER) and alpha.max() < 2 * np.pi:
         guessed |= dict.fromkeys(_ANGLES, "rad")
     # Of axes that are nearly parallel d may be a hundred metres; a says how large the arm is.
-    if 0 < (sizes["a"].max() or sizes["d"].max()) < _MOST_METRES:
+    if 0 < (a.max() or d.max()) < _MOST_METRES:
         guessed |= dict.fromkeys(("a", "d"), "m")
     guessed = {f: unit for f, unit in guessed.items() if f in where and not table.units[where[f]]}
     if guessed:
@@ -204,16 +207,12 @@ def read_dh(path, convention="standard", probe=(0.0, 0.0, 0.0)):
         print_notes([f"Taken by their size, for the header names no unit: {shown}."])
     if convention == "standard":
         print_notes(["Taken as the standard convention; --modified takes the other one."])
-    values = {}
-    for field, column in where.items():
-        if field in ("names", "joint_types"):
-            values[field] = table.labels(rows, column).tolist()
-        else:
-            units = ("deg", "rad") if field in _ANGLES else ("mm", "m")
-            unit = table.units[column] or guessed.get(field) or units[0]
-            if unit not in units:
-                raise TableError(f"{path}: the column {table.header[column]!r} is in {unit}.")
-            values[field] = (_FACTORS[unit] * table.numbers(rows, [column])[:, 0]).tolist()
+    for field in where.keys() - _WORDS:
+        units, unit = ("deg", "rad") if field in _ANGLES else ("mm", "m"), table.units[where[field]]
+        unit = unit or guessed.get(field, units[0])
+        if unit not in units:
+            raise TableError(f"{path}: the column {table.header[where[field]]!r} is in {unit}.")
+        values[field] = np.multiply(_FACTORS[unit], values[field])
     twists = values["alpha"] if convention == "standard" else values["alpha"][1:]
     pose = usual_pose(len(rows), len(rows) > 2 and abs(np.sin(twists[1])) < 1e-9, convention)
     if convention == "standard" and np.abs(values["d"]).max() > MAX_LENGTH_MM:

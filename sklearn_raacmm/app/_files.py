@@ -7,8 +7,9 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from sklearn_raacmm.app._sources import TableError, find_source, parse_number
-from sklearn_raacmm.app._units import MM_PER_UNIT, split_unit
+from sklearn_raacmm.app._columns import Columns
+from sklearn_raacmm.app._sources import TableError, parse_number
+from sklearn_raacmm.app._units import MM_PER_UNIT
 from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.calibration import lengths_of_places
 from sklearn_raacmm.correction import Correction
@@ -119,26 +120,16 @@ def read_places(path, sd=None):
 
 def _read_rows(path, n_labels, n_numbers, sd, what):
     """Yield labels, numbers and standard deviation of each row, mm; a header names other units."""
-    dialect, begun, n_values = find_source(path, n_numbers), False, n_numbers + 1
-    mm = n_values * [1.0]
-    for number, cells in dialect.rows():
-        values: list[float | None] = [dialect.number(cell) for cell in cells[n_labels:]]
-        values = [*values, *n_values * [None]][:n_values]
-        if None in values[:n_numbers]:
-            if begun or any(value is not None for value in values):
-                raise TableError(f"{path}: row {number} must hold {what}.")
-            # The header, or what stands above it.
-            mm = [MM_PER_UNIT.get(split_unit(cell)[1], 1.0) for cell in cells[n_labels:]]
-            mm = [*mm, *n_values * [1.0]]
-            continue
-        begun = True
+    table, n = Columns(path, n_numbers), n_labels + n_numbers
+    mm = [MM_PER_UNIT.get(unit, 1.0) for unit in [*table.units, *n * [""]]][n_labels : n + 1]
+    for number, cells in (row for row in table.source.rows() if row[0] > table.header_row):
+        values = [table.source.number(cell) for cell in [*cells[n_labels:], *n * [""]]]
         values = [value and value * one for value, one in zip(values, mm, strict=False)]
+        if None in values[:n_numbers]:
+            raise TableError(f"{path}: row {number} must hold {what}.")
         if values[-1] is None and sd is None:
             raise TableError(
                 f"{path}: row {number} has no standard deviation in mm in its last column; say it "
                 "with --length-sd 0.005."
             )
-        labels = map(str, cells[:n_labels])
-        yield *labels, *values[:-1], sd if values[-1] is None else values[-1]
-    if not begun:
-        raise TableError(f"{path} holds no row of {what}.")
+        yield *map(str, cells[:n_labels]), *values[:-1], sd if values[-1] is None else values[-1]

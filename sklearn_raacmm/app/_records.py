@@ -263,7 +263,7 @@ def _xml(head, read, n_numbers):
     if not head.lstrip().startswith("<") or "<!ENTITY" in (text := read()):
         return None
     try:
-        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", text, flags=re.DOTALL))
+        root = ElementTree.fromstring(text.strip())
     except ElementTree.ParseError:
         return None
     if rows := [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]:
@@ -280,8 +280,8 @@ def _yaml(head, read, n_numbers):
     """Records of YAML: lists of them, or messages as `ros2 topic echo` writes them."""
     lines = [line for line in head.splitlines()[:_LOOKED_AT] if line.strip()]
     lines = [line for line in lines if not _COMMENT.match(line) or line.startswith("---")]
-    plain = sum(bool(_KEY.match(line)) for line in lines[:5])
-    if not lines or not (plain or lines[0].startswith("---")) or find_spec("yaml") is None:
+    begins = any(map(_KEY.match, lines[:5])) or "".join(lines[:1]).startswith("---")
+    if not begins or find_spec("yaml") is None:
         return None
     import yaml
 

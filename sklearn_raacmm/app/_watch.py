@@ -19,13 +19,7 @@ from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import position_residuals
 from sklearn_raacmm.metrics import single_point_repeatability
-from sklearn_raacmm.utils import (
-    TUKEY_CUT,
-    encode_groups,
-    one_blas_thread,
-    robust_scale,
-    write_whole,
-)
+from sklearn_raacmm.utils import one_blas_thread, robust_scale, write_whole
 
 # Seconds: without a new row, after which it stops; between two looks; after which a last line that
 # has no end is read. Share of a core that looking takes at most; to try a correction costs one
@@ -33,7 +27,7 @@ from sklearn_raacmm.utils import (
 _SILENCE_S, _LOOK_S, _HALF_LINE_S, _SHARE = 3600.0, 0.1, 1.0, 0.2
 # A slip is so many standard deviations away, as in `slip_factors`. Farther than so many mm a row is
 # in another place: no two cones stand closer.
-_SLIP_SDS, _APART_MM = 2 * TUKEY_CUT, 20.0
+_SLIP_SDS, _APART_MM = 11.0, 20.0
 # Rows from which on an arm is calibrated, and by which factor they grow until the next time.
 _FIRST_ROWS, _GROWTH = 20, 1.1
 # What is enough: cones, poses in each, and 2S at cones left out over that at cones learnt from. A
@@ -102,9 +96,8 @@ class _Seen:
     def take(self, table):
         """Judge all rows of the table as it is now."""
         self._angles, self.n_rows = in_rad(table), len(table.angles)
-        labels, codes = encode_groups(table.positions)
-        # Cones are counted as they came.
-        order = np.argsort(np.unique(codes, return_index=True)[1])
+        labels, first, codes = np.unique(table.positions, return_index=True, return_inverse=True)
+        order = np.argsort(first)  # cones are counted as they came
         labels, self._codes = labels[order], np.argsort(order)[codes]
         change = 0.0
         if self._saved is not None:
