@@ -6,6 +6,7 @@
 import itertools
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def find_faults(
     return faults or list(taken) or _slips(readings) or list(_off_means(readings))
 
 
-def _finding(readings, code, text, advice, rows=slice(None), size_mm=None):
+def _finding(readings, code, text, advice, rows: Any = slice(None), size_mm=None):
     """What is wrong with a test, of some of its readings or of all."""
     rows, text = row_numbers(readings.rows[rows]), f"{readings.test}: {text}"
     return Finding(code, text, advice, weight="repair", rows=rows, size_mm=size_mm)

@@ -227,7 +227,7 @@ class Data:
         left[surface, 0] = np.where(np.isfinite(std[surface, 0]), distance, np.nan)
         return left, std
 
-    def residuals(self, calibration, rows, correction=0.0, robust=True):
+    def residuals(self, calibration, rows, correction: Any = 0.0, robust=True):
         """What is wrong with the calibrated, corrected arm at these rows, mm, in the base frame.
 
         About a tracker's points; else about the mean of the position, or the nearest of its form,
