@@ -21,8 +21,7 @@ from sklearn.exceptions import InconsistentVersionWarning
 
 import sklearn_raacmm
 from sklearn_raacmm import Arm, ArmResidualRegressor, Correction, RBFNetRegressor
-from sklearn_raacmm.correction._files import dump_model
-from sklearn_raacmm.correction._own_models import OtherContentError, read_model
+from sklearn_raacmm.correction._files import OtherContentError, dump_model, read_model
 from sklearn_raacmm.datasets import make_single_point
 from sklearn_raacmm.export import TRUSTED_TYPES
 from sklearn_raacmm.utils import _estimators, stored_classes

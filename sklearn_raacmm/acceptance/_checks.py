@@ -6,6 +6,7 @@
 import itertools
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -46,35 +47,35 @@ _RATIOS = {
 
 
 def find_faults(
-    test: str, readings: Readings, arm: Arm | None = None, limit: float | None = None
+    readings: Readings, arm: Arm | None = None, limit: float | None = None
 ) -> list[Finding]:
     """What keeps a test from having values, the first kind of fault that is found; or a doubt.
 
     `limit` is the largest of the values' limits, mm.
     """
-    if gap := next(_gaps(test, readings), ""):
+    if gap := next(_gaps(readings), ""):
         advice = "Measure what is missing: a test that is not complete gets no value."
-        return [_finding("acceptance-incomplete", f"{test}: {gap}", advice, readings.rows)]
+        return [_finding(readings, "acceptance-incomplete", gap, advice)]
     faults: list[Finding] = []
-    if test in (*SPHERES, *BARS):
-        faults = list(_artefacts(test, readings, limit)) or _wrong_sizes(test, readings)
-    taken = itertools.chain(_copies(test, readings), _ways(test, readings, arm))
-    return faults or list(taken) or _slips(test, readings) or list(_off_means(test, readings))
+    if readings.test in (*SPHERES, *BARS):
+        faults = list(_artefacts(readings, limit)) or _wrong_sizes(readings)
+    taken = itertools.chain(_copies(readings), _ways(readings, arm))
+    return faults or list(taken) or _slips(readings) or list(_off_means(readings))
 
 
-def _finding(code, text, advice, rows=(), size_mm=None):
-    rows = row_numbers(rows)
+def _finding(readings, code, text, advice, rows: Any = slice(None), size_mm=None):
+    """What is wrong with a test, of some of its readings or of all."""
+    rows, text = row_numbers(readings.rows[rows]), f"{readings.test}: {text}"
     return Finding(code, text, advice, weight="repair", rows=rows, size_mm=size_mm)
 
 
-def _gaps(test, readings):
+def _gaps(readings):
     """Yield sentences on labels and readings that are missing, or too many."""
-    levels, wanted, more = LAYOUTS[test]
-    names, labels = [column for column, _ in levels], []
+    levels, wanted, more = LAYOUTS[readings.test]
+    names = [column for column, _ in levels]
     columns = [np.char.lower(getattr(readings.run, name)[readings.rows]).tolist() for name in names]
-    for (name, needed), column in zip(levels, columns, strict=True):
-        there = sorted(set(column))
-        labels.append(there)
+    labels = [sorted(set(column)) for column in columns]
+    for (name, needed), there in zip(levels, labels, strict=True):
         named, least = (needed, len(needed)) if isinstance(needed, tuple) else ((), needed)
         enough = len(there) > least and more and name == names[0]
         if set(there) != set(named) if named else len(there) != least and not enough:
@@ -84,126 +85,121 @@ def _gaps(test, readings):
     counts = Counter(zip(*columns, strict=True))
     for key in itertools.product(*labels):
         n = counts[key]
-        if n < wanted or (n > wanted and not (more and test in ("single-point", "pose"))):
+        if n < wanted or (n > wanted and not (more and readings.test in ("single-point", "pose"))):
             where = ", ".join(f"{column} {label}" for column, label in zip(names, key, strict=True))
             yield f"{where} has {n} readings, {wanted} are needed."
 
 
-def _artefacts(test, readings, limit):
+def _artefacts(readings, limit):
     """Artefacts of which a value needs what nobody has stated, or stated in another unit."""
     most = 1e3 * (limit or _NO_LIMIT_MM)
     least = _SHARE_OF_LIMIT * most
     ranges = _RANGES | {"expanded_mm": (least, most, "um", 1e3)}
-    ranges["form_mm"] = (least if test in SPHERES else 0.0, most, "um", 1e3)
+    ranges["form_mm"] = (least if readings.test in SPHERES else 0.0, most, "um", 1e3)
     for (name,), rows in readings.groups("artefact").items():
         artefact = readings.run.by_name.get(name)
         missing = ("everything",) if artefact is None else artefact.missing
-        if test in SPHERES and artefact is not None and not artefact.form_mm:
+        if readings.test in SPHERES and artefact is not None and not artefact.form_mm:
             missing = (*missing, "form_mm")
         if missing:
-            text = f"{test}: of the artefact {name!r} is not stated: {', '.join(missing)}."
+            text = f"of the artefact {name!r} is not stated: {', '.join(missing)}."
             advice = "State what its certificate says, and its temperature."
-            yield _finding("artefact-unknown", text, advice, readings.rows[rows])
+            yield _finding(readings, "artefact-unknown", text, advice, rows)
             continue
         for field, (low, high, unit, factor) in ranges.items():
             shown = factor * getattr(artefact, field)
             tiny = field == "expansion_per_k" and 0 < abs(shown) < factor * _LEAST_EXPANSION
             if tiny or not low <= shown <= high:
                 text = (
-                    f"{test}: of the artefact {name!r} {field} is {shown:.3g} {unit}, where "
+                    f"of the artefact {name!r} {field} is {shown:.3g} {unit}, where "
                     f"{low:.3g} to {high:.3g} {unit} can be."
                 )
                 advice = "Is it in the unit that its heading names?"
-                yield _finding("artefact-implausible", text, advice, readings.rows[rows])
+                yield _finding(readings, "artefact-implausible", text, advice, rows)
 
 
-def _copies(test, readings):
+def _copies(readings):
     """Readings that are others, to the last digit."""
     angles = readings.run.angles
     values = readings.points if angles is None else angles[readings.rows]
     first = np.unique(values, axis=0, return_index=True)[1]
     again = np.setdiff1d(np.arange(len(values)), first)
-    if len(again) and test != "pose":  # which commands one pose many times
-        text = f"{test}: {len(again)} readings are copies of others, to the last digit."
+    if len(again) and readings.test != "pose":  # which commands one pose many times
+        text = f"{len(again)} readings are copies of others, to the last digit."
         advice = "Each reading is taken anew: measure them again."
-        yield _finding("copied-readings", text, advice, readings.rows[again])
+        yield _finding(readings, "copied-readings", text, advice, again)
 
 
-def _ways(test, readings, arm):
+def _ways(readings, arm):
     """Where readings were taken, and how differently, against what the test asks."""
-    columns = ("artefact", "position", "end") if test in BARS else ("position",)
+    columns = ("artefact", "position", "end") if readings.test in BARS else ("position",)
     means = {k: readings.points[rows].mean(axis=0) for k, rows in readings.groups(*columns).items()}
     places: dict[tuple[str, ...], list[np.ndarray]] = {}
     for key, mean in means.items():  # of a bar both ends
-        places.setdefault(key[:2] if test in BARS else key, []).append(mean)
+        places.setdefault(key[:2] if readings.test in BARS else key, []).append(mean)
     for (key, one), (other, two) in itertools.combinations(places.items(), 2):
         if key[:-1] == other[:-1] and np.abs(np.subtract(one, two)).max() < _ONE_PLACE_MM:
-            text = f"{test}: positions {key[-1]} and {other[-1]} are one place: nothing was moved"
+            text = f"positions {key[-1]} and {other[-1]} are one place: nothing was moved"
             advice = "Move the artefact between positions, and measure them again."
-            yield _finding("one-place", f"{text} by {_ONE_PLACE_MM:g} mm.", advice, readings.rows)
+            yield _finding(readings, "one-place", f"{text} by {_ONE_PLACE_MM:g} mm.", advice)
             return
-    if arm is None or readings.run.angles is None or test not in ("single-point", "articulation"):
+    of_cones = readings.test in ("single-point", "articulation")
+    if arm is None or readings.run.angles is None or not of_cones:
         return
     angles, far = readings.run.angles[readings.rows], {}
     for (name,), rows in readings.groups("position").items():
         frames = arm.frames(angles[rows])[:, arm.pose_frames[0], :3, 3]
         far[name.lower()] = np.linalg.norm((readings.believed[rows] - frames).mean(axis=0))
         if np.ptp(angles[rows][:, :2], axis=0).max() < _SWING_RAD:
-            text = f"{test}: at position {name} the elbow was not swung: joints 1 and 2 stand still"
+            text = f"at position {name} the elbow was not swung: joints 1 and 2 stand still"
             advice = "Take each reading with another pose of the arm."
-            yield _finding("one-pose", f"{text}.", advice, readings.rows[rows])
+            yield _finding(readings, "one-pose", f"{text}.", advice, rows)
     zones = [far.get(zone, 0.0) / arm.reach_mm for zone in ("near", "middle", "far")]
     apart = np.diff(zones)
-    if test == "single-point" and (apart.min() <= 0 or apart.sum() < _ZONES_APART):
+    if readings.test == "single-point" and (apart.min() <= 0 or apart.sum() < _ZONES_APART):
         shown = ", ".join(f"{zone:.2f}" for zone in zones)
-        text = f"{test}: near, middle and far are at {shown} of the reach from the shoulder."
+        text = f"near, middle and far are at {shown} of the reach from the shoulder."
         advice = "Put the cone near, in the middle and far, and name the positions so."
-        yield _finding("wrong-zones", text, advice, readings.rows)
+        yield _finding(readings, "wrong-zones", text, advice)
 
 
-def _off_means(test, readings):
+def _off_means(readings):
     """Lengths that agree with one another, but not with what is stated."""
-    if test not in BARS:
-        return
-    lengths, artefacts, last = readings.lengths()
-    tip = readings.run.tip_mm if test == "bidirectional" else 0.0
-    for artefact in dict.fromkeys(artefacts):
-        own = np.array([one is artefact for one in artefacts])
-        error = lengths[own] - tip - artefact.size_in_test
+    for rows, middle, off in _measured(readings) if readings.test in BARS else ():
+        artefact, scatter = readings.artefact(rows), off.std()
+        error = middle + off.mean() - readings.tip_mm - artefact.size_in_test
         u = np.hypot(artefact.u_size, artefact.fixture_mm)
-        if abs(error.mean()) > _OFF_RATIO * np.hypot(u, error.std() / np.sqrt(own.sum())):
-            text = (
-                f"{test}: {own.sum()} lengths of {artefact.name!r} are off by {error.mean():.3g} "
-                f"mm on average, and agree to {error.std():.2g} mm."
-            )
+        if abs(error) > _OFF_RATIO * np.hypot(u, scatter / np.sqrt(len(off))):
+            text = f"{len(off)} lengths of {artefact.name!r} are off by {error:.3g} mm on average"
+            text += f", and agree to {scatter:.2g} mm."
             advice = "Look whether the stated size is this artefact's, or the arm's scale is off."
-            finding = _finding("mean-off", text, advice, readings.rows[last[own]], error.mean())
+            finding = _finding(readings, "mean-off", text, advice, rows, error)
             yield replace(finding, weight="doubt")
 
 
-def _measured(test, readings):
+def _measured(readings):
     """Rows of each artefact or place, their measured size, and how far each is off it, mm."""
-    if test in BARS:
+    if readings.test in BARS:
         lengths, artefacts, last = readings.lengths()
         for artefact in dict.fromkeys(artefacts):
             own = np.array([one is artefact for one in artefacts])
             middle = float(np.median(lengths[own]))
-            yield last[own], middle, np.abs(lengths[own] - middle)
+            yield last[own], middle, lengths[own] - middle
         return
     # All articulations and repeats together: five points would bend their own sphere.
     for rows in readings.groups("artefact", "position").values():
-        points = readings.points[rows]
-        if test in SPHERES:
+        points, size = readings.points[rows], 0.0
+        off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+        if readings.test in SPHERES:
             _, radius, distances = fit_sphere(points)
-            yield rows, 2 * radius, np.abs(distances - radius)
-        else:
-            yield rows, 0.0, np.linalg.norm(points - np.median(points, axis=0), axis=1)
+            size, off = 2 * radius, distances - radius
+        yield rows, size, off
 
 
-def _wrong_sizes(test, readings):
+def _wrong_sizes(readings):
     """Artefacts whose measured size is of another unit, or of another artefact."""
-    tip = 0.0 if test in ("length", "volumetric") else readings.run.tip_mm
-    for rows, raw, _ in _measured(test, readings):
+    tip = readings.tip_mm
+    for rows, raw, _ in _measured(readings):
         artefact = readings.artefact(rows)
         size = artefact.size_in_test
         off = abs(raw - tip - size)
@@ -220,26 +216,26 @@ def _wrong_sizes(test, readings):
         code = "artefact-unit" if units and not others else "artefact-other"
         guess = [*others, *units, "it is another artefact"][0]
         text = (
-            f"{test}: the artefact {artefact.name!r} measures {raw - tip:.4g} mm and is stated as "
+            f"the artefact {artefact.name!r} measures {raw - tip:.4g} mm and is stated as "
             f"{size:.6g} mm: {guess}."
         )
         advice = "Correct the unit, the artefact's name or its size."
-        return [_finding(code, text, advice, readings.rows[rows], off)]
+        return [_finding(readings, code, text, advice, rows, off)]
     return []
 
 
-def _slips(test, readings):
+def _slips(readings):
     """Readings that are so far off that the probe cannot have been where it should."""
-    rows, _, off = zip(*_measured(test, readings), strict=True)
-    rows, off = np.concatenate(rows), np.concatenate(off)
+    rows, _, off = zip(*_measured(readings), strict=True)
+    rows, off = np.concatenate(rows), np.abs(np.concatenate(off))
     limit = max(_SLIP_MM, _SLIP_RATIO / _OF_SHARE * float(np.quantile(off, _SHARE)))
     far = off > limit
     if not far.any():
         return []
     numbers = row_numbers(readings.rows[rows[far]])
     text = (
-        f"{test}: {far.sum()} readings are off by up to {off.max():.3g} mm, where "
+        f"{far.sum()} readings are off by up to {off.max():.3g} mm, where "
         f"{np.median(off):.2g} mm is usual (rows {', '.join(map(str, numbers[:8]))})."
     )
     advice = "Look whether the probe has slipped, and measure them again."
-    return [_finding("slipped", text, advice, readings.rows[rows[far]], off.max())]
+    return [_finding(readings, "slipped", text, advice, rows[far], off.max())]

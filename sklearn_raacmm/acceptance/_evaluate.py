@@ -211,7 +211,7 @@ def evaluate_acceptance(
             # As left is looked at where there is one: its errors are smaller, and faults stand out.
             own = [one for name, one in bounds.items() if VALUES[name][0] == test]
             most = max((min(a + s * largest, b) for a, s, b in own), default=None)
-            faults = find_faults(test, readings[-1], arm, most)
+            faults = find_faults(readings[-1], arm, most)
             if all(fault.weight == "doubt" for fault in faults):
                 computed = [FUNCTIONS[test](each) for each in readings]
         except ValueError as error:

@@ -81,21 +81,18 @@ def predict_acceptance(
     if not hasattr(regressor, "sample_y"):
         raise TypeError(f"{type(regressor).__name__} has no sample_y: it draws no corrections.")
     arm = known.arm if known else regressor.arm_
-    X = arm.check_angles(plan.angles, "rad")
-    points = arm.forward(X)
-    X = known.inputs(X) if known else X
-    rng, mean = check_random_state(random_state), regressor.predict(X)
+    X, rng = arm.check_angles(plan.angles, "rad"), check_random_state(random_state)
+    mean = regressor.predict(known.inputs(X) if known else X)
+    points = arm.forward(X) - mean
     if known:
-        draws = (points - mean)[:, :, None] - known.sample(
-            plan.angles, n_draws, rng, with_noise=True
-        )
+        draws = points[:, :, None] - known.sample(plan.angles, n_draws, rng, with_noise=True)
     else:
         draws = regressor.sample_y(X, n_draws, rng, with_noise=True) - mean[:, :, None]
     tests = [test for test in LAYOUTS if test != "pose" and test in plan.test]
     rows = {test: np.flatnonzero(plan.test == test) for test in tests}
     ideal = np.zeros_like(points)
-    for test, own in rows.items():
-        ideal[own] = _on_artefacts(test, Readings(plan, own, points - mean))
+    for own in rows.values():
+        ideal[own] = _on_artefacts(Readings(plan, own, points))
     found: dict[str, list[float]] = {}
     for k in range(n_draws):
         # Sizes are off by what they are stated to be known to.
@@ -110,19 +107,19 @@ def predict_acceptance(
     return {name: tuple(three.tolist()) for name, three in ends.items()}
 
 
-def _on_artefacts(test, readings):
+def _on_artefacts(readings):
     """Points nearest to these that lie on perfect artefacts, (n, 3), mm."""
-    points, tip = readings.points.copy(), readings.run.tip_mm
-    if test in SPHERES:
+    points, tip = readings.points.copy(), readings.tip_mm
+    if readings.test in SPHERES:
         for rows in readings.groups("artefact", "position").values():
             centre, _, distances = fit_sphere(points[rows])
             radius = (readings.artefact(rows).size_in_test + tip) / 2
             points[rows] = centre + (points[rows] - centre) * (radius / distances)[:, None]
-    elif test in BARS:
+    elif readings.test in BARS:
         end = np.char.lower(readings.run.end[readings.rows])
         for rows in readings.groups("artefact", "position", "repeat").values():
             a, b = (rows[end[rows] == name] for name in "ab")
-            size = readings.artefact(rows).size_in_test + tip * (test == "bidirectional")
+            size = readings.artefact(rows).size_in_test + tip
             along = points[b] - points[a]
             long = np.linalg.norm(along, axis=1, keepdims=True)
             points[a] -= (size / long - 1) / 2 * along

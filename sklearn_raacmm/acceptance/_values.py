@@ -60,10 +60,15 @@ VALUES: dict[str, tuple[str, str, str, str]] = {
 
 
 class Readings:
-    """The rows of one test: labels, points, and the points that a controller believed in."""
+    """The rows of one test: labels, points, and the points that a controller believed in.
+
+    `tip_mm` is what sizes are larger by than those of artefacts; of lengths along one way nothing.
+    """
 
     def __init__(self, run, rows, points, believed=None):
         self.run, self.rows, self.points = run, rows, points[rows]
+        self.test = str(run.test[rows[0]])
+        self.tip_mm = 0.0 if self.test in ("length", "volumetric") else run.tip_mm
         self.believed = None if believed is None else believed[rows]
 
     def groups(self, *columns):
@@ -101,7 +106,7 @@ def _spheres(readings, column, name, form_name=None):
     artefacts = [readings.artefact(rows) for rows in groups]
     fits = [fit_sphere(readings.points[rows]) for rows in groups]
     at = np.array([a.size_in_test for a in artefacts])
-    errors = 2 * np.array([radius for _, radius, _ in fits]) - readings.run.tip_mm - at
+    errors = 2 * np.array([radius for _, radius, _ in fits]) - readings.tip_mm - at
     u = [np.hypot(a.u_size, FORM_IN_DIAMETER * a.form_mm) for a in artefacts]
     found = {name: (errors, at, u)}
     if form_name:
@@ -118,10 +123,10 @@ def _articulation(readings):
     return {"L_Dia": (found, [a.size_in_test for a in artefacts], u)}
 
 
-def _lengths(readings, name, has_tip=False):
+def _lengths(readings, name):
     lengths, artefacts, _ = readings.lengths()
     sizes = np.array([a.size_in_test for a in artefacts])
-    errors = lengths - has_tip * readings.run.tip_mm - sizes
+    errors = lengths - readings.tip_mm - sizes
     return {name: (errors, sizes, [np.hypot(a.u_size, a.fixture_mm) for a in artefacts])}
 
 
@@ -175,7 +180,7 @@ FUNCTIONS: dict[str, Callable[[Readings], dict[str, tuple[Any, ...]]]] = {
     "probing": partial(_spheres, column="position", name="P_Size", form_name="P_Form"),
     "articulation": _articulation,
     "length": partial(_lengths, name="E_Uni"),
-    "bidirectional": partial(_lengths, name="E_Bi", has_tip=True),
+    "bidirectional": partial(_lengths, name="E_Bi"),
     "diameter": partial(_spheres, column="repeat", name="effective diameter"),
     "single-point": _single_point, "volumetric": _volumetric, "pose": _pose,
 }  # fmt: skip

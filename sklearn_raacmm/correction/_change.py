@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_raacmm.correction._condition import Evidence, condition, narrowed, rows_of, thin
+from sklearn_raacmm.correction._condition import Posterior, Whitened, narrowed, thin
 from sklearn_raacmm.correction._rows import (
     Expected,
-    n_coordinates,
     new_rows,
     place_columns,
     positions_of,
@@ -112,7 +111,7 @@ class Change:
         linear, rows = self.expected.linear, self.expected.rows
         coef, seen, after = self._conditioned(self.expected, self.place)
         self.ended = after.logs
-        errors, noise, std = after.left_out
+        errors, noise, std = after.left_out()
         # Until new poses say otherwise errors exceed what is expected as those of the old model do.
         logs = 2 * np.log(np.maximum([linear.std_scale, linear.noise_scale], 1.0))
         scales = interval_scales(errors, noise, std, np.ones(len(errors)), 1.0, *logs)
@@ -149,7 +148,7 @@ class Change:
         a model that was of no use fewer than two.
         """
         rows, used = self.expected.rows._replace(weights=weights), weights > 0
-        expected = replace(self.expected, rows=rows)
+        expected = Expected(self.expected.linear, rows)
         labels = np.unique(self.positions[used])
         # A share of 0 was found for what there was before the change: two positions may end it.
         if len(labels) < (LEAST_POSITIONS if fading.most > 0 else 2):
@@ -157,13 +156,13 @@ class Change:
         order = np.random.default_rng(0).permutation(len(labels))
         of_label = np.searchsorted(labels, self.positions) % len(labels)
         fold = (order % min(_N_FOLDS, len(labels)))[of_label]
-        correction, doubts = expected.mean.copy(), self.expected.doubts.copy()
+        correction, doubts = expected.mean.copy(), expected.doubts.copy()
         with ignored_findings():  # what there is to report is reported of all poses
             for number in range(fold.max() + 1):
                 out = fold == number
                 rest = expected.at(~out & used)
-                if not why_too_few(rest.rows):
-                    coef, seen, _ = self._conditioned(rest, self.place[~out & used], True)
+                if not why_too_few(rest):
+                    coef, seen, _ = self._conditioned(rest, self.place[~out & used])
                     correction[out] = expected.columns[out] @ coef
                     flat = doubts[out].reshape(-1, doubts.shape[2])
                     doubts[out] = narrowed(flat, seen).reshape(doubts[out].shape)
@@ -173,18 +172,17 @@ class Change:
         known = weights, rows.centre, self.positions, before
         return judge(rows.y, correction, doubt, fading, *known)
 
-    def _conditioned(self, expected, place, means_only=False):
+    def _conditioned(self, expected, place):
         """Coefficients, what rows show of the root of the fading, and the `Posterior`.
 
         What new rows leave open of base, tool and change is no reason to let the whole correction
         fade: the change is shrunk to the old model for that already.
         """
         linear, shown, p = expected.linear, expected.shown, len(expected.linear.coef)
-        columns, spread, doubts = map(shown, (expected.columns, expected.spread, expected.doubts))
-        place, weights = shown(place), np.r_[expected.rows.weights, np.ones(len(shown.errors))]
-        given = columns, place, shown.y, weights, self.log_noise, self.ended, means_only
-        after = condition(linear, self.changes, *given, shown.rank, shown.n_unknown, spread)
-        root = np.sqrt(weights * after.row_weight)[:, None, None] / after.noise_sd
+        columns, doubts, place = map(shown, (expected.columns, expected.doubts, place))
+        given = shown, columns, place, self.log_noise, self.ended
+        after = Posterior(linear, self.changes, *given)
+        root = np.sqrt(shown.weights * after.row_weight)[:, None, None] / after.noise_sd
         seen, free = (np.concatenate(part * root) for part in (doubts, place))
         seen = seen - free @ np.linalg.lstsq(free, seen, rcond=1e-9)[0]
         return after.mean[:p] + self.fold @ after.mean[p:], seen, after
@@ -338,15 +336,16 @@ def transferred_model(models, arm, X, y, groups=None):
     rows = new_rows(new, X, y, groups)
     positions = positions_of(rows)
     rows = rows if own.offsets else rows._replace(codes=None)
-    change = Change(Expected.of(prior, rows), _LOG_NOISE_OF_MAKE, positions=positions)
+    change = Change(Expected(prior, rows), _LOG_NOISE_OF_MAKE, positions=positions)
     linear, entry, pose_weight = change.model()
-    rows = rows._replace(weights=pose_weight * new.pose_weight_)
+    weights = pose_weight * new.pose_weight_
+    rows = rows.weighted(weights)
     part, size = changes_of(prior)
     sd = np.array([entry["tau"][name] for name in part]) * size
     known = prior, np.hstack([prior.half, np.diag(sd)]), rows, entry["noise_sd_mm"]
     gain = _log_evidence(*known) - _evidence_of_fit(own, rows)
     fading = replace(new.fading_, factor=_FADING, most=1.0, far=1.0)
-    fading, judgement = change.judged(fading, rows.weights)
+    fading, judgement = change.judged(fading, weights)
     believed = fading.most > 0 and gain > (0.0 if judgement else LEAST_GAIN_NATS)
     if believed:
         new.linear_model_ = replace(linear, offsets=own.offsets, informed_half=None)
@@ -457,9 +456,10 @@ def _log_evidence(linear, half, rows, noise_sd):
     """Log density of the residuals, without constants: base and tool are nearly free."""
     columns, whitened = linear.columns(rows.X), rows.whitening()
     place = place_columns(linear.arm, rows.X, with_base=rows.codes is None)
-    left = whitened.deviations((rows.y - columns @ linear.coef)[:, :, None])[:, :, 0]
-    seen = whitened.deviations(np.concatenate([columns @ half, place], axis=2))
-    flat, left, _ = rows_of(seen, left, np.ones(len(left)), seen[:, :, :0], np.zeros((0, 0)))
-    nothing = np.zeros(0), np.zeros(0)
-    given = nothing, flat, flat, left, noise_sd**2, n_coordinates(rows), (0.0, 0.0)
-    return -float(Evidence(*given)(np.zeros(1))[0])
+    left = (rows.y - columns @ linear.coef)[:, :, None]
+    every = whitened.deviations(np.concatenate([left, columns @ half, place], axis=2))
+    left, *seen = every.reshape(-1, every.shape[2]).T / noise_sd
+    n = 3 * (len(rows.X) - (0 if rows.codes is None else rows.codes.max() + 1))
+    whiten = Whitened(np.transpose(seen), np.zeros((len(left), 0)), n)
+    square = float(np.square(whiten(left)).sum())
+    return -0.5 * square - whiten.log_root - n * float(np.log(noise_sd))

@@ -69,15 +69,13 @@ def likeliest_change(
             continue
         unit = thin(cause) * (np.sqrt(freedom) / size)
         own = axes.T @ unit
-        gains = np.empty((len(_NOISES), len(_SIZES)))
-        for i, (share, outside) in enumerate(zip(precision, noise, strict=True)):
-            seen = outside * (unit.T @ unit - own.T @ own) + (own.T * share) @ own
-            pull = outside * (unit.T @ residual - own.T @ along) + (own.T * share) @ along
-            spread, turn = np.linalg.eigh(seen)
-            spread, pull = np.maximum(spread, 0.0), turn.T @ pull
-            variance = np.square(_SIZES)[:, None] / outside
-            wider = 1 + variance * spread
-            gains[i] = 0.5 * (variance * np.square(pull) / wider - np.log(wider)).sum(axis=1)
+        outside, shares = noise[:, None, None], own.T * precision[:, None]
+        spread, turn = np.linalg.eigh(outside * (unit.T @ unit - own.T @ own) + shares @ own)
+        pull = noise[:, None] * (unit.T @ residual - own.T @ along) + shares @ along
+        pull, spread = pull[:, None] @ turn, np.maximum(spread, 0.0)[:, None]
+        variance = np.square(_SIZES)[:, None] / outside
+        wider = 1 + variance * spread
+        gains = 0.5 * (variance * np.square(pull) / wider - np.log(wider)).sum(axis=2)
         logs = whole[:, None] + gains
         evidence = logsumexp(logs) - np.log(logs.size) - np.log(len(causes))
         if evidence > highest:
@@ -100,7 +98,7 @@ class Table:
         self.expected, self.left, correction = expected.at(used), left[used], correction[used]
         self.rows, self.shown = self.expected.rows, self.expected.shown
         self.causes = causes_of(self.rows)
-        self.known = thin(self.shown.flat(self.expected.spread))
+        self.known = self.shown.flat(self.expected.spread)
         self.seen = {name: self.shown.flat(one, TAKEN_UP) for name, one in self.causes.items()}
         self.residual = self.shown.left(self.left, correction).ravel() / self.shown.noise_sd
 

@@ -8,7 +8,8 @@ tests say which causes explain what is left of rows whose covariance is known.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve, cholesky, lapack, solve_triangular
@@ -41,125 +42,114 @@ _LEAST_FREE = 1e-6
 UNSEEN, _ROUNDING = 1e-8, 1e-10
 
 
-class Posterior(NamedTuple):
-    """Coefficients after the new rows: those of the columns, then those that are nearly free."""
-
-    mean: np.ndarray  # (p + q,)
-    half: Any  # (p + q, k) root of their covariance; None where only means were asked for
-    tau: dict[str, float]  # by the name of the part
-    noise_sd: float
-    row_weight: np.ndarray  # (n,) what the loss left of the weight of each row
-    left_out: Any  # see `_left_out`; None likewise
-    logs: np.ndarray  # of the taus and the noise, where the search ended
-
-
-def condition(
-    prior: Any,
-    changes: tuple[np.ndarray, np.ndarray],
-    columns: np.ndarray,
-    free: np.ndarray,
-    y: np.ndarray,
-    weights: np.ndarray,
-    log_noise: tuple[float, float],
-    start: np.ndarray | None = None,
-    means_only: bool = False,
-    rank: float | np.ndarray = 3,
-    n_unknown: int = 0,
-    spread: np.ndarray | None = None,
-) -> Posterior:
-    """Condition coefficients on new rows, which may show that some have changed.
+class Posterior:
+    """Coefficients conditioned on new rows, which may show that some have changed.
 
     With A the `columns` (n, c, p) and B the `free` ones (n, c, q), each row of c coordinates,
     ``y - A coef = A d + B b + e``, ``d ~ N(0, half half' + tau^2 size^2)`` with one tau for each
-    part, ``b ~ N(0, 1)`` and e of one variance over the `weights` (n,). The `prior`, a linear
-    model, has `coef`, `half` and `noise_variance`; the `changes` are the names (p,) of the parts
-    and the sizes (p,). The taus and the variance, whose logarithm in units of the prior's has the
-    bounds `log_noise`, have the highest marginal likelihood times log-normal priors (MacKay, Neural
+    part, ``b ~ N(0, 1)`` and e of one variance over the weights. The `prior`, a linear model, has
+    `coef`, `half` and `noise_variance`; the `changes` are the names (p,) of the parts and the sizes
+    (p,). The taus and the variance, whose logarithm in units of the prior's has the bounds
+    `log_noise`, have the highest marginal likelihood times log-normal priors (MacKay, Neural
     Comput. 4, 1992). Rows that stay far from this posterior are weighed down (Tukey's biweight),
     and it is found again: rows far from the prior alone show the change.
 
-    The search begins at `start`, the `logs` of nearly the same rows, where there are some. Where
-    `means_only` are asked for, what standard deviations are made of is left out. Rows show `rank`
-    (n,) coordinates each, the others are 0; `n_unknown` of all coordinates were used up before.
-    Where it is known, the `spread` is ``columns @ half``, (n, c, r).
+    What the rows are `shown` to say has `y` (n, c), `weights` (n,) and `rank` (n,), how many
+    coordinates a row shows, the others being 0; `n_unknown` of all of them were used up before. The
+    search begins at `start`, the `logs` of nearly the same rows, where there are some.
+
+    Has `mean` (p + q,), of the columns, then of the free ones; `tau` by the name of the part;
+    `noise_sd`; `row_weight` (n,), what the loss left of the weight of each row; and `logs` of the
+    taus and the noise, where the search ended.
     """
-    part, size = changes
-    p, y = len(prior.coef), y - columns @ prior.coef
-    of_prior = columns @ prior.half if spread is None else spread
-    every = np.concatenate([columns, free], axis=2)
-    factor, logs, rounds = np.ones(len(y)), start, 0
-    while True:
-        known = weights * factor
-        A, summed, seen = rows_of(every, y, known, of_prior, prior.half)
-        n_data = int(np.sum(rank * (known > 0))) - n_unknown
-        fixed = np.hstack([seen, A[:, p:]])
-        evidence = Evidence(changes, A, fixed, summed, prior.noise_variance, n_data, log_noise)
-        logs = evidence.lowest(logs)
-        tau = dict(zip(evidence.names, np.exp(logs[:-1]).tolist(), strict=True))
-        noise_sd = float(np.exp(logs[-1]) * np.sqrt(prior.noise_variance))
-        # Standard deviations of the changes and of the free coefficients.
-        sd = np.array([tau.get(name, 0.0) for name in part.tolist()]) * size
-        sd = np.r_[sd, np.ones(free.shape[2])]
-        dual = evidence.solved(logs)[1]
-        mean = np.square(sd) * (A.T @ dual)
-        mean[:p] += prior.half @ (seen.T @ dual)
-        # Few rows are followed closely: what is left of them is less than the noise.
-        left = y - columns @ mean[:p] - free @ mean[p:]
-        before, factor = (
-            factor,
-            tukey_weights(left, weights, least_scale=noise_sd, n_coordinates=rank),
-        )
-        rounds += 1
-        if rounds == _ROUNDS or np.abs(factor - before).max() < _SETTLED_WEIGHT:
-            break
-    half = left_out = None
-    if not means_only:
-        before_all = thin(np.hstack([prior.half, np.diag(sd[:p])]))
-        root = block_diag(before_all, np.diag(sd[p:]))  # of the covariance before the new rows
-        half = narrowed(root, A @ root / noise_sd)
-        after = every.reshape(-1, len(mean)) @ half
-        left_out = _left_out(left, after.reshape(*y.shape, -1), weights * before, noise_sd)
-    mean[:p] += prior.coef
-    return Posterior(mean, half, tau, noise_sd, before, left_out, logs)
+
+    def __init__(self, prior, changes, shown, columns, free, log_noise, start=None):
+        part, size = changes
+        self.prior, self.weights, p = prior, shown.weights, len(prior.coef)
+        self.every = np.concatenate([columns, free], axis=2)
+        y, factor, self.logs = shown.y - columns @ prior.coef, np.ones(len(shown.y)), start
+        for _ in range(_ROUNDS):
+            known = self.weights * factor
+            self.A, summed = rows_of(self.every, y, known)
+            seen = self.A[:, :p] @ prior.half
+            n_data = int(np.sum(shown.rank * (known > 0))) - shown.n_unknown
+            fixed, variance = np.hstack([seen, self.A[:, p:]]), prior.noise_variance
+            evidence = Evidence(changes, self.A, fixed, summed, variance, n_data, log_noise)
+            self.logs = evidence.lowest(self.logs)
+            self.tau = dict(zip(evidence.names, np.exp(self.logs[:-1]).tolist(), strict=True))
+            self.noise_sd = float(np.exp(self.logs[-1]) * np.sqrt(variance))
+            # Standard deviations of the changes and of the free coefficients.
+            sd = np.array([self.tau.get(name, 0.0) for name in part.tolist()]) * size
+            self.sd = np.r_[sd, np.ones(free.shape[2])]
+            dual = evidence.solved(self.logs)[1]
+            self.mean = np.square(self.sd) * (self.A.T @ dual)
+            self.mean[:p] += prior.half @ (seen.T @ dual)
+            # Few rows are followed closely: what is left of them is less than the noise.
+            self.left = y - self.every @ self.mean
+            self.row_weight = factor
+            given = {"least_scale": self.noise_sd, "n_coordinates": shown.rank}
+            factor = tukey_weights(self.left, self.weights, **given)
+            if np.abs(factor - self.row_weight).max() < _SETTLED_WEIGHT:
+                break
+        self.mean[:p] += prior.coef
+
+    @cached_property
+    def half(self) -> np.ndarray:
+        """Root (p + q, k) of the covariance of the coefficients."""
+        p = len(self.prior.coef)
+        before = thin(np.hstack([self.prior.half, np.diag(self.sd[:p])]))
+        root = block_diag(before, np.diag(self.sd[p:]))
+        return narrowed(root, self.A @ root / self.noise_sd)
+
+    def left_out(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What each row of some weight would show if it had been left out, without another fit.
+
+        Its errors, and the standard deviations of measurement and prediction, (n_used, c) each.
+
+        Coordinates in which a row shows nothing have deviations of 0.
+
+        With C the columns at one row times a root of the posterior's covariance, ``H = C C' / s^2``
+        is the part of its own noise that the fit follows. Without this row it would be off by
+        ``(I - H)^-1`` times what the fit leaves, of the covariance ``s^2 (I - H)^-1`` (Cook and
+        Weisberg, Residuals and Influence in Regression, 1982).
+        """
+        weights = self.weights * self.row_weight
+        kept = weights > 0
+        left, spread = self.left[kept], self.every[kept] @ self.half
+        variance = self.noise_sd**2 / weights[kept]
+        own = spread @ spread.swapaxes(1, 2) / variance[:, None, None]
+        free, axes = np.linalg.eigh(np.eye(left.shape[1]) - own)
+        inverse = axes / np.maximum(free, _LEAST_FREE)[:, None] @ axes.swapaxes(1, 2)
+        errors = np.einsum("nij,nj->ni", inverse, left)
+        total = variance[:, None] * np.einsum("nii->ni", inverse)
+        noise = np.where(np.any(spread != 0, axis=2), np.sqrt(variance)[:, None], 0.0)
+        total = np.where(noise > 0, total, 0.0)
+        return errors, noise, np.sqrt(np.maximum(total - noise**2, 0.0))
 
 
 def narrowed(root: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Root (p, k) of a covariance after measurements that show `seen` (m, k) of it, over the noise.
 
     What is measured does not enter, only where. With the root F before, the rows S and ``I + S' S =
-    L L'`` it is ``F L^-T``. Fewer rows are cheaper by ``I + S S' = L L'``: it is ``F (I - S' L^-T
-    (I + L)^-1 S)`` then (A. Andrews, AIAA J. 6, 1968, 1165-1166).
+    L L'`` it is ``F L^-T``.
     """
-    few = len(seen) < seen.shape[1]
-    gram = seen @ seen.T if few else seen.T @ seen
-    gram[np.diag_indices(len(gram))] += 1.0
-    factor = cholesky(gram, lower=True, check_finite=False)
-    of_root = seen @ root.T if few else root.T
-    found = solve_triangular(factor, of_root, lower=True, check_finite=False).T
-    if not few:
-        return found
-    factor[np.diag_indices(len(factor))] += 1.0
-    return root - found @ solve_triangular(factor, seen, lower=True, check_finite=False)
+    factor = cholesky(np.eye(seen.shape[1]) + seen.T @ seen, lower=True, check_finite=False)
+    return solve_triangular(factor, root.T, lower=True, check_finite=False).T
 
 
-def rows_of(
-    columns: np.ndarray, y: np.ndarray, weights: np.ndarray, spread: np.ndarray, half: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rows_of(columns: np.ndarray, y: np.ndarray, weights: np.ndarray) -> Any:
     """Weighted rows of coordinates, no more than columns: of (n, c, p) and (n, c), (m, p) and (m,).
 
-    What they have left is that of the rows that they sum up. The third are the first columns times
-    their root `half`, of which the rows had the `spread` (n, c, r).
+    What they have left is that of the rows that they sum up.
     """
     kept = weights > 0
     root = np.sqrt(weights[kept])[:, None]
     y = (y[kept] * root).ravel()
-    both = (v[kept] * root[:, :, None] for v in (columns, spread))
-    A, seen = (v.reshape(len(y), v.shape[2]) for v in both)
+    A = (columns[kept] * root[:, :, None]).reshape(len(y), columns.shape[2])
     if len(y) > A.shape[1] + 1:
         R = np.asarray(np.linalg.qr(np.column_stack([A, y]), mode="r"))
-        A, y = R[:, :-1], R[:, -1]
-        seen = A[:, : len(half)] @ half
-    return A, y, seen
+        return R[:, :-1], R[:, -1]
+    return A, y
 
 
 class Evidence:
@@ -183,10 +173,6 @@ class Evidence:
         self.middle = np.r_[np.full(n, np.log(TAU)), 0.0]
         self.sd = np.r_[np.full(n, TAU_LOG_SD), NOISE_LOG_SD]
         self.bounds = np.array([_LOG_TAU] * n + [log_noise])
-
-    def highest(self, start: np.ndarray | None = None) -> float:
-        """The highest log evidence, near a start if there is one."""
-        return -float(self(self.lowest(start))[0])
 
     def __call__(self, logs):
         """Value and slopes."""
@@ -237,31 +223,6 @@ class Evidence:
 def thin(root: np.ndarray) -> np.ndarray:
     """Root of the same covariance with no more columns than rows."""
     return np.asarray(np.linalg.qr(root.T, mode="r")).T if root.shape[1] > len(root) else root
-
-
-def _left_out(left, spread, weights, noise_sd):
-    """What each row of some weight would show if it had been left out, without another fit.
-
-    Its errors, and the standard deviations of measurement and prediction, (n_used, c) each.
-
-    Coordinates in which a row shows nothing have deviations of 0.
-
-    With C the columns at one row times a root of the posterior's covariance, ``H = C C' / s^2`` is
-    the part of its own noise that the fit follows. Without this row it would be off by
-    ``(I - H)^-1`` times what the fit leaves, of the covariance ``s^2 (I - H)^-1`` (Cook and
-    Weisberg, Residuals and Influence in Regression, 1982).
-    """
-    kept = weights > 0
-    left, spread, weights = left[kept], spread[kept], weights[kept]
-    variance = noise_sd**2 / weights
-    own = spread @ spread.swapaxes(1, 2) / variance[:, None, None]
-    free, axes = np.linalg.eigh(np.eye(left.shape[1]) - own)
-    inverse = axes / np.maximum(free, _LEAST_FREE)[:, None] @ axes.swapaxes(1, 2)
-    errors = np.einsum("nij,nj->ni", inverse, left)
-    total = variance[:, None] * np.einsum("nii->ni", inverse)
-    noise = np.where(np.any(spread != 0, axis=2), np.sqrt(variance)[:, None], 0.0)
-    total = np.where(noise > 0, total, 0.0)
-    return errors, noise, np.sqrt(np.maximum(total - noise**2, 0.0))
 
 
 class Whitened:

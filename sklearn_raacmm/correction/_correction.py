@@ -46,8 +46,8 @@ _WELL_KNOWN_MM = 1.0
 _SAME_PROBE_NATS = 1.0
 # Share of a standard deviation that is the arm's at least, whatever a reference states: a choice.
 _LEAST_SHARE = 0.2
-# Outliers that are shown.
-_SHOWN = 10
+# Outliers, and positions, that are shown; colours of bars before and after.
+_SHOWN, _COLOURS = 10, ("#999999", "#0072B2")
 # What a tracker's frame is saved as.
 _BASE = "rotation", "translation_mm"
 
@@ -221,24 +221,20 @@ class Correction:
         ValueError
             If the angles do not fit the arm or each other.
         """
-        given = (self.arm.check_angles(one, angle_unit) for one in (angles, others))
-        ends = tuple(map(self.inputs, given))
+        ends = [self.inputs(self.arm.check_angles(one, angle_unit)) for one in (angles, others)]
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"There are {len(ends[0])} angles, but {len(ends[1])} others.")
-        linear, n = linear_in_use(self.model), self.arm.n_joints
-        if linear is None:  # the errors of both ends are taken as independent
-            points, stds = map(list, zip(*map(self._within_positions, ends), strict=True))
-        else:
-            points = [self.arm.forward(X[:, :n]) - self.model.predict(X) for X in ends]
-            stds = [self._of_arm(self.noise * linear.noise_ratio(X)) for X in ends]
+        points, stds = map(list, zip(*map(self._within_positions, ends), strict=True))
         apart = points[1] - points[0]
         lengths = np.linalg.norm(apart, axis=1)
         along = apart / np.maximum(lengths, 1e-300)[:, None]
-        # A linear model knows how both ends belong together, and what positions did not show.
-        variance = 0.0 if linear is None else linear.distance_std(*ends) ** 2
-        for std in stds:
-            variance = variance + np.sum(np.square(along * std), axis=1)
-        return lengths, np.sqrt(variance + (self.scale_sd * lengths) ** 2)
+        variance = (self.scale_sd * lengths) ** 2
+        # A linear model knows how both ends belong together, and what positions did not show;
+        # without one the errors of both ends are taken as independent.
+        if (linear := linear_in_use(self.model)) is not None:
+            variance += linear.distance_std(*ends) ** 2
+            stds = [self._of_arm(self.noise * linear.noise_ratio(X)) for X in ends]
+        return lengths, np.sqrt(variance + np.square(along * np.hypot(*stds)).sum(axis=1))
 
     def sample(
         self,
@@ -367,10 +363,9 @@ class Correction:
         TypeError, ValueError
             As :func:`check_correction`.
         """
-        given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
-        given |= {"features": features, "tip_diameter": tip_diameter}
+        given = angles, positions, points, lengths, extra, angle_unit, features, tip_diameter
         check_accepted(accept)  # a registration alone looks at them
-        measured: Any = self._measured(angles, positions, **given)
+        measured = self._measured(*given)
         new_base = measured.points is not None and (new_base or self.base is None)
         known = self.register(measured, free=(), accept=accept) if new_base else self
         y, today = known._shown(measured)
@@ -430,9 +425,8 @@ class Correction:
         ValueError
             As :func:`calibrate`; or if the poses leave the base open by more than a millimetre.
         """
-        given = {"points": points, "lengths": lengths, "angle_unit": angle_unit}
-        given |= {"features": features, "tip_diameter": tip_diameter}
-        measured: Any = self._measured(angles, positions, **given)
+        given = angles, positions, points, lengths, None, angle_unit, features, tip_diameter
+        measured = self._measured(*given)
         X, free = self.inputs(measured.angles), listed("free", free)
         model: Any = copy(self.model)
         linear: Any = getattr(model, "linear_model_", None)
@@ -460,9 +454,8 @@ class Correction:
                 f"these poses leave the base open by {open_mm:.2g} mm at the arm's reach: measure "
                 "points that are spread in all directions, not along a line."
             )
-        base = self.base
-        if found.base_rotation is not None:
-            base = found.base_rotation, found.base_translation
+        by_points = found.base_rotation is not None
+        base = (found.base_rotation, found.base_translation) if by_points else self.base
         if "probe" in free and hasattr(model, "with_arm"):
             model = model.with_arm(found.arm)
         new = replace(self, arm=found.arm, model=model, base=base, calibration=found)
@@ -518,9 +511,8 @@ class Correction:
         TypeError, ValueError
             As :meth:`register` and :func:`update_correction`.
         """
-        given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
-        given |= {"features": features, "tip_diameter": tip_diameter}
-        measured: Any = self._measured(angles, positions, **given)
+        given = angles, positions, points, lengths, extra, angle_unit, features, tip_diameter
+        measured = self._measured(*given)
         X = self.inputs(measured.angles, measured.extra)
         model: Any = copy(self.model)
         y, today, expected = self._expected(measured, X)
@@ -622,10 +614,9 @@ class Correction:
         base: Any = self.base
         if base is not None:
             base = dict(zip(_BASE, (part.tolist() for part in base), strict=True))
-        others = dict(others or {})
-        if "model.skops" not in others:
-            others["model.skops"] = dump_model(self.model)
-        contents = {"arm.json": self.arm.to_json(), **others}
+        contents: dict[str, str | bytes] = {"arm.json": self.arm.to_json(), **(others or {})}
+        if "model.skops" not in contents:
+            contents["model.skops"] = dump_model(self.model)
         return write_folder(folder, self.facts | {"base": base}, contents)
 
     @classmethod
@@ -651,9 +642,8 @@ class Correction:
         """
         facts, (arm, model) = read_folder(folder, ["arm.json", "model.skops"])
         model = load_model(folder, model, facts.get("written_by", "another version"))
-        base = facts.get("base")
-        if base is not None:
-            base = tuple(np.array(base[name]) for name in _BASE)
+        known = facts.get("base")
+        base = None if known is None else tuple(np.array(known[name]) for name in _BASE)
         return cls(Arm.from_json(arm), model, base, facts)
 
     def inputs(self, angles: Floats, extra: Mapping[str, ArrayLike] | None = None) -> Floats:
@@ -695,9 +685,13 @@ class Correction:
         rotation, translation = self.base
         return self.arm.forward(angles) - (np.asarray(points) - translation) @ rotation
 
-    def _measured(self, angles, positions, **given):
+    def _measured(
+        self, angles, positions, points, lengths, extra, angle_unit, features, tip
+    ) -> Any:
         """Today's `Measurements`, of one tool and one station, checked."""
-        measured = Measurements.taken(angles, positions, joint_types=self.arm.joint_types, **given)
+        given = {"points": points, "lengths": lengths, "extra": extra, "angle_unit": angle_unit}
+        given |= {"features": features, "tip_diameter": tip, "joint_types": self.arm.joint_types}
+        measured = Measurements.taken(angles, positions, **given)
         measured.check_joints(self.arm)
         if measured.tools is not None or measured.stations is not None:
             raise ValueError("tools and stations are for calibrate and learn_correction.")
@@ -724,13 +718,12 @@ class Correction:
         `X` are the poses and causes, as `inputs` returns them.
         """
         model: Any = self.model
-        here = self
+        base = self.base
         if measured.points is not None:
-            corrected = self.arm.forward(measured.angles) - model.predict(X)
-            here = replace(self, base=align(corrected, measured.points))
-        y, today = here._shown(measured)
+            base = align(self.arm.forward(measured.angles) - model.predict(X), measured.points)
+        y, today = replace(self, base=base)._shown(measured)
         rows = new_rows(model, X, y, **today)
-        return y, today, Expected.of(as_prior(model.linear_model_), rows)
+        return y, today, Expected(as_prior(model.linear_model_), rows)
 
     def _scale_beside(self, linear):
         """Standard deviation of the common scale beside that of a linear model, or of none."""
@@ -771,26 +764,21 @@ class Correction:
 
     def _repr_html_(self) -> str:
         """The verdict, and 2S or deviation of each position before and after as bars."""
-        parts = [f"<p><strong>{escape(self.verdict)}</strong></p><p>{escape(repr(self.arm))}</p>"]
         table = self.facts["positions"]
-        names, before, after = (table[name] for name in ("position", "before", "after"))
-        worst = sorted(range(len(names)), key=lambda i: -before[i])[:_SHOWN]
-        most = max([*(before[i] for i in worst), *(after[i] for i in worst), 1e-300])
+        columns = zip(*(table[name] for name in ("position", "before", "after")), strict=True)
+        rows = sorted(columns, key=lambda row: -row[1])
+        most = max([size for row in rows[:_SHOWN] for size in row[1:]], default=1.0) or 1.0
+        parts = [f"<p><strong>{escape(self.verdict)}</strong></p><p>{escape(repr(self.arm))}</p>"]
         measure = escape(self.facts["measure"])
         parts.append(f"<table><tr><th>position</th><th>{measure}, mm</th><th></th></tr>")
-        for i in worst:
-            for label, value, colour in (
-                (names[i], before[i], "#999999"),
-                ("corrected", after[i], "#0072B2"),
-            ):
-                width = 200 * value / most
+        for name, *sizes in rows[:_SHOWN]:
+            for label, value, colour in zip((name, "corrected"), sizes, _COLOURS, strict=True):
                 parts.append(
                     f"<tr><td>{escape(str(label))}</td><td>{value:.4f}</td><td><svg width='200' "
-                    f"height='10'><rect width='{width:.1f}' height='10' fill='{colour}'/></svg>"
-                    "</td></tr>"
+                    f"height='10'><rect width='{200 * value / most:.1f}' height='10' "
+                    f"fill='{colour}'/></svg></td></tr>"
                 )
-        rest = len(names) - len(worst)
-        more = f"<p>and {rest} more, with less before</p>" * (rest > 0)
+        more = f"<p>and {len(rows) - _SHOWN} more, with less before</p>" * (len(rows) > _SHOWN)
         return f"<div>{''.join(parts)}</table>{more}</div>"
 
     def __repr__(self) -> str:
@@ -799,11 +787,8 @@ class Correction:
             before, after = self.calibration.scatter_before_mm, self.calibration.scatter_after_mm
             lines.append(f"calibration: mean scatter {before:.3f} -> {after:.3f} mm")
         lines.append(self.verdict if self.scores is None else str(self.scores))
-        outliers = self.facts["outliers"]
-        for row, label, distance in outliers[:_SHOWN]:
-            lines.append(f"  outlier: row {row} ({label}), {distance:.3g} mm")
-        if len(outliers) > _SHOWN:
-            lines.append(f"  and {len(outliers) - _SHOWN} more")
+        said = [f"  outlier: row {row} ({label}), {mm:.3g} mm" for row, label, mm in self.outliers]
+        lines += said[:_SHOWN] + [f"  and {len(said) - _SHOWN} more"] * (len(said) > _SHOWN)
         return "\n".join(lines)
 
 

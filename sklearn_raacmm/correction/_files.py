@@ -1,4 +1,10 @@
-"""The folder of a correction: written whole or not at all, and read."""
+"""The folder of a correction: written whole or not at all, and read.
+
+Files of this package's own models are read without skops. Importing skops takes longer than
+everything else that a short command does. What is read here is less than skops reads: numbers,
+text, arrays, lists, and the classes named by the caller. Nothing that is in the file is run, and a
+file that holds anything else is left to skops.
+"""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -15,8 +21,9 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
+import numpy as np
+
 from sklearn_raacmm._version import __version__
-from sklearn_raacmm.correction._own_models import OtherContentError, read_model
 from sklearn_raacmm.utils import (
     check_unpacked,
     digest_of,
@@ -37,6 +44,11 @@ _FORMAT = 2
 _PRIVATE = re.compile(rb'(?<="__module__": )("sklearn_raacmm\.\w+)\._\w+(?=")')
 # Names that `write_whole` gives to files until they are complete.
 _LEFT_OVER = re.compile(r".+\.[0-9a-f]{16}\.[0-9a-f]{8}\.tmp")
+
+# Types of the keys of dicts, by their names.
+_KEYS = {"str": str, "int": int, "float": float, "bool": bool}
+# Arrays, and NumPy's numbers.
+_ARRAYS = {"numpy.ndarray", *(f"numpy.{kind.__name__}" for kind in np.sctypeDict.values())}
 
 
 def _skops():
@@ -87,7 +99,7 @@ def write_folder(
     folder.mkdir(parents=True, exist_ok=True)
     digests = {name: digest_of(content) for name, content in contents.items()}
     facts = {**facts, "files": digests, "format": _FORMAT}
-    facts = {**facts, "fingerprint": _fingerprint(facts)}
+    facts["fingerprint"] = _fingerprint(facts)
     contents = {_FACTS: json.dumps(facts, indent=1, ensure_ascii=False) + "\n", **contents}
     paths = {folder / name: content for name, content in contents.items()}
     with _locked(folder):
@@ -116,7 +128,7 @@ def read_folder(
         for name in names:
             if name not in facts["files"]:
                 raise FileNotFoundError(f"{folder} was written without {name}.")
-            content = _whole_file(folder / name, facts["files"][name])
+            content = _whole_file(folder / name, facts["files"][name])[1]
             if content is None:
                 state = "not the one" if (folder / name).exists() else "missing, the one"
                 raise ValueError(
@@ -148,23 +160,21 @@ def _read_facts(path):
 
 
 def _whole_file(path, digest):
-    """Content of the file of this fingerprint, by `digest_of`; None where there is none.
+    """Place and content of the file of this fingerprint, by `digest_of`; None where there is none.
 
     It is at its place, or not yet renamed where `write_whole` did not come to its end.
     """
     for place in (path, *path.parent.glob(f"{glob.escape(path.name)}.{digest[:16]}.*.tmp")):
         if place.is_file() and digest_of(content := place.read_bytes()) == digest:
-            return content
-    return None
+            return place, content
+    return path, None
 
 
 def _finish(folder):
     """Give each file of the folder's correction its name that is still beside its place."""
     with suppress(OSError, ValueError):
         for name, digest in _read_facts(folder / _FACTS)["files"].items():
-            for beside in folder.glob(f"{glob.escape(name)}.{digest[:16]}.*.tmp"):
-                if digest_of(beside.read_bytes()) == digest:
-                    beside.replace(folder / name)
+            _whole_file(folder / name, digest)[0].replace(folder / name)
 
 
 @contextmanager
@@ -190,3 +200,70 @@ def _locked(folder, shared=False):
     finally:
         if handle is not None:
             os.close(handle)
+
+
+class OtherContentError(ValueError):
+    """A file that holds more than is read here."""
+
+
+def read_model(content: bytes, kinds: dict[str, type]) -> Any:
+    """Object of a skops file.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+    kinds : dict of str to type
+        Classes by their names with the module, as they stand in the file; no others are made.
+
+    Returns
+    -------
+    object
+        What `skops.io.loads` returns for it.
+
+    Raises
+    ------
+    OtherContentError
+        If the file holds anything but plain values, arrays and these classes.
+    """
+    with ZipFile(BytesIO(content)) as file:
+        return _read(json.loads(file.read("schema.json")), file, kinds, {})
+
+
+def _read(node, file, kinds, made):
+    """Object of a node of a file; one that stands there several times, as in `made`, is one."""
+
+    def read(other):
+        return _read(other, file, kinds, made)
+
+    known, loader, name = node.get("__id__"), node["__loader__"], node["__class__"]
+    whole_name = f"{node['__module__']}.{name}"
+    kind: Any = kinds.get(whole_name)
+    value: Any
+    if known in made:
+        return made[known]
+    if loader == "JsonNode":
+        value = json.loads(node["content"])
+    elif loader == "TypeNode" and whole_name.removeprefix("builtins.") in _KEYS:
+        value = _KEYS[name]
+    elif loader == "DictNode" and whole_name == "builtins.dict":
+        keys = zip(read(node["key_types"]), node["content"], strict=True)
+        value = {key(text): read(node["content"][text]) for key, text in keys}
+    elif loader == "ListNode" and whole_name == "builtins.list":
+        value = [read(one) for one in node["content"]]
+    elif loader == "TupleNode" and whole_name == "builtins.tuple":
+        value = tuple(read(one) for one in node["content"])
+    elif loader == "TupleNode" and hasattr(kind, "_fields"):
+        value = kind(*(read(one) for one in node["content"]))
+    elif loader == "NdArrayNode" and node["type"] == "numpy" and whole_name in _ARRAYS:
+        value = np.load(BytesIO(file.read(node["file"])), allow_pickle=False)
+        value = value if name == "ndarray" else getattr(np, name)(value)
+    elif loader == "ObjectNode" and kind is not None:
+        value = kind.__new__(kind)
+        if node.get("content") is not None:
+            getattr(value, "__setstate__", vars(value).update)(read(node["content"]))
+    else:
+        raise OtherContentError(f"{loader} of {whole_name}")
+    if known is not None:
+        made[known] = value
+    return value

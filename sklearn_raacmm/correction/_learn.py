@@ -17,8 +17,12 @@ from sklearn_raacmm.calibration import MUCH_SCATTER_MM, SHARE_OF_REACH, find_pla
 from sklearn_raacmm.correction._correction import Correction
 from sklearn_raacmm.correction._one_fit import Data, refuse_one_pose, usual_values
 from sklearn_raacmm.correction._scores import folds_of, scores_of, share_of
-from sklearn_raacmm.correction._shifted_rows import shifted_rows
-from sklearn_raacmm.correction._table_search import ask_for_the_hand, search_table, taken
+from sklearn_raacmm.correction._table_search import (
+    ask_for_the_hand,
+    search_table,
+    shifted_rows,
+    taken,
+)
 from sklearn_raacmm.error_model import ArmResidualRegressor
 from sklearn_raacmm.measurements import Measurements, drift_of, moved_positions, within_turn
 from sklearn_raacmm.utils import (

@@ -231,7 +231,7 @@ def check_correction(
         raise ValueError(f'refitted must name "base" or "probe", got {refitted!r:.60}.')
     rows = new_rows(model, X, y, groups, lengths, features)
     correction = model.predict(X)
-    table = Table(Expected.of(model.linear_model_, rows).widened(), correction)
+    table = Table(Expected(model.linear_model_, rows).widened(), correction)
     rows, shown, known, seen = table.rows, table.shown, table.known, table.seen
     linear = table.expected.linear
     place = place_columns(linear.arm, rows.X, rows.codes is None)

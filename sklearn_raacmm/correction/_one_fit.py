@@ -18,13 +18,11 @@ from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration import calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import Features, order_explained_by, position_residuals
-from sklearn_raacmm.metrics import gauge_lengths
+from sklearn_raacmm.measurements import Features, order_explained_by
 from sklearn_raacmm.utils import (
     Finding,
     FindingError,
     align,
-    centred,
     encode_groups,
     ignored_findings,
     last_step_of,
@@ -191,25 +189,19 @@ class Data:
         labels, codes = encode_groups(self.positions[rows])
         return labels, Features([self.kinds.get(label, "cone") for label in labels.tolist()], codes)
 
-    def about(self, points, rows, robust=False):
-        """Points (n, 3) of these rows less the mean of their position, or the nearest of its form.
+    def _about_forms(self, points, rows, robust):
+        """Points (n, 3) of these rows about the form of their position, and the form by label.
 
         Those that are not slips, if `robust`, decide on the form.
         """
-        touched = self._touched(rows)[1]
-        if not self.kinds:
-            return centred(points, touched.codes)
-        return touched.linearised(points, None if robust else np.ones(len(points))).residual
+        labels, touched = self._touched(rows)
+        about = touched.linearised(points, None if robust else np.ones(len(points)))
+        return about.residual, dict(zip(labels.tolist(), about.forms, strict=True))
 
     def length_errors(self, points, rows, entries, robust=False):
         """Errors of known lengths, mm, in points (n, 3) of these rows."""
-        if not self.kinds:
-            found = gauge_lengths(points, self.positions[rows], [entry[:2] for entry in entries])
-        else:
-            labels, touched = self._touched(rows)
-            forms = touched.linearised(points, None if robust else np.ones(len(points))).forms
-            form = dict(zip(labels.tolist(), forms, strict=True))
-            found = [form[a].length_to(form[b])[0] for a, b, *_ in entries]
+        form = self._about_forms(points, rows, robust)[1]
+        found = [form[a].length_to(form[b])[0] for a, b, *_ in entries]
         return np.subtract(found, [mm for _, _, mm, _ in self.at_centres(entries)])
 
     def at_centres(self, lengths):
@@ -235,16 +227,18 @@ class Data:
         left[surface, 0] = np.where(np.isfinite(std[surface, 0]), distance, np.nan)
         return left, std
 
-    def residuals(self, calibration, rows):
-        """What is wrong with the calibrated arm's points at these rows, mm, in the base frame."""
-        if self.kinds:
-            return self.about(self.shown(calibration, rows), rows, robust=True)
-        groups = self.positions[rows] if self.points is None else None
-        parts = (self.points, self.tools, self.stations)
-        points, tools, stations = (None if part is None else part[rows] for part in parts)
-        return calibration.residuals(
-            self.angles[rows], points, groups, tools=tools, stations=stations
-        )
+    def residuals(self, calibration, rows, correction: Any = 0.0, robust=True):
+        """What is wrong with the calibrated, corrected arm at these rows, mm, in the base frame.
+
+        About a tracker's points; else about the mean of the position, or the nearest of its form,
+        which rows that are not slips decide on, if `robust`.
+        """
+        if self.points is None:
+            return self._about_forms(self.shown(calibration, rows) - correction, rows, robust)[0]
+        parts = (self.tools, self.stations)
+        tools, stations = (None if part is None else part[rows] for part in parts)
+        given = {"tools": tools, "stations": stations}
+        return calibration.residuals(self.angles[rows], self.points[rows], **given) - correction
 
     def at_probes(self, model, calibration, rows):
         """The model as it predicts these rows, each with its own probe."""
@@ -307,11 +301,7 @@ class Data:
             lengths = [] if self.points is not None else self.lengths_among(rows)
             fitted = self._fitted(model, calibration, rows, y, lengths)
         expected = self.at_probes(fitted, calibration, rows).predict(X)
-        left = y - expected
-        if self.kinds:
-            left = self.about(self.shown(calibration, rows) - expected, rows, robust=True)
-        elif self.points is None:
-            left = position_residuals(left, positions)
+        left = self.residuals(calibration, rows, expected)
         return fitted, float(np.sqrt(np.square(left).sum() / self.n_shown[rows].sum()))
 
     def at_stations(self, model, calibration, rows):

@@ -4,9 +4,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from sklearn_raacmm.error_model import (
     touched_rows,
 )
 from sklearn_raacmm.measurements import Measurements, base_motions, check_length
-from sklearn_raacmm.utils import centred, encode_groups, floats, listed, medians_of
+from sklearn_raacmm.utils import encode_groups, floats, listed, medians_of
 
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
 # worst way of registering leaves in ``benchmarks/bench_after_the_lab.py series``.
@@ -109,23 +109,6 @@ def for_centres(measured: Measurements, points: np.ndarray) -> dict[str, Any]:
     return {"groups": groups, "lengths": lengths, "features": features}
 
 
-def n_coordinates(rows: Rows) -> int:
-    """Coordinates of the rows with weight, less the unknowns of what was touched, and lengths."""
-    rows = rows._replace(weights=(rows.weights > 0).astype(float), root=rows.shown)
-    return round(rows.whitening().n_observations) + len(rows.lengths)
-
-
-def why_too_few(rows: Rows) -> str:
-    """Why nothing can be learnt from these rows, or an empty string."""
-    n, n_free = n_coordinates(rows), 9 if rows.codes is None else 3
-    if n > n_free:  # of base and tool; cones show the tool's alone
-        return ""
-    return (
-        f"{len(rows.X)} new poses give {n} coordinates, fewer than would "
-        f"show more than the {n_free} freedoms of base and tool"
-    )
-
-
 def positions_of(rows: Rows) -> np.ndarray:
     """Numbers (n,) of what is left out together: positions, or each row where there are none."""
     return np.arange(len(rows.X)) if rows.codes is None else rows.codes
@@ -145,53 +128,53 @@ def place_columns(arm: Arm, angles: np.ndarray, with_base: bool) -> np.ndarray:
     return np.concatenate([tool, REGISTERED_PLACE_MM * base], axis=2)
 
 
-@dataclass(frozen=True, eq=False)
 class Expected:
-    """What a linear model expects of some rows: its columns there, and roots of their covariance.
+    """What a linear model expects of some rows, checked by `new_rows`, in mm."""
 
-    `columns` (n, 3, p); `spread` is ``columns @ linear.half``, (n, 3, r), and `doubts` (n, 3, q)
-    the same by what corrections fade by. In mm.
-    """
+    def __init__(self, linear: LinearModel, rows: Rows) -> None:
+        self.linear, self.rows = linear, rows
 
-    linear: LinearModel
-    rows: Rows
-    columns: np.ndarray
-    spread: np.ndarray
-    doubts: np.ndarray
-
-    @classmethod
-    def of(cls, linear: LinearModel, rows: Rows) -> Self:
-        """Expectation of rows, checked by `new_rows`."""
-        columns, half, fading = linear.columns(rows.X), linear.half, linear.fading_half
+    def times(self, root: np.ndarray) -> np.ndarray:
+        """The columns times a root (p, r) of a covariance of the coefficients, (n, 3, r)."""
         # One product of matrices is three times as fast as one for each row.
-        flat = columns.reshape(-1, len(half))
-        spread = (flat @ half).reshape(*columns.shape[:2], half.shape[1])
-        doubts = spread if fading is half else (flat @ fading).reshape(*columns.shape[:2], -1)
-        return cls(linear, rows, columns, spread, doubts)
+        flat = self.columns.reshape(-1, len(root)) @ root
+        return flat.reshape(*self.columns.shape[:2], root.shape[1])
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """The model's columns there, (n, 3, p)."""
+        return self.linear.columns(self.rows.X)
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Root of the covariance of what is expected, (n, 3, r)."""
+        return self.times(self.linear.half)
+
+    @cached_property
+    def doubts(self) -> np.ndarray:
+        """The same of what corrections fade by, (n, 3, q)."""
+        return self.times(self.linear.fading_half)
 
     @cached_property
     def mean(self) -> np.ndarray:
-        """The correction, (n, 3) in mm."""
+        """The correction, (n, 3)."""
         return self.columns @ self.linear.coef
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard deviation (n, 3) of the correction, of what a test can show."""
+        return np.linalg.norm(self.times(self.linear.gauge_free_half), axis=2)
 
     @cached_property
     def shown(self) -> "Shown":
         """What the rows show."""
         return Shown(self)
 
-    @cached_property
-    def std(self) -> np.ndarray:
-        """Standard deviation (n, 3) of the correction, of what a test can show, mm."""
-        root = self.linear.gauge_free_half
-        by = self.spread if root is self.linear.half else self.columns @ root
-        return np.linalg.norm(by, axis=2)
-
-    def at(self, which: np.ndarray | slice) -> Self:
+    def at(self, which: np.ndarray | slice) -> "Expected":
         """The same of some of the rows."""
-        some = (one[which] for one in (self.columns, self.spread, self.doubts))
-        return type(self)(self.linear, self.rows.at(which), *some)
+        return Expected(self.linear, self.rows.at(which))
 
-    def widened(self) -> Self:
+    def widened(self) -> "Expected":
         """The same by a model that is as uncertain as positions left out of this arm ask for.
 
         Never narrower than the posterior: tests of squares bear no tails that are longer than
@@ -200,8 +183,7 @@ class Expected:
         linear, wider = self.linear, max(self.linear.std_scale, 1.0)
         noise = np.square(max(linear.noise_scale, 1.0)) * linear.noise_variance
         half, seen = wider * linear.half, wider * linear.seen
-        linear = replace(linear.with_noise(noise), half=half, seen=seen)
-        return replace(self, linear=linear, spread=wider * self.spread)
+        return Expected(replace(linear.with_noise(noise), half=half, seen=seen), self.rows)
 
 
 class Shown:
@@ -210,19 +192,22 @@ class Shown:
     Every coordinate has the same noise, that of the model: with the noise of each joint checks of
     the UR10 found 0.65 of the knocks that they find so 0.7 of, and updates with 10 poses left 2 %
     more (``benchmarks/golden.py --only update check``). Known lengths are rows of one
-    coordinate behind the others. `y` (n + l, 3) is what the rows say before any correction, mm;
-    `rank` (n + l,) how many coordinates each has; `n_coordinates` are all less the unknowns.
+    coordinate behind the others. `y` (n + l, 3) is what the rows say before any correction, mm, and
+    `weights` (n + l,) what they count; `rank` (n + l,) how many coordinates each has;
+    `n_coordinates` are all less the unknowns, of which there are `n_unknown`.
     """
 
     def __init__(self, expected: Expected) -> None:
-        rows = expected.rows
+        rows, n_lengths = expected.rows, len(expected.rows.lengths)
+        self.noise_sd, self.expected = expected.linear.noise_sd, expected.mean
+        self.weights, self.rank = (
+            np.r_[np.broadcast_to(one, len(rows.X)), np.ones(n_lengths)]
+            for one in (rows.weights, rows.rank)
+        )
         self.rows = rows = rows._replace(root=rows.shown, weights=np.ones(len(rows.X)))
-        self.noise_sd, n_lengths = expected.linear.noise_sd, len(rows.lengths)
         self.whitened: Any = rows.whitening()
-        self.rank = np.r_[rows.rank + np.zeros(len(rows.X)), np.ones(n_lengths)]
         self.n_coordinates = round(self.whitened.n_observations) + n_lengths
         self.n_unknown = int(self.rank.sum()) - self.n_coordinates
-        self.expected, self.errors = expected.mean, np.zeros(n_lengths)
         if rows.lengths:
             points = rows.arm.forward(rows.X[:, : rows.arm.n_joints]) - self.expected
             given = np.stack([points, rows.y - self.expected], axis=2)
@@ -242,18 +227,12 @@ class Shown:
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         """Columns (n, 3, k) in mm as whitened rows, (n + l, 3, k)."""
-        found = self._beside(columns)
-        if not len(self.errors):
-            return found
-        return np.concatenate([found, self._of_lengths(self._moved(columns))])
+        return self._with_lengths(columns, columns)
 
     def left(self, left: np.ndarray, correction: np.ndarray) -> np.ndarray:
         """What a correction (n, 3) leaves of rows, `left`, and of lengths, whitened (n + l, 3)."""
-        found = self._beside(left[:, :, None])
-        if len(self.errors):
-            errors = self.errors[:, None] + self._moved((self.expected - correction)[:, :, None])
-            found = np.concatenate([found, self._of_lengths(errors)])
-        return found[:, :, 0]
+        moved = self.expected - correction
+        return self._with_lengths(left[:, :, None], moved[:, :, None], True)[:, :, 0]
 
     def flat(self, columns: np.ndarray, least: float = _ROUNDING) -> np.ndarray:
         """Columns (n, 3, k) as whitened coordinates over their noise, (3 (n + l), k).
@@ -264,21 +243,28 @@ class Shown:
         alone = np.linalg.norm(columns, axis=(0, 1)) / self.noise_sd
         return np.where(np.linalg.norm(found, axis=0) > least * alone, found, 0.0)
 
-    def _beside(self, columns):
-        """Columns (n, 3, k) without what unknowns explain of them, along what is shown."""
-        if self.rows.shown is None:  # means of positions, without products of single rows
-            return centred(columns, self.rows.codes)
-        return self.whitened.deviations(columns)
+    def _with_lengths(self, columns, moves, with_errors=False):
+        """Columns (n, 3, k), whitened, then of each length what `moves` of the probe do to it."""
+        found = self.whitened.deviations(columns)
+        if not self.rows.lengths:
+            return found
+        values = np.einsum("lgq,gqk->lk", self.of_unknowns, self.whitened.unknowns(moves))
+        values += with_errors * self.errors[:, None]
+        of_lengths = np.zeros((*values.shape, 3)).swapaxes(1, 2)
+        of_lengths[:, 2] = solve_triangular(self.of_lengths, values, lower=True, check_finite=False)
+        return np.concatenate([found, of_lengths])
 
-    def _moved(self, columns):
-        """What columns (n, 3, k) do to the known lengths, (l, k) in mm."""
-        return np.einsum("lgq,gqk->lk", self.of_unknowns, self.whitened.unknowns(columns))
 
-    def _of_lengths(self, values):
-        """Values (l, k) of known lengths as whitened rows (l, 3, k)."""
-        found = np.zeros((len(values), 3, values.shape[1]))
-        found[:, 2] = solve_triangular(self.of_lengths, values, lower=True, check_finite=False)
-        return found
+def why_too_few(expected: Expected) -> str:
+    """Why nothing can be learnt from these rows, or an empty string."""
+    rows, n = expected.rows, expected.shown.n_coordinates
+    n_free = 9 if rows.codes is None else 3
+    if n > n_free:  # of base and tool; cones show the tool's alone
+        return ""
+    return (
+        f"{len(rows.X)} new poses give {n} coordinates, fewer than would "
+        f"show more than the {n_free} freedoms of base and tool"
+    )
 
 
 def slipped_rows(expected: Expected, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -140,7 +140,7 @@ class CorrectionScores:
         for first, *rest in cells:
             lines.append("  ".join([first.ljust(widths[0]), *map(str.rjust, rest, widths[1:])]))
         measure = f"mean {self.measure.removeprefix('mean ')}"
-        for when, words in (("given", "as given"), *zip(_WHEN, _WHEN, strict=True)):
+        for when, words in {"given": "as given", "before": "before", "after": "after"}.items():
             mean, low, high = self.summary[when]
             lines.append(f"{measure} {words}: {mean:.4f} mm (95 %: {low:.4f} to {high:.4f})")
         if self.lengths:
@@ -189,11 +189,11 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
     work = Parallel(n_jobs=n_jobs, return_as="generator")(
         delayed(_one_fold)(data, model, train, test) for train, test in folds
     )
-    given, before, after, std = (np.full((len(data.angles), 3), np.nan) for _ in range(4))
-    lengths, fold_shares = [], []
+    sides, lengths, fold_shares = np.full((4, len(data.angles), 3), np.nan), [], []
     try:
         for i, ((_, test), result) in enumerate(zip(folds, work, strict=True)):
-            given[test], before[test], after[test], std[test], found, share = result
+            *parts, found, share = result
+            sides[:, test] = parts
             lengths += found
             fold_shares.append(share)
             if progress is not None:
@@ -202,6 +202,7 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             work.close()
+    given, before, after, std = sides
     table, rows_by_position = _table(data, before, after)
     blocks = data.blocks()[[rows[0] for rows in rows_by_position]]
     coverage, factor = coverage_of(*data.as_shown(after, std))
@@ -217,9 +218,8 @@ def scores_of(data, calibration, model, outliers, folds, n_jobs, progress):
         Finding(_UNKNOWN_LENGTHS, text, advice, "note", size_mm=per_metre).report()
     errors = np.array([entry[1:] for entry in lengths]).reshape(-1, 2)
     measure = "2S" if data.points is None else "mean deviation"
-    measure += _FROM_FORMS * bool(data.kinds)
     return CorrectionScores(
-        measure=measure,
+        measure=measure + _FROM_FORMS * bool(data.kinds),
         table=table,
         summary=summary,
         lengths=[entry[0] for entry in lengths],
@@ -280,23 +280,14 @@ def _one_fold(data, model, train, test):
         fitted, noise = data.fit(model, corrected, train)
         share, fitted = share_of(fitted), data.at_probes(fitted, calibration, test)
         correction, std = predict_with_std(fitted, data.inputs[test], noise)
-    points, of_given = (data.shown(one, test) for one in (calibration, as_given))
-    lengths = []
     # A length is judged by another: without any, the scale would be that of the nominal table.
     is_known = data.points is not None or data.lengths_among(train)
     judged = [one for one in data.lengths_among(test) if one[0] != one[1]] if is_known else []
-    if judged:
-        errors = (data.length_errors(p, test, judged) for p in (points, points - correction))
-        lengths = list(zip(judged, *errors, strict=True))
-    is_tracker = data.points is not None
-    if is_tracker:
-        of_given = data.residuals(as_given, test)
-    left, to_correct = (
-        data.residuals(one, test) if is_tracker else points for one in (calibration, corrected)
-    )
-    sides = (of_given, left, to_correct - correction)
-    given, before, after = sides if is_tracker else (data.about(one, test) for one in sides)
-    return given, before, after, std, lengths, share
+    points = data.shown(calibration, test)
+    errors = (data.length_errors(p, test, judged) for p in (points, points - correction))
+    sides = (as_given, 0.0), (calibration, 0.0), (corrected, correction)
+    left = (data.residuals(one, test, less, robust=False) for one, less in sides)
+    return *left, std, list(zip(judged, *errors, strict=True)), share
 
 
 def _table(data, before, after):
@@ -304,15 +295,13 @@ def _table(data, before, after):
     rows = data.without_lonely(np.flatnonzero(np.isfinite(before).all(axis=1)))[0]
     labels, codes, counts = np.unique(data.positions[rows], return_inverse=True, return_counts=True)
     by_position = np.split(rows[np.argsort(codes, kind="stable")], np.cumsum(counts)[:-1])
-    table = {"position": labels, "n_points": counts}
-    maxima = {}
+    table, maxima = {"position": labels, "n_points": counts}, {}
     for when, left in zip(_WHEN, (before, after), strict=True):
         size = np.linalg.norm(left, axis=1)
         maxima[f"{when}_max"] = np.array([size[own].max() for own in by_position])
+        table[when] = group_means(size[rows], codes)
         if data.points is None:
             table[when] = single_point_repeatability(left[rows], codes, aggregate=None)
-        else:
-            table[when] = group_means(size[rows], codes)
     return table | maxima, by_position
 
 
@@ -368,21 +357,21 @@ def _verdict(scores):
             f"Do not use it yet: at new {of} {change}, but {n_blocks} {what} are too few to "
             f"tell; measure at least {_FEWEST_POSITIONS}."
         )
+    shown = f"{change}, {better} of {n} {of} better"
     if high < 1:
         least = np.argmax(after / np.maximum(before, 1e-300))
         unknown_lengths = [f for f in scores.findings if f.code == _UNKNOWN_LENGTHS]
         helps = "It repeats better" if unknown_lengths else "It helps"
         said = (
-            f"{helps} at new {of}: {change}, {better} of {n} {of} better; the one that "
+            f"{helps} at new {of}: {shown}; the one that "
             f"gained least went from {before[least]:.3f} to {after[least]:.3f} mm."
         )
         return True, " ".join([said, *map(str, unknown_lengths)])
     if scores.calibration_helps:
         return False, (
-            f"Use the calibrated table without the correction: at new {of} {change}, "
-            f"{better} of {n} {of} better than calibrated."
+            f"Use the calibrated table without the correction: at new {of} {shown} than calibrated."
         )
     return False, (
-        f"Do not use it: at new {of} {change}, {better} of {n} {of} better; after is "
+        f"Do not use it: at new {of} {shown}; after is "
         f"{ratio:.2f} times before, and its 95 % interval, {low:.2f} to {high:.2f}, reaches 1."
     )

@@ -1,4 +1,4 @@
-"""What is wrong with a table whose points scatter by centimetres: sense, zero, order, unit."""
+"""What is wrong where points scatter by centimetres: sense, zero, order, unit, or rows shifted."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -6,7 +6,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, permutations, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from sklearn_raacmm.arm import Arm, carried, check_arm
 from sklearn_raacmm.calibration import calibrate
 from sklearn_raacmm.correction._zeros import with_found_zeros
-from sklearn_raacmm.measurements import Explanation
 from sklearn_raacmm.utils import (
     Finding,
     align,
@@ -42,6 +41,11 @@ _ZERO = 0.9
 # Codes of joints whose own angle is a sum or a difference, and what is in `Arm.couplings` for them.
 _SUMS = {"coupled": 1, "uncoupled": -1}
 _OTHER_CONVENTION = {"standard": "modified", "modified": "standard"}
+# A shift is named where the steps between points then differ from those of the poses by less than
+# this share of what they differ by as they stand, and those before them do: half of a metre and
+# some centimetres, where the arm is known badly, are a tenth.
+_LEFT = 0.2
+_FEWEST_ROWS = 8
 # Axes of a tracker's points as they are, and with two exchanged.
 _AXES, _MIRRORED = (0, 1, 2), (1, 0, 2)
 
@@ -171,19 +175,22 @@ def search_table(
     rows, codes, few_points = _few_rows(len(raw), positions, points)
     largest = np.abs(raw * arm.by_type(1.0, 0.0)).max()
     candidates = _candidates(arm, angle_unit, largest, points is not None)
-    few = raw[rows]
-    ranked = [(_quick_scatter(one, few, codes, few_points), one) for one in candidates]
-    ranked.sort(key=lambda entry: (entry[0], entry[1][:2]))
+    few = raw[rows], codes, few_points
+    quick = [
+        (price, replace(one, scatter_mm=_quick_scatter(one, *few))) for price, one in candidates
+    ]
+    ranked = sorted(quick, key=lambda entry: (entry[1].scatter_mm, entry[0], entry[1].change))
     # Of those that coincide about as well as the best of their hand, the simple ones first. A
     # mirror image coincides as well, but for what calibration has to find.
-    place, tried = _places(ranked[0][1], raw), [ranked[0][1]]
+    place, tried = _places(ranked[0][1], raw), ranked[:1]
     mirrored = [_are_mirrored(place, _places(one, raw)) for _, one in ranked[:_LOOKED_AT]]
     for hand in (False, True):
         of_hand = [entry for entry, other in zip(ranked, mirrored, strict=False) if other == hand]
-        near = [one for left, one in of_hand if left <= _ABOUT_THE_SAME * of_hand[0][0]]
-        tried += sorted(near, key=lambda one: one[:2])[:_CALIBRATED]
+        limit = _ABOUT_THE_SAME * min((one.scatter_mm for _, one in of_hand), default=0.0)
+        near = [entry for entry in of_hand if entry[1].scatter_mm <= limit]
+        tried += sorted(near, key=lambda entry: (entry[0], entry[1].change))[:_CALIBRATED]
 
-    def calibrated(one, **measured):
+    def calibrated(price, one, **measured):
         """The change, and its price: one for each thing changed, and the size of what is left.
 
         Two changes may differ by what calibration finds only, such as the probe. The likelier one
@@ -192,21 +199,16 @@ def search_table(
         measured = {"positions": positions, "points": points} | measured
         if points is not None:
             measured["points"] = measured["points"][:, one.axes]
-        angles, changed = raw[:, one.columns], one.arm
-        result = _calibrated(changed, angles, unit=one.angle_unit, **measured)
-        places = [
-            other.forward(angles, angle_unit=one.angle_unit) for other in (changed, result.arm)
-        ]
-        turn, shift = align(*places)
-        moved = np.sqrt(np.mean(np.square(places[0] @ turn.T + shift - places[1])))
-        parts = changed, tuple(one.columns), one.angle_unit, one.options
-        parts = *parts, tuple(places[0][0].tolist())
-        scatter = result.typical_scatter_mm
-        price = one.price + np.log(moved + scatter)
-        return price, TableChange(one.change, scatter, given, *parts, axes=one.axes)
+        result = _calibrated(one.arm, raw[:, one.columns], unit=one.angle_unit, **measured)
+        scatter, places = result.typical_scatter_mm, _places(one, raw)
+        others = _places(replace(one, arm=result.arm), raw)
+        turn, shift = align(places, others)
+        moved = np.sqrt(np.mean(np.square(places @ turn.T + shift - others)))
+        found = {"scatter_mm": scatter, "first_point": tuple(places[0].tolist())}
+        return price + np.log(moved + scatter), replace(one, scatter_given_mm=given, **found)
 
-    different = {one.change: one for one in tried}.values()
-    found = [*map(calibrated, different)]
+    different = {one.change: (price, one) for price, one in tried}.values()
+    found = [calibrated(price, replace(one, arm=one.arm.replace())) for price, one in different]
     least, limit = min(one.scatter_mm for _, one in found), _COINCIDE * arm.reach_mm
     limit = min(_WORTH_SAYING * given, limit)
     rarer = _rarer_changes(arm, (raw, positions, points, angle_unit), others or {})
@@ -214,9 +216,7 @@ def search_table(
         if (one := next(rarer, None)) is None:
             return None
         change, options, other, measured = one
-        straight = [*range(arm.n_joints)]
-        whole = _Candidate(0, change, options, other, {}, straight, _AXES, angle_unit)
-        found = [calibrated(whole, **measured)]
+        found = [calibrated(0, _changed(other, angle_unit, change, options), **measured)]
         least = found[0][1].scatter_mm
     found = sorted(found, key=lambda entry: (entry[0], entry[1].change))
     first, *equals = (one for _, one in found if one.scatter_mm <= _ABOUT_THE_SAME * least)
@@ -233,7 +233,7 @@ def _rarer_changes(arm, measured, others):
     by name; what differs is what `_calibrated` takes instead.
     """
     angles, positions, points, unit = measured
-    n, as_given = len(angles), _Candidate(0, "", "", arm, {}, [*range(arm.n_joints)], _AXES, unit)
+    n, as_given = len(angles), _changed(arm, unit)
     codes: Any = None if positions is None else encode_groups(positions, n)[1]
 
     def left(row):  # where from this row on the base, or all cones, are elsewhere
@@ -243,9 +243,8 @@ def _rarer_changes(arm, measured, others):
         parts = [_quick_scatter(as_given, angles[m], None, points[m]) for m in (~late, late)]
         return float(np.average(parts, weights=[row, n - row]))
 
-    least = Explanation.LEAST_ROWS
-    if n >= 2 * least:
-        rows = np.unique(np.linspace(least, n - least, _SPLITS).astype(int)).tolist()
+    if n >= 2 * _FEWEST_ROWS:
+        rows = np.unique(np.linspace(_FEWEST_ROWS, n - _FEWEST_ROWS, _SPLITS).astype(int)).tolist()
         k = rows.index(min(rows, key=left))
         row = min(range(rows[max(k - 1, 0)], rows[min(k + 1, len(rows) - 1)] + 1), key=left)
         late, (before, behind) = np.arange(n) >= row, row_numbers([row - 1, row])
@@ -335,8 +334,7 @@ def ask_for_the_hand(
     change = search_table(given, angles, positions, points, angle_unit=angle_unit)
     if change is None:
         return
-    straight = tuple(range(arm.n_joints))
-    own = replace(change, arm=arm, columns=straight, axes=_AXES, angle_unit=angle_unit)
+    own = _changed(arm, angle_unit)
     place = _places(own, angles)
     for other in (change, *change.equals):
         if _are_mirrored(place, _places(other, angles)):
@@ -399,26 +397,14 @@ def _calibrated(arm, angles, positions, points, unit, stations=None):
     return calibrate(arm, angles, angle_unit=unit, **where)
 
 
-class _Candidate(NamedTuple):
-    """A changed arm, the order of angles and of the points' axes, and the unit of the angles."""
-
-    price: float
-    change: str
-    options: str
-    given: Arm
-    changed: dict[str, object]
-    columns: list[int]
-    axes: tuple[int, ...]
-    angle_unit: str
-
-    @property
-    def arm(self):
-        """The changed arm: of thousands that are ranked some are looked at."""
-        return self.given.replace(**self.changed)
+def _changed(arm, unit, change="", options="", columns=None, axes=_AXES):
+    """A change whose scatter is not known."""
+    columns = tuple(range(arm.n_joints) if columns is None else columns)
+    return TableChange(change, np.inf, np.inf, arm, columns, unit, options, axes=axes)
 
 
 def _candidates(arm, unit, largest, has_points):
-    """Yield every candidate, the arm as it is given left out.
+    """Yield the price and the change of every candidate, the arm as it is given left out.
 
     Each is one of the changes of joints, of the convention, of the unit and of the points' hand:
     words, options of `raacmm learn`, price, and what is changed.
@@ -475,25 +461,61 @@ def _candidates(arm, unit, largest, has_points):
         )
         if words := [*chain(*words)]:
             said = " and ".join(words), " ".join(chain(*options))
-            changed = {"convention": form, **changed}
-            yield _Candidate(sum(prices), *said, arm, changed, columns, axes, angle_unit)
+            other = arm.on_trial(convention=form, **changed)
+            yield sum(prices), _changed(other, angle_unit, *said, columns, axes)
 
 
 def _quick_scatter(one, angles, codes, points):
     """Mean distance with nothing but the probe fitted, and the base for a tracker's points."""
     angles = angles[:, one.columns]
     if one.angle_unit == "deg":
-        angles = angles * one.given.by_type(np.pi / 180)
-    arm = one.given.on_trial(**one.changed)
+        angles = angles * one.arm.by_type(np.pi / 180)
     if points is None:
         # Points are linear in the probe: origin + turn @ probe.
-        ends = [(len(arm.a), probe) for probe in np.vstack([np.zeros(3), np.eye(3)]).tolist()]
-        origin, *shifted = carried(arm, angles, ends)
+        ends = [(one.arm.n_joints, x) for x in np.vstack([np.zeros(3), np.eye(3)]).tolist()]
+        origin, *shifted = carried(one.arm, angles, ends)
         parts = centred(np.stack([origin, *(shifted - origin)]).transpose(2, 1, 0), codes)
         A, left = parts[:, :, 1:].reshape(-1, 3), parts[:, :, 0]
         left = left - (A @ np.linalg.lstsq(A, left.ravel(), rcond=None)[0]).reshape(-1, 3)
     else:
-        ours, points = arm.points_at(angles), points[:, one.axes]
+        ours, points = one.arm.points_at(angles), points[:, one.axes]
         rotation, shift = align(ours, points)
         left = ours @ rotation.T + shift - points
     return float(np.linalg.norm(left, axis=1).mean())
+
+
+def shifted_rows(arm: Arm, angles: np.ndarray, points: np.ndarray) -> Finding | None:
+    """Finding of points (n, 3), mm, that are those of the next or the last pose (n, n_joints), rad.
+
+    Distances between points of neighbouring rows are compared with those that the arm has between
+    their poses, so that neither the frame of the points nor the arm has to be known well.
+    """
+    n = len(angles)
+    if n < _FEWEST_ROWS:
+        return None
+    measured, known = (
+        np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (points, arm.forward(angles))
+    )
+    most = np.median(known)  # a step that belongs to no pose counts so much
+    as_given = np.minimum(np.abs(measured - known), most)
+    found = []
+    for shift in (1, -1):
+        moved = np.minimum(np.abs(measured - np.roll(known, -shift)), most)
+        moved[-1 if shift > 0 else 0] = most
+        # From point k on: the steps before it, but for the last, which leads there, and from it on.
+        before = np.r_[0.0, 0.0, np.cumsum(as_given)[:-1]]
+        left = before + np.r_[np.cumsum(moved[::-1])[::-1], 0.0]
+        k = int(np.argmin(left[: n - _FEWEST_ROWS // 2]))
+        found.append((float(left[k]), k, shift, moved))
+    _, k, shift, moved = min(found, key=lambda one: one[0])
+    size = _LEFT * np.median(as_given[k:])
+    if np.median(moved[k:]) > size or (k > 1 and np.median(as_given[: k - 1]) > size):
+        return None
+    k = 0 if k == 1 and moved[0] <= size else k
+    row = row_numbers([k])[0]
+    of, what = "last", "a point is there twice, or a pose is missing"
+    if shift > 0:
+        of, what = "next", "a point is missing there"
+    said = f"From row {row} on each point is that of the {of} row: {what}."
+    advice = "Give both files a column of names, or mend the rows."
+    return Finding("shifted-rows", said, advice, "refuse", rows=(row,))

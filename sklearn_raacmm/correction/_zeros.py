@@ -4,7 +4,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,23 +50,22 @@ def with_found_zeros(
         offset[free] = np.angle(np.exp(1j * (offset[free] + x[:-3])))
         return {"theta_offset": offset, "probe": arm.probe + x[-3:]}
 
-    @lru_cache(1)  # what is left and its slope are asked for one after the other
-    def both(key):
-        ours, slope = arm.on_trial(**fields(np.frombuffer(key))).parameter_jacobian(angles)
-        slope = slope[:, :, columns]
-        if points is None:
-            return centred(ours, codes), centred(slope, codes)
-        turn, shift = align(ours, points)
-        ours = ours @ turn.T + shift
-        base = base_motions(ours, arm.reach_mm).reshape(-1, 6)  # takes up its part
-        slope = (turn @ slope).reshape(-1, len(columns))
-        return ours - points, slope - base @ np.linalg.lstsq(base, slope)[0]
-
     def left(x):
-        return both(x.tobytes())[0].ravel()
+        ours = arm.on_trial(**fields(x)).points_at(angles)
+        if points is None:
+            return centred(ours, codes).ravel()
+        turn, shift = align(ours, points)
+        return (ours @ turn.T + shift - points).ravel()
 
     def slope_of(x):
-        return both(x.tobytes())[1].reshape(-1, len(columns))
+        ours, slope = arm.on_trial(**fields(x)).parameter_jacobian(angles)
+        slope = slope[:, :, columns]
+        if points is None:
+            return centred(slope, codes).reshape(-1, len(columns))
+        turn, shift = align(ours, points)
+        slope = (turn @ slope).reshape(-1, len(columns))
+        base = base_motions(ours @ turn.T + shift, arm.reach_mm).reshape(-1, 6)
+        return slope - base @ np.linalg.lstsq(base, slope)[0]  # the base takes up its part
 
     start = np.zeros(len(columns))  # the table as it is given
     good = 0.5 * len(angles) * (_FOUND * arm.reach_mm) ** 2
@@ -77,14 +76,13 @@ def with_found_zeros(
 def _best_of_starts(left, start, n_free, good, jac, scale):
     """Where squares are least, from a start and from random ones of the first `n_free` numbers."""
     rng = np.random.default_rng(0)
-    best: list[tuple[float, np.ndarray]] = []
+    found: list[Any] = []
     for _ in range(_STARTS):
-        found = least_squares(left, start, jac, x_scale=scale, max_nfev=_STEPS)
-        best.append((found.cost, found.x))
-        if sum(one[0] < good for one in best) >= _AGREE:
+        found.append(least_squares(left, start, jac, x_scale=scale, max_nfev=_STEPS))
+        if sum(one.cost < good for one in found) >= _AGREE:
             break
         start = np.r_[rng.uniform(-np.pi, np.pi, n_free), np.zeros(len(start) - n_free)]
-    return min(best, key=lambda one: one[0])[1]
+    return min(found, key=lambda one: one.cost).x
 
 
 def arm_from_data(

@@ -81,7 +81,7 @@ def test_a_probe_that_was_fitted_to_the_poses_has_not_changed():
     model = ArmResidualRegressor(arm, orders=4).fit(angles, rng.normal(0, 0.01, (300, 3)))
     bent = arm.forward(today) - arm.replace(probe=(0.3, 0, 93)).forward(today)
     rows = new_rows(model, today, bent + rng.normal(0, 0.01, bent.shape))
-    expected = Expected.of(as_prior(model.linear_model_), rows)
+    expected = Expected(as_prior(model.linear_model_), rows)
     assert named_changes(expected, ["base"]) == ["probe"]
     assert named_changes(expected, ["base"], least_nats=1e9) == []
     assert named_changes(expected) == []

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm import Arm, FindingError, learn_correction
-from sklearn_raacmm.correction._shifted_rows import shifted_rows
+from sklearn_raacmm.correction._table_search import shifted_rows
 from sklearn_raacmm.utils import ignored_findings
 
 ARM = Arm.from_name("ur10")
