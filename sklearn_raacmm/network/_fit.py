@@ -18,8 +18,7 @@ import numpy as np
 from scipy.linalg import lapack, solve_triangular
 from scipy.stats import yeojohnson_llf, yeojohnson_normmax
 
-from sklearn_raacmm.network import _read
-from sklearn_raacmm.network._blocks import ArrayChunks, extend
+from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._centers import MAX_CENTERS, MODERATE, choose_centers, features_at
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._likelihood import ALPHA_BOUNDS, LEAST_RIDGE
@@ -30,8 +29,8 @@ from sklearn_raacmm.network._linear import (
     without_constants,
 )
 from sklearn_raacmm.network._posterior import Network, covariance_factor, pack, predict_mean
+from sklearn_raacmm.network._problem import Problem, prepare
 from sklearn_raacmm.network._ranks import mid_ranks
-from sklearn_raacmm.network._rows import prepare
 from sklearn_raacmm.network._search import EXACT_ROWS, MARGIN, MARGIN_OF_TARGET, Structure, search
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
@@ -79,7 +78,7 @@ def fit_outputs(
 ):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
-    `elsewhere` is what `read_rows` returns. What is not given, in units of X, sample weights and y,
+    `elsewhere` is what `distinct_rows` returns. What is not given, in units of X, sample weights and y,
     is None or "auto". A network of other weights may come `before` a refit, see `search`.
     Returns what `fit_network` does, and the log likelihood where structures were compared.
     """
@@ -87,7 +86,10 @@ def fit_outputs(
 
     def set_up(degree, ratio=0.0):
         sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
-        return sample, sample if elsewhere is None else extend(sample, *elsewhere, outputs=outputs)
+        if elsewhere is None:
+            return sample, sample
+        given = sample.rows, sample.polynomial, sample.tail_ridge
+        return sample, Problem(*given, everywhere=(*elsewhere, outputs))
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
@@ -100,7 +102,7 @@ def fit_outputs(
     if width is not None and alpha is not None and rows.codes is None:
         found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
     else:
-        held, of = sample.held, varying
+        held, of = sample.block(sample.rows), varying
         weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
         within = sample.rows.within[:, of] / (sample.unit * spread**2)
         found = search(
@@ -178,7 +180,7 @@ def takes_all_rows(problem, structure):
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
-    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * np.square(problem.held.root).max():
+    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * problem.rows.weights.max() / problem.unit:
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))
@@ -191,7 +193,7 @@ def share_of_parameters(problem, alpha, structure, n, enough=0.0):
     It falls with every row that comes in: a sample's share that is not above `enough` is returned.
     Of more than 2000 rows the last doubling is continued as a power of the number.
     """
-    Z, weights = problem.scaled(structure), np.square(problem.held.root[:, 0])
+    Z, weights = problem.scaled(structure), problem.rows.weights / problem.unit
     # The same rows whatever `random_state` is: an outcome near the limit hangs on the data alone.
     order = np.random.RandomState(0).permutation(len(Z))
     size, last = min(n, FIRST_SAMPLE), None
@@ -225,12 +227,12 @@ def _network(problem, outputs, structure, centers, solution, objective, plain=0.
         length_scale=structure.length_scale,
         centers=centers,
         coef=np.ascontiguousarray(solution[p:]),
-        polynomial=problem.polynomial.coefficients.T @ solution[:p],
+        polynomial=problem.polynomial.T @ solution[:p],
         alpha=alpha,
         weight_unit=float(problem.unit),
         noise_variance=noise,
         signal_variance=np.where(ridged & known, signal, problem.spread**2),
-        tail_map=problem.polynomial.coefficients,
+        tail_map=problem.polynomial,
         ratio=float(problem.ratio),
         ranks=structure.ranks,
         **rest,
@@ -268,8 +270,8 @@ def network_of(problem, outputs, order, structure, n_centers, stop, scaled=False
 def process_of(problem, outputs, structure):
     """The network with a centre at every row: the process itself."""
     rows, alpha = problem.rows, structure.alpha
-    Z, weights = problem.scaled(structure), np.square(problem.held.root[:, 0])
-    held = problem.held
+    Z, weights = problem.scaled(structure), problem.rows.weights / problem.unit
+    held = problem.block(rows)
     (n, p), q = held.tail.shape, held.targets.shape[1]
     solution, objective = np.empty((p + n, q)), np.empty(q)
     for one in np.unique(alpha):
@@ -314,13 +316,13 @@ def biweights(residuals, weights, codes=None):
     return np.min([np.ones(len(size)), *of_outputs], axis=0)
 
 
-def reweigh(estimator, blocks, codes):
+def reweigh(estimator, source):
     """Fit again with weights by the residuals, until these settle; "auto" if evidence is for it."""
     auto, first = estimator.loss == "auto", dict(vars(estimator))
-    large = len(blocks) > _read.IN_MEMORY_ROWS
+    large = source.n_rows > _rows.IN_MEMORY_ROWS
     if auto and (large or "log_marginal_likelihood_value_" not in first):
         return
-    X, Y, given = blocks.X, blocks.Y, blocks.weights
+    X, Y, given, codes = source[:4]
     factor, counted, residuals = np.ones(len(given)), given > 0, np.zeros_like(Y)
     for i in range(MAX_FITS):
         residuals = Y - predict_mean(pack(estimator.networks_), X)
@@ -330,8 +332,8 @@ def reweigh(estimator, blocks, codes):
             break
         if auto and not i and _gain(residuals[counted], factor[counted] > 0) < WORTH * Y.shape[1]:
             return
-        weighted = ArrayChunks(X, Y, given * factor)
-        estimator._fit_weighted(weighted, codes, estimator.networks_, i + 1)
+        weighted = source._replace(weights=given * factor)
+        estimator._fit_weighted(weighted, estimator.networks_, i + 1)
         if auto and i == 0:
             n, far = counted.sum(), residuals[(factor == 0) & counted]
             lead = evidence(estimator.log_marginal_likelihood_value_, n, far)

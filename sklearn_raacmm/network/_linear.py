@@ -3,8 +3,6 @@
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
@@ -19,42 +17,29 @@ RIDGES = 2.0 ** np.arange(-40, 41)
 SILENT, DOUBT = 0.05, 1.0
 
 
-class Polynomial(NamedTuple):
-    """Columns of a polynomial: 1 and features, centred and scaled to be well conditioned."""
-
-    n_constants: int  # 1, or 0 for no polynomial at all
-    used: np.ndarray  # features of the linear part
-    center: np.ndarray  # (d,)
-    scale: np.ndarray  # (d,)
-
-    def columns(self, X):
-        """Its p columns at rows (n, d)."""
-        linear = (X[:, self.used] - self.center[self.used]) / self.scale[self.used]
-        return np.column_stack([np.ones((len(X), self.n_constants)), linear])
-
-    @property
-    def coefficients(self):
-        """From coefficients of its columns to those of (1, x), (p, 1 + d)."""
-        d = len(self.center)
-        linear = np.eye(d)[self.used] / self.scale[self.used, None]
-        constant = np.eye(self.n_constants, d + 1)
-        return np.vstack([constant, np.column_stack([-linear @ self.center, linear])])
-
-
 def polynomial_of(X, weights, degree, ridged=False):
-    """Polynomial of rows, without features that do not vary or are combinations of others.
+    """Polynomial of rows (n, d), its p columns as linear functions of (1, x): (p, 1 + d).
 
-    With fewer rows than features some are so by chance: a ridge (`ridged`) tells them apart.
+    Features are centred and scaled; those that do not vary or are combinations of others are left
+    out. With fewer rows than features some are so by chance: a ridge (`ridged`) tells them apart.
     """
-    center, used = np.average(X, axis=0, weights=weights), np.empty(0, dtype=int)
+    d = X.shape[1]
+    if degree < 1:
+        return np.eye(1 + d)[: degree + 1]
+    center = np.average(X, axis=0, weights=weights)
     scale = np.sqrt(np.average(np.square(X - center), axis=0, weights=weights))
-    if degree == 1:
-        used = np.flatnonzero(scale > 1e-13 * np.abs(X).max(axis=0))
-        if not (ridged and X.shape[0] <= X.shape[1]):
-            R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
-            size = np.abs(R.diagonal())
-            used = np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
-    return Polynomial(int(degree >= 0), used, center, scale)
+    used = np.flatnonzero(scale > 1e-13 * np.abs(X).max(axis=0))
+    if not (ridged and len(X) <= d):
+        R, order = qr((X[:, used] - center[used]) / scale[used], mode="r", pivoting=True)
+        size = np.abs(R.diagonal())
+        used = np.sort(used[order[: np.sum(size > 1e-10 * size.max(initial=0))]])
+    linear = np.eye(d)[used] / scale[used, None]
+    return np.vstack([np.eye(1, 1 + d), np.column_stack([-linear @ center, linear])])
+
+
+def polynomial_at(polynomial, X):
+    """Columns (n, p) of a polynomial at rows."""
+    return polynomial[:, 0] + X @ polynomial[:, 1:].T
 
 
 def ridge_rows(n_tail, ridge):

@@ -20,6 +20,7 @@ from sklearn_raacmm.network._kernels import (
 )
 from sklearn_raacmm.network._linear import (
     penalise,
+    polynomial_at,
     ridge_rows,
     triangular_factor,
     without_constants,
@@ -139,7 +140,7 @@ class Network:
 
     def tail(self, X: np.ndarray) -> np.ndarray:
         """Columns of the polynomial in the fit, (n, p)."""
-        return np.column_stack([np.ones(len(X)), X]) @ self.tail_map.T
+        return polynomial_at(self.tail_map, X)
 
     def weigh(self, columns: np.ndarray) -> np.ndarray:
         """Columns at all training rows, which are the centres, as the fit sees them."""

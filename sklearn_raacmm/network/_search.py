@@ -32,7 +32,12 @@ from sklearn_raacmm.network._likelihood import (
     of_noise,
     used_share,
 )
-from sklearn_raacmm.network._linear import linear_evidence, polynomial_of, without_constants
+from sklearn_raacmm.network._linear import (
+    linear_evidence,
+    polynomial_at,
+    polynomial_of,
+    without_constants,
+)
 from sklearn_raacmm.network._ranks import are_alike, to_ranks
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.utils import stage, warn_user
@@ -362,7 +367,8 @@ def _simpler(task, end, data, silent, may_be_linear):
 
 def _linear(data, value, density, margin):
     """Ratio, evidence and share of a linear model that is better by a margin; or None."""
-    columns = polynomial_of(data.X, data.weights, 1, ridged=True).columns(data.X)[:, 1:]
+    linear = polynomial_of(data.X, data.weights, 1, ridged=True)[1:]
+    columns = polynomial_at(linear, data.X)
     root, weights = np.sqrt(data.weights)[:, None], data.weights
 
     def at(ratio):

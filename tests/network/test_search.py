@@ -9,14 +9,14 @@ from sklearn.linear_model import RidgeCV
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network._kernels import KERNELS
 from sklearn_raacmm.network._likelihood import Task, minimise, objective
-from sklearn_raacmm.network._rows import merge
+from sklearn_raacmm.network._rows import Rows
 
 from ._data import smooth
 
 
 def data_of(X, y):
     Y = np.reshape(y - np.mean(y, axis=0), (len(X), -1))
-    return merge(X, Y / Y.std(axis=0), np.ones(len(X)))
+    return Rows(X, Y / Y.std(axis=0), np.ones(len(X))).merged()
 
 
 def task_of(data, **changes):
