@@ -82,46 +82,50 @@ def fit_outputs(
     is None or "auto". A network of other weights may come `before` a refit, see `search`.
     Returns what `fit_network` does, and the log likelihood where structures were compared.
     """
-    ridged, value = alpha is None, None
+    ridged, value, rows = alpha is None, None, rows.of_outputs(outputs)
 
     def set_up(degree, ratio=0.0):
-        sample = prepare(rows.of_outputs(outputs), degree, ridged, ratio)
+        sample = prepare(rows, degree, ridged, ratio)
         if elsewhere is None:
             return sample, sample
-        given = sample.rows, sample.polynomial, sample.tail_ridge
+        given = rows, sample.polynomial, sample.tail_ridge
         return sample, Problem(*given, everywhere=(*elsewhere, outputs))
 
     # A linear part that the data have to ask for is added once they have.
     degree = 0 if estimator.degree == "auto" else estimator.degree
     sample, problem = set_up(degree)
-    varying = sample.varying
+    varying, inputs = sample.varying, [None]
     spread = sample.spread[varying]
-    ranks, may_be_raw = None, estimator.inputs != "ranks"
     if estimator.inputs == "ranks" or (estimator.inputs == "auto" and width is None):
-        ranks = mid_ranks(sample.rows.X, sample.rows.weights)
+        ranks = mid_ranks(rows.X, rows.weights)
+        inputs = [ranks] if estimator.inputs == "ranks" else [None, ranks]
     if width is not None and alpha is not None and rows.codes is None:
-        found = Structure(kernels[0], width, alpha / problem.unit, ranks=ranks)
+        found = Structure(kernels[0], width, alpha / problem.unit, ranks=inputs[0])
     else:
-        held, of = sample.block(sample.rows), varying
-        weights, Y = np.square(held.root[:, 0]), sample.about_tail(held) / held.root
-        within = sample.rows.within[:, of] / (sample.unit * spread**2)
+        block, of = sample.block(rows), varying
+        if before is not None:  # if it has radial functions
+            start = replace(before, alpha=before.alpha[of])
+            before = start if start.alpha.max(initial=0.0) < ALPHA_BOUNDS[1] else None
         found = search(
-            sample.rows._replace(Y=Y, weights=weights, within=within),
+            rows._replace(
+                Y=sample.about_tail(block) / block.root,
+                weights=rows.weights / sample.unit,
+                within=rows.within[:, of] / (sample.unit * spread**2),
+            ),
             kernels if width is None else kernels[:1],  # given widths are those of one kernel
+            inputs,
             length_scale=width,
             isotropic=width is None and estimator.length_scale == "isotropic",
             alpha=None if alpha is None else alpha[of] / sample.unit,
             may_be_linear=estimator.degree == "auto",
             random_state=rng,
-            ranks=ranks,
-            may_be_raw=may_be_raw,
-            start=_as_start(before, of),
+            start=before,
             refit=refit,
         )
         value = float(found.log_likelihood - found.n_observations * np.log(spread).sum())
         if alpha is None:
             alpha, of = np.full(len(outputs), problem.unit), problem.varying
-            alpha[of] = found.alpha[np.isin(sample.varying, of)] * sample.unit
+            alpha[of] = found.alpha[np.isin(varying, of)] * sample.unit
         width = found.length_scale if width is None else width
         found = found._replace(length_scale=width, alpha=alpha / problem.unit)
         if found.linear or found.ratio:
@@ -133,15 +137,6 @@ def fit_outputs(
         share[varying], left[varying] = found.used[0], found.used[1] * spread**2
         fit = fit[0].with_share(share, left), *fit[1:]
     return fit, value
-
-
-def _as_start(network, varying):
-    """The structure of a network that has radial functions, of the outputs that vary; or None."""
-    if network is None or network.alpha[varying].max(initial=0.0) >= ALPHA_BOUNDS[1]:
-        return None
-    alpha = network.alpha[varying]
-    width, ratio = network.length_scale, network.ratio
-    return Structure(network.kernel, width, alpha, ratio, ranks=network.ranks)
 
 
 @stage("centres of the network")
@@ -180,7 +175,10 @@ def takes_all_rows(problem, structure):
     """
     alpha, varying = structure.alpha, problem.varying
     n = min(len(problem.rows.X), MOST_ROWS)
-    if not len(varying) or alpha.min() < 1.01 * LEAST_RIDGE * problem.rows.weights.max() / problem.unit:
+    if (
+        not len(varying)
+        or alpha.min() < 1.01 * LEAST_RIDGE * problem.rows.weights.max() / problem.unit
+    ):
         return False
     # The output that needs most decides, as it does on the centres.
     limit = min(ALL_ROWS, MAX_CENTERS / (CENTERS_PER_PARAMETER * n))

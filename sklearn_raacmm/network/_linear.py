@@ -4,12 +4,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 
 import numpy as np
-from scipy.linalg import lapack, qr, solve_triangular
+from scipy.linalg import qr, solve_triangular
 
 from sklearn_raacmm.utils import group_means
 
-# Columns that a triangular factorisation works on together; 16 and 64 were slower by a tenth.
-_PANEL = 32
 # Ridges that are tried: powers of 2, whose choice no rounding changes.
 RIDGES = 2.0 ** np.arange(-40, 41)
 # The prior of the noise variance: below this share of an output's variance each power of e costs so
@@ -90,27 +88,12 @@ def linear_evidence(columns, targets, within, n_free, n_total):
 
 def triangular_factor(rows):
     """R of the QR factorisation, upper triangular or trapezoidal; its signs are arbitrary."""
-    m, k = rows.shape
-    if m < k or not k:
-        return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][:k]
-    return _stacked(np.zeros((k, k), order="F"), np.array(rows, order="F"), 0)
-
-
-def _stacked(upper, lower, n_triangular):
-    """R of the square triangle `upper` with rows below, the last a triangle; overwrites both.
-
-    Twice as fast as the plain routine, whose blocks do not stay in the cache.
-    """
-    block = min(_PANEL, len(upper))
-    return lapack.dtpqrt(n_triangular, block, upper, lower, overwrite_a=1, overwrite_b=1)[0]
+    return qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][: rows.shape[1]]
 
 
 def stack_triangles(upper, lower):
-    """The triangular factor of two blocks of rows from those of each, triangular both."""
-    k = upper.shape[1]
-    if len(upper) < k or not k:
-        return triangular_factor(np.vstack([upper, lower]))
-    return _stacked(np.array(upper, order="F"), np.array(lower, order="F"), len(lower))
+    """The triangular factor of two blocks of rows from those of each."""
+    return triangular_factor(np.vstack([upper, lower]))
 
 
 def nested_least_squares(R, n_tail, penalty_root, alphas, within):

@@ -12,7 +12,6 @@ have independent noise of unit variance: that is done to all columns and targets
 # SPDX-License-Identifier: BSD-3-Clause
 
 from collections.abc import Callable
-from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -112,12 +111,14 @@ class Problem:
     def reduce(self, function: Callable, combine: Callable, width: int) -> Any:
         """Combine the function of every block of rows, which holds `width` numbers a row."""
         if self.everywhere is None:
-            of_rows = lambda rows, start: function(self.block(rows, start))
-            found = self.rows.reduce(of_rows, combine, width)
+            source, outputs = self.rows, slice(None)
         else:
             source, *_, outputs = self.everywhere
-            of_rows = lambda rows, _: function(self.block(rows._replace(Y=rows.Y[:, outputs])))
-            found = source.reduce(of_rows, combine, width)
+        found = source.reduce(
+            lambda rows, start: function(self.block(rows._replace(Y=rows.Y[:, outputs]), start)),
+            combine,
+            width,
+        )
         m = len(self.tail_rows)
         if not m:
             return found

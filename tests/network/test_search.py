@@ -21,7 +21,7 @@ def data_of(X, y):
 
 def task_of(data, **changes):
     spread = data.X.std(axis=0)
-    return Task(spread, spread > 0, data.Y.shape[1])._replace(**changes)
+    return Task(spread, changes.pop("used", spread > 0), data.Y.shape[1], **changes)
 
 
 @pytest.mark.parametrize("constants", [False, True])
