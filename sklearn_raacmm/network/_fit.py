@@ -10,7 +10,6 @@ with the root R of the rows' weights and B the polynomial's columns they are the
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Integral
 
@@ -36,6 +35,7 @@ from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
     many_without_weight,
+    medians_of,
     robust_scale,
     stage,
     tukey_weights,
@@ -78,8 +78,8 @@ def fit_outputs(
 ):
     """The network of some outputs (m,), which share kernel, widths and centres.
 
-    `elsewhere` is what `distinct_rows` returns. What is not given, in units of X, sample weights and y,
-    is None or "auto". A network of other weights may come `before` a refit, see `search`.
+    `elsewhere` is what `distinct_rows` returns. What is not given, in units of X, sample weights
+    and y, is None or "auto". A network of other weights may come `before` a refit, see `search`.
     Returns what `fit_network` does, and the log likelihood where structures were compared.
     """
     ridged, value, rows = alpha is None, None, rows.of_outputs(outputs)
@@ -298,18 +298,11 @@ def process_of(problem, outputs, structure):
 # -- weights of rows by Tukey's biweight: rows far off count less, or not at all ------------------
 
 
-def biweights(residuals, weights, codes=None):
-    """Factors (n,) of the rows' weights, by the output in which a row is farthest off.
-
-    Where groups have offsets residuals (n, q) count from their group's median.
-    """
-    counted = weights > 0
-    for code in () if codes is None else np.unique(codes[counted]):
-        own = codes == code
-        residuals[own] -= np.median(residuals[own & counted], axis=0)
+def biweights(residuals, weights):
+    """Factors (n,) of the rows' weights, by the output in which a row is farthest off."""
     size = np.abs(residuals)
     # An output that is met exactly by half of the rows has no scale.
-    known = np.median(size[counted], axis=0) > 1e-12 * size.max(axis=0, initial=0.0)
+    known = np.median(size, axis=0) > 1e-12 * size.max(axis=0, initial=0.0)
     of_outputs = [tukey_weights(left[:, None], weights) for left in residuals.T[known]]
     return np.min([np.ones(len(size)), *of_outputs], axis=0)
 
@@ -320,41 +313,55 @@ def reweigh(estimator, source):
     large = source.n_rows > _rows.IN_MEMORY_ROWS
     if auto and (large or "log_marginal_likelihood_value_" not in first):
         return
-    X, Y, given, codes = source[:4]
-    factor, counted, residuals = np.ones(len(given)), given > 0, np.zeros_like(Y)
+    counted = source.weights > 0
+    rows = source._replace(first=np.arange(len(counted))).some(counted)
+    (n, q), factor, residuals = rows.Y.shape, np.ones(rows.n_rows), rows.Y
     for i in range(MAX_FITS):
-        residuals = Y - predict_mean(pack(estimator.networks_), X)
-        last, factor = factor, biweights(residuals, given, codes)
+        residuals = rows.Y - predict_mean(pack(estimator.networks_), rows.X)
+        residuals -= medians_of(residuals, rows.codes)  # where groups have constants
+        last, factor = factor, biweights(residuals, rows.weights)
         change = np.mean(np.abs(factor - last))
         if change == 0 or (i and change < SETTLED):
             break
-        if auto and not i and _gain(residuals[counted], factor[counted] > 0) < WORTH * Y.shape[1]:
+        if auto and not i and _gain(residuals, residuals[factor > 0]) < WORTH * q:
             return
-        weighted = source._replace(weights=given * factor)
+        weighted = rows._replace(weights=rows.weights * factor)
         estimator._fit_weighted(weighted, estimator.networks_, i + 1)
-        if auto and i == 0:
-            n, far = counted.sum(), residuals[(factor == 0) & counted]
-            lead = evidence(estimator.log_marginal_likelihood_value_, n, far)
-            lead -= evidence(first["log_marginal_likelihood_value_"], n, far[:0])
-            if lead < LEAD * n * Y.shape[1]:
-                return _keep(estimator, first, Y[counted], residuals[counted], factor[counted])
-    if auto and np.sum(factor[counted] == 0) > MOST_FAR * counted.sum():
-        return _keep(estimator, first, Y[counted], residuals[counted], factor[counted])
+        if auto and not i:
+            lead = evidence(estimator.log_marginal_likelihood_value_, n, residuals[factor == 0])
+            lead -= evidence(first["log_marginal_likelihood_value_"], n, residuals[:0])
+            if lead < LEAD * n * q:
+                return _keep(estimator, first, rows, residuals, factor == 0)
+    far = factor == 0
+    if auto and far.mean() > MOST_FAR:
+        return _keep(estimator, first, rows, residuals, far)
     if np.any(factor < 1):
-        far = residuals * (factor == 0)[:, None]
-        added = np.average(np.square(far), axis=0, weights=given)
-        share = np.average(factor == 0, weights=given)
+        squares = np.square(residuals) * far[:, None]
+        added, share = (np.average(a, axis=0, weights=rows.weights) for a in (squares, far))
         estimator.networks_ = tuple(_with_outliers(n, added, share) for n in estimator.networks_)
-    estimator.row_weight_ = factor
-    for finding in many_without_weight(factor[counted]):
+    estimator.row_weight_ = np.ones(len(counted))
+    estimator.row_weight_[counted] = factor
+    for finding in many_without_weight(factor):
         finding.report()
 
 
-def _keep(estimator, first, *far_rows):
-    """Keep the fit of least squares, and say what the rows far off are instead of slips."""
+def _keep(estimator, first, rows, residuals, far):
+    """Keep the fit of least squares, and say where targets are a power of a normal variable."""
     estimator.__dict__ = first
-    for finding in _heavy_tails(*far_rows):
-        finding.report()
+    for y, left in zip(rows.Y.T, residuals.T, strict=True):
+        gain = yeojohnson_llf(yeojohnson_normmax(y), y) - yeojohnson_llf(1.0, y)
+        if gain > MARGIN + MARGIN_OF_TARGET * len(y):
+            size = np.abs(left[far]).max() / robust_scale(np.abs(left), 1)
+            Finding(
+                "heavy-tails",
+                f"The targets have heavy tails: {far.sum()} of {len(y)} rows lie more than "
+                f"{TUKEY_CUT:g} standard deviations of the others off, up to {size:.3g}.",
+                "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
+                "transformer=PowerTransformer()).",
+                "note",
+                rows=tuple(rows.first[far].tolist()),
+            ).report()
+            return
 
 
 def _with_outliers(network, added, share):
@@ -364,28 +371,9 @@ def _with_outliers(network, added, share):
     return replace(network, outlier_variance=of_outliers)
 
 
-def _heavy_tails(Y, residuals, factor) -> Iterator[Finding]:
-    """Finding of targets (n, q) that are far more probable as a power of a normal variable."""
-    n, far = len(Y), np.flatnonzero(factor == 0)
-    for y, left in zip(Y.T, residuals.T, strict=True):
-        gain = yeojohnson_llf(yeojohnson_normmax(y), y) - yeojohnson_llf(1.0, y)
-        if gain > MARGIN + MARGIN_OF_TARGET * n:
-            size = np.abs(left[far]).max() / robust_scale(np.abs(left), 1)
-            yield Finding(
-                "heavy-tails",
-                f"The targets have heavy tails: {len(far)} of {n} rows lie more than {TUKEY_CUT:g} "
-                f"standard deviations of the others off, up to {size:.3g}.",
-                "Learn a power of the targets: TransformedTargetRegressor(RBFNetRegressor(), "
-                "transformer=PowerTransformer()).",
-                "note",
-                rows=tuple(far.tolist()),
-            )
-            return
-
-
 def _gain(residuals, near):
     """Nats for each row by which rows are more probable without those that are not near."""
-    all_rows, near_rows = (np.square(r).mean(axis=0) for r in (residuals, residuals[near]))
+    all_rows, near_rows = (np.square(r).mean(axis=0) for r in (residuals, near))
     return 0.5 * np.log(all_rows / np.maximum(near_rows, 1e-300)).sum()
 
 

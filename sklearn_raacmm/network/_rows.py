@@ -248,7 +248,10 @@ def distinct_rows(source, n_features, rng):
         return int(np.sum(rows.weights > 0)), rows.weights.sum(), sample
 
     def join(one, other):
-        both = (None if a is None else np.concatenate([a, b]) for a, b in zip(one[2], other[2]))
+        both = (
+            None if a is None else np.concatenate([a, b])
+            for a, b in zip(one[2], other[2], strict=True)
+        )
         return one[0] + other[0], one[1] + other[1], cut(Rows(*both).merged())
 
     n, weight, sample = source.reduce(summary, join, 4 * n_features)

@@ -1,5 +1,7 @@
 """The linear tail, its ridge and when it is chosen, against closed forms and linear models."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -87,19 +89,18 @@ def test_rows_in_blocks_have_the_ridge_of_their_sample(monkeypatch):
     problem = Problem(rows, *given, everywhere=(*everywhere, np.arange(2)))
     assert problem.tail_ridge == sample.tail_ridge > 0
     for one in (problem, sample):
-        sums = one.reduce(
-            lambda block: (
-                one.basis(block).T @ one.basis(block),
-                one.basis(block).T @ block.targets,
-                np.square(block.targets).sum(axis=0),
-            ),
-            lambda a, b: tuple(x + y for x, y in zip(a, b, strict=True)),
-            12,
+        total, gram, projection = one.reduce(
+            partial(products, one), lambda a, b: tuple(map(np.add, a, b)), 12
         )
-        np.testing.assert_allclose(sums[0], np.eye(6), atol=1e-10)
-        np.testing.assert_allclose(one.projection, sums[1], rtol=1e-8)
-        left = sums[2] - np.square(sums[1]).sum(axis=0)
+        np.testing.assert_allclose(gram, np.eye(6), atol=1e-10)
+        np.testing.assert_allclose(one.projection, projection, rtol=1e-8)
+        left = total - np.square(projection).sum(axis=0)
         np.testing.assert_allclose(one.n_total * one.spread**2, left, rtol=1e-8)
+
+
+def products(problem, block):
+    basis, targets = problem.basis(block), block.targets
+    return np.square(targets).sum(axis=0), basis.T @ basis, basis.T @ targets
 
 
 def test_a_given_ridge_leaves_the_linear_part_free():
