@@ -10,7 +10,7 @@ them is a sum over blocks, or a triangular factor.
 
 from functools import reduce
 from itertools import pairwise
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_array
@@ -39,7 +39,7 @@ class Rows(NamedTuple):
     # Where rows were merged: where each was first seen (n,); the weighted sums of squares (n, q) of
     # the targets about these means; and observations (n,), rows of the same X that differ in Y.
     first: np.ndarray | None = None
-    within: np.ndarray | None = None
+    within: Any = None
     observed: np.ndarray | None = None
 
     @property
@@ -68,20 +68,22 @@ class Rows(NamedTuple):
         ends = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
         return [slice(*pair) for pair in pairwise(ends)]
 
-    def some(self, kept: np.ndarray | slice) -> Self:
+    def some(self, kept: np.ndarray | slice) -> "Rows":
         """Some of them."""
-        rows = self._make(None if a is None else np.asarray(a[kept]) for a in self)
+        arrays: Any = (None if a is None else np.asarray(a[kept]) for a in self)
+        rows = Rows(*arrays)
         if rows.codes is None:
             return rows
         return rows._replace(codes=np.unique(rows.codes, return_inverse=True)[1])
 
-    def of_outputs(self, outputs: np.ndarray) -> Self:
-        """The same rows with some of the outputs."""
+    def of_outputs(self, outputs: np.ndarray) -> "Rows":
+        """The same rows, merged ones, with some of the outputs."""
         # In the order of memory that they have where these outputs are all there are.
-        Y, within = (np.ascontiguousarray(a[:, outputs]) for a in (self.Y, self.within))
+        arrays: Any = self.Y, self.within
+        Y, within = (np.ascontiguousarray(a[:, outputs]) for a in arrays)
         return self._replace(Y=Y, within=within)
 
-    def merged(self) -> Self:
+    def merged(self) -> "Rows":
         """Repeated rows of a group as one, without rows of no weight, whatever their order.
 
         A row that says again what another has said, target and all, adds weight but is no further
@@ -103,16 +105,14 @@ class Rows(NamedTuple):
             about += self.within[kept]
         again = np.unique(np.column_stack([inverse, Y]), axis=0, return_index=True)[1]
         count = np.ones(len(kept)) if self.observed is None else self.observed[kept]
-        return self._make(
-            (
-                X[place],
-                mean,
-                total,
-                None if codes is None else codes[place],
-                (kept if self.first is None else self.first[kept])[place],
-                np.column_stack([np.bincount(inverse, column) for column in about.T]),
-                np.bincount(inverse[again], count[again]),
-            )
+        return Rows(
+            X[place],
+            mean,
+            total,
+            None if codes is None else codes[place],
+            first=(kept if self.first is None else self.first[kept])[place],
+            within=np.column_stack([np.bincount(inverse, column) for column in about.T]),
+            observed=np.bincount(inverse[again], count[again]),
         )
 
     def draw(self, size, random_state):
@@ -248,10 +248,8 @@ def distinct_rows(source, n_features, rng):
         return int(np.sum(rows.weights > 0)), rows.weights.sum(), sample
 
     def join(one, other):
-        both = (
-            None if a is None else np.concatenate([a, b])
-            for a, b in zip(one[2], other[2], strict=True)
-        )
+        pairs = zip(one[2], other[2], strict=True)
+        both: Any = (None if pair[0] is None else np.concatenate(pair) for pair in pairs)
         return one[0] + other[0], one[1] + other[1], cut(Rows(*both).merged())
 
     n, weight, sample = source.reduce(summary, join, 4 * n_features)

@@ -144,7 +144,8 @@ def search(
         spread = np.where(used, spread, 1.0)
         rows = data._replace(X=X - np.average(X, axis=0, weights=data.weights))
         task = Task(spread, used, q, isotropic, length_scale, alpha, constants, ranks)
-        return task, *map(rows.some, drawn)
+        few, many = map(rows.some, drawn)
+        return task, few, many
 
     def look(task, few, many):
         near = start is not None and (start.ranks is None) == (task.ranks is None)
