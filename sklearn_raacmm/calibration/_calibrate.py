@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration._checks import (
@@ -22,18 +21,10 @@ from sklearn_raacmm.calibration._checks import (
     wrong_units,
 )
 from sklearn_raacmm.calibration._findings import findings_of_fit, outliers
-from sklearn_raacmm.calibration._fit import (
-    NOT_EVALUATED,
-    WEIGHTS,
-    Fit,
-    doubt_limit,
-    outlier_limit,
-    triangle,
-)
+from sklearn_raacmm.calibration._fit import UNKNOWN_PLACE_MM, WEIGHTS, Fit
 from sklearn_raacmm.calibration._labels import MOST_ROWS, places_of
-from sklearn_raacmm.calibration._observability import observability
-from sklearn_raacmm.calibration._problem import UNKNOWN_PLACE_MM, in_brackets
-from sklearn_raacmm.calibration._result import ANGLES, CalibrationResult
+from sklearn_raacmm.calibration._result import CalibrationResult
+from sklearn_raacmm.calibration._worth import result_of
 from sklearn_raacmm.measurements import Measurements, find_poses, within_turn
 from sklearn_raacmm.utils import (
     Finding,
@@ -45,13 +36,8 @@ from sklearn_raacmm.utils import (
     stage,
 )
 
-# A parameter whose standard deviation the data did not halve is the prior's, not the data's.
-_IDENTIFIED = 0.5
 # Priors beyond these are a slip of the pen, or would overflow: hold a field by leaving it out.
 _LEAST_PRIOR, _LARGEST_PRIOR = 1e-9, 1e9
-# What counts as knowing nothing of a base, a reach and a turn of one radian; its coordinates.
-_BASE_MM, _BASE_RAD = UNKNOWN_PLACE_MM, 1.0
-_BASE = ("rx", "ry", "rz", "x", "y", "z")
 # A correction depends on the probe that is fitted through it: two rounds as a rule.
 _MOST_MOVES, _SETTLED_MM = 5, 1e-6
 _NO_LABELS = "give groups, the label of each row, or points that were measured."
@@ -248,7 +234,7 @@ def calibrate(
     if asked is not None:
         _settle(fit, correction, asked)
         bare = fit.of(correction=None)
-    of_poses = _result(fit, before_all, before)
+    of_poses = result_of(fit, before_all, before)
     rows = [np.flatnonzero(poses.pose == i).tolist() for i in of_poses.outliers]
     result = replace(
         of_poses,
@@ -300,90 +286,5 @@ def _settle(fit, correction, asked):
         moved = predicted(correction, asked, problem, probes)
         if np.abs(moved - fit.correction).max() < _SETTLED_MM:
             return
-        fit.correction, fit.evaluated = moved, NOT_EVALUATED
+        fit.correct(moved)
         fit.run()
-
-
-def _result(fit, given, before):
-    """Everything that is to be known of a fit that has settled."""
-    problem = fit.problem
-    stations = in_brackets(problem.station_labels, problem.n_stations)
-    names = [*fit.names, *(f"base_{c}{at}" for at in stations for c in _BASE)]
-    values, bases = fit.x.copy(), []
-    for s, rotation in enumerate(fit.rotations):
-        turn, shift = np.split(fit.base_columns(s), 2)
-        values[turn] = Rotation.from_matrix(rotation).as_rotvec()
-        bases.append((rotation, values[shift]))
-    groups = None
-    if problem.points is None:
-        groups = problem.labels[problem.index[problem.poses.pose]]
-    # Outliers are farther from their weighted mean: the plain one, they draw towards themselves.
-    robust = fit.as_of_three(fit.robust_distances())
-    informative = robust[problem.informative]
-    limit = float(outlier_limit(informative, fit.sigma))
-    farthest = np.argsort(-robust, kind="stable")
-    doubtful = robust > min(limit, doubt_limit(informative, fit.sigma))
-    outliers = [int(i) for i in farthest if robust[i] > limit]
-    if outliers:  # of touches that show one coordinate a shorter distance is as rare
-        limit = min(limit, float(fit.robust_distances()[outliers].min()))
-    return CalibrationResult(
-        arm=fit.arm(),
-        names=tuple(names),
-        nominal=np.r_[fit.nominal, np.full(len(names) - len(fit.names), np.nan)],
-        values=values,
-        prior_sd={kind: float(sd) for kind, sd in zip(fit.kind, fit.prior_sd, strict=True)},
-        n_coordinates=max(problem.n_coordinates, 0),
-        scatter_given_mm=float(given),
-        scatter_before_mm=float(before),
-        scatter_after_mm=float(fit.distances().mean()),
-        residuals_mm=fit.residuals(fit.first_weights()),
-        length_errors_mm=fit.length_errors(),
-        length_sd_mm=fit.sd_of_errors(),
-        sigma_mm=float(fit.sigma),
-        outliers=tuple(outliers),
-        outlier_limit_mm=limit,
-        sample_weight=np.where(doubtful, 0.0, 1.0),
-        groups=groups,
-        features=problem.stated,
-        arms={label: fit.arm(i) for i, label in enumerate(problem.tool_labels)},
-        bases=dict(zip(problem.station_labels, bases, strict=False)),
-        base_rotation=bases[0][0] if bases else None,
-        base_translation=bases[0][1] if bases else None,
-        converged=fit.converged,
-        **_identified(fit, names),
-    )
-
-
-def _identified(fit, names):
-    """What the data say of the free parameters, as fields of a `CalibrationResult`."""
-    mask = fit.free_mask(fit.is_free)
-    free_names = [name for name, is_in in zip(names, mask, strict=True) if is_in]
-    angle = np.array([name.startswith(ANGLES) for name in names])
-    wide = np.where(angle, _BASE_RAD, _BASE_MM)
-    wide[: len(fit.nominal)] = fit.prior_sd
-    per_reach = angle | np.array([name.startswith("scale") for name in names])
-    unit = np.where(per_reach, 1 / max(fit.nominal_arm.reach_mm, 1e-3), 1.0)
-    n_rows, root = 3 * len(fit.angles) + len(fit.problem.lengths), np.zeros((0, 0))
-    if mask.any():
-        root = triangle(fit.rows(fit.x, mask, with_prior=False))[:, :-1]
-    seen = observability(root, n_rows, free_names, wide[mask], unit[mask], fit.sigma)
-    sd, is_free = np.zeros(len(mask)), mask[: len(fit.nominal)]
-    covariance = fit.covariance(mask) if mask.any() else np.zeros((0, 0))
-    larger = fit.scaled_by_misfit(mask) if mask.any() else 0.0
-    sd[mask] = np.sqrt(np.diag(covariance))
-    scale, of_free = fit.scale[is_free], slice(0, is_free.sum())
-    corrected = float(np.sqrt(scale @ covariance[of_free, of_free] @ scale))
-    scale_sd = float(np.hypot(corrected, np.linalg.norm(larger)))
-    prior = float(np.linalg.norm(scale * fit.prior_sd[is_free]))
-    scale_is_open = prior > 0 and corrected > _IDENTIFIED * prior
-    if seen["rank"] and fit.problem.n_coordinates <= seen["rank"]:  # nothing to tell noise from
-        sd[mask], scale_sd, corrected = np.nan, np.nan, np.nan
-    is_open = mask & ~(sd <= _IDENTIFIED * wide) & ~np.isnan(sd)
-    unidentified = tuple(name for name, is_in in zip(names, is_open, strict=True) if is_in)
-    return seen | {
-        "standard_deviations": sd,
-        "unidentified": unidentified + (("scale",) if scale_is_open else ()),
-        "n_free": len(free_names),
-        "scale_sd": scale_sd,
-        "scale_sd_corrected": corrected,
-    }

@@ -5,8 +5,8 @@
 
 import numpy as np
 
-from sklearn_raacmm.calibration._problem import rows_of
-from sklearn_raacmm.measurements import UNITS, angle_faults, touch_findings
+from sklearn_raacmm.calibration._fit import rows_of
+from sklearn_raacmm.measurements import UNITS, angle_faults
 from sklearn_raacmm.utils import Finding
 
 # Spread of measured points over that of the arm's: beyond, one of them is in another unit.
@@ -27,10 +27,10 @@ def check_measured(arm, measured):
         raise ValueError("there are neither groups nor points: nothing says where the probe was.")
     labels, given = measured.labels.tolist(), measured.index[measured.poses.pose]
     if measured.features:
-        for finding in touch_findings(measured.features, measured.index, None, labels):
+        for finding in measured.touched.few(labels):
             finding.report()
     count = np.bincount(given)
-    if measured.n_informative == 0:
+    if not measured.informative.any():
         what = "pose" if count.max() > 1 else "point"
         groups = "each group has" if what == "pose" else f"each of the {len(labels)} groups has"
         raise ValueError(f"{groups} one {what}: none can scatter.")

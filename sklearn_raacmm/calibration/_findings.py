@@ -5,12 +5,12 @@
 
 import numpy as np
 
-from sklearn_raacmm.calibration._fit import MAX_ROUNDS
+from sklearn_raacmm.calibration._fit import FOUND, MAX_ROUNDS, table_jacobian
 from sklearn_raacmm.calibration._labels import MUCH_SCATTER_MM, label_findings
 from sklearn_raacmm.calibration._lengths import wrong_lengths
-from sklearn_raacmm.calibration._problem import FOUND, pack, table_jacobian
 from sklearn_raacmm.calibration._result import ANGLES
 from sklearn_raacmm.calibration._set_ups import moved_set_up, thinned
+from sklearn_raacmm.calibration._worth import covariance_of
 from sklearn_raacmm.measurements import PRICE, base_motions, moved_positions
 from sklearn_raacmm.utils import Finding, encode_groups, row_numbers
 
@@ -73,7 +73,7 @@ def findings_of_fit(fit, result, bare, poses):
         yield from _harm(fit.distances(), bare.distances())
     if result.groups is not None:
         groups, left = result.groups[poses.first], result.residuals_mm
-        held = np.flatnonzero(np.broadcast_to(fit.problem.n_shown, len(left)) == 3)  # no touches
+        held = np.flatnonzero(fit.problem.n_shown == 3)  # no touches
         held = held[thinned(fit.problem.index[held], len(held))]
         turns = fit.nominal_arm.phases(fit.angles[held])
         yield from moved_positions(left[held], turns, groups[held], poses.first[held])
@@ -94,13 +94,14 @@ def _few_rows(problem, rank, n_free):
     n, spare = problem.n_coordinates, problem.n_coordinates - rank
     if not n_free or spare >= rank:
         return
-    rows = int(np.ceil((n + rank - spare) / n * problem.n_informative))
+    n_points = np.count_nonzero(problem.informative)
+    rows = int(np.ceil((n + rank - spare) / n * n_points))
     what = "measured points" if problem.points is not None else "groups of points"
     known = "The noise, and with it every standard deviation, is unknown."
     if spare > 0:
         known = "Noise and standard deviations are hardly known; other poses may be far off."
     text = (
-        f"{problem.n_informative} {what} give {max(n, 0)} coordinates for {n_free} free "
+        f"{n_points} {what} give {max(n, 0)} coordinates for {n_free} free "
         f"parameters, of which they could show {rank}: {max(spare, 0)} are left to check them "
         f"with. {known}"
     )
@@ -203,11 +204,10 @@ def _harm(corrected, bare):
 
 def _poses_alike(fit):
     """Away from the poses of the test little more is known of the arm than its table says."""
-    mask = fit.free_mask(fit.is_free)
-    arm, n = fit.arm(), len(pack(fit.nominal_arm))
-    is_free = mask[:n]
+    arm, n = fit.arm(), np.count_nonzero(fit.kind != "probe_mm") + 3
+    is_free = fit.is_free[:n]
     # Of too few rows another finding tells.
-    if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * mask.sum():
+    if not is_free[:-3].any() or fit.problem.n_coordinates < 2 * fit.mask.sum():
         return
     angles = arm.random_poses(_TRIED)
     angles[:, fit.still] = fit.angles[0, fit.still]
@@ -219,7 +219,7 @@ def _poses_alike(fit):
     base = np.linalg.qr(np.concatenate(free, axis=2).reshape(3 * _TRIED, -1))[0]
     jac = jac.reshape(3 * _TRIED, -1)
     jac = (jac - base @ (base.T @ jac))[:, is_free]
-    covariance = fit.covariance(mask)[: is_free.sum(), : is_free.sum()]
+    covariance = covariance_of(fit)[: is_free.sum(), : is_free.sum()]
     if not np.all(np.isfinite(covariance)):
         return
     known, table = (

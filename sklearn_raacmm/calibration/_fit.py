@@ -1,4 +1,4 @@
-"""The fit under `calibrate`: parameters, residuals, weights, and what they are worth."""
+"""The fit under `calibrate`: parameters, residuals, and the weights and variances they imply."""
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
@@ -11,42 +11,33 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtri
 from scipy.stats import chi, norm
 
 from sklearn_raacmm.arm import FIELDS
-from sklearn_raacmm.calibration._problem import (
-    FOUND,
-    LONG_SHARE,
-    SLIDE_SCALE,
-    UNKNOWN_PLACE_MM,
-    are_long,
-    in_brackets,
-    pack,
-    rows_of,
-    table_jacobian,
-    unpack,
-)
 from sklearn_raacmm.calibration._result import ANGLES
-from sklearn_raacmm.measurements import (
-    STILL_MM,
-    base_motions,
-    known_length,
-    linearised,
-    touch_weights,
-    whitening,
-    with_forms,
-)
-from sklearn_raacmm.utils import (
-    align,
-    centred,
-    chunks,
-    group_means,
-    group_sums,
-    robust_scale,
-    slip_factors,
-)
+from sklearn_raacmm.measurements import STILL_MM, Whitening, base_motions
+from sklearn_raacmm.utils import align, centred, chunks, group_sums, robust_scale, slip_factors
 
+# Kinds of parameters, by the name of their prior standard deviation, and how it is found: a guess,
+# how many parameters that were seen the guess is worth, and its bounds
+# (``benchmarks/bench_lengths.py scale``).
+FOUND: dict[str, Any] = {
+    "length_mm": (0.4, 1.0, 0.01, 10.0),
+    "angle_rad": (0.003, 4.0, 1e-4, 0.02),
+    "probe_mm": None,
+    "short_length_mm": (0.3, 4.0, 0.01, 100.0),
+    # Where an axis that slides begins, and its direction: a robot is put on a rail by eye.
+    "slide_mm": (3.0, 1.0, 0.01, 100.0),
+    "slide_rad": (0.005, 1.0, 1e-4, 0.1),
+    "slide_scale": None,
+}
+# Standard deviation of the scale of a joint that slides, as a part of it: a choice.
+_SLIDE_SCALE = 3e-4
+# A long length has at least this part of the longest.
+_LONG_SHARE = 0.25
+# What counts as knowing nothing of the place of base and probe, mm at the probe. Any larger number
+# gives the same: nine freedoms that a few poses determine.
+UNKNOWN_PLACE_MM = 1000.0
 # Weight of a point whose distance is u standard deviations of one coordinate.
 WEIGHTS = {
     "squared": np.ones_like,
@@ -68,11 +59,8 @@ _LEAST_PIVOT = 1e-8
 # Rows whose Jacobian is made at a time, and most rows of which it is held for the next look: 11 MB
 # for 27 parameters. Of more rows sums over blocks are held, and a few numbers of each row.
 _BLOCK, _HELD = 4096, 2**14
-# Where the search for the size of what the table does not explain begins, rad, and its steps; a
-# part of the reach that is near.
-_MISFIT_RAD, _MISFIT_ROUNDS, _NEAR_SHARE = 1e-4, 30, 0.1
-# What is held of parameters that were looked at, before any was: see `Fit.located`.
-NOT_EVALUATED: Any = None, None, None
+# Where the search for the size of what the table does not explain begins, rad, and its steps.
+_MISFIT_RAD, _MISFIT_ROUNDS = 1e-4, 30
 # A row that a fit can follow freely shows no noise: its distance is enlarged tenfold at most.
 _MOST_LEVERAGE = 0.99
 # Share of the sets without outliers in which rows may be named: half by chance, and 0.01 where the
@@ -85,9 +73,9 @@ _TAIL = 0.9
 class Fit:
     """State of the fit.
 
-    The parameters x are the table, the probe of each tool, and the base (rotation vector and shift)
-    of each station; beside them stand the weights of the rows, `sigma` (mm), and the prior standard
-    deviations.
+    The parameters x are the table, scales of what slides, the probe of each tool, and the base
+    (rotation vector and shift) of each station; beside them stand the weights of the rows, `sigma`
+    (mm), and the prior standard deviations.
 
     `priors` are standard deviations of lengths (mm), angles (rad) and the probe (mm); "auto" is
     found by the evidence.
@@ -97,82 +85,90 @@ class Fit:
         self, arm, problem, loss, free=FIELDS, priors=("auto", "auto", UNKNOWN_PLACE_MM),
         correction=None,
     ):  # fmt: skip
-        self.nominal_arm, self.angles = arm, problem.angles
-        self.problem: Any = problem
-        self.correction: Any = correction
+        self.nominal_arm, self.problem, self.angles = arm, problem, problem.angles
         self.loss, self.free, self.priors = loss, free, priors
-        # Joints that slide, but stand still in all rows.
-        ways = np.ptp(self.angles, axis=0) if len(self.angles) else np.zeros(arm.n_joints)
+        self.correct(correction)
         self.turning = np.setdiff1d(np.arange(arm.n_joints), arm.slides)
-        self.still = [i for i in arm.slides if ways[i] < STILL_MM]
-        self._name_parameters(free)
-        nominal = self.nominal
-        self.x = nominal.copy()
-        self.converged = False
-        self.sigma = 1.0  # mm, until rows are weighed
+        # Joints that slide, but stand still in all rows.
+        self.still = [i for i in arm.slides if np.ptp(self.angles[:, i]) < STILL_MM]
+        self._name_parameters()
+        self.x, self.sigma, self.converged = self.nominal.copy(), 1.0, False
         self.weights: Any = np.ones(len(self.angles))
-        self.evaluated: Any = NOT_EVALUATED
-        # The common scale of the long links, each as much as the data feel it: an offset along the
-        # first axis, which a single-point test cannot feel, has no say. Where points were measured
-        # all rows are beside one mean.
-        every = np.ones(len(nominal), dtype=bool)
-        index = np.zeros(len(self.angles), dtype=int) if problem.n_stations else problem.index
-        at = self.touched(self.x, every, index)
-        parts = self._beside_touched(self.x, every, at, index)
-        felt: Any = sum(np.square(left[:, :, :-1]).sum(axis=(0, 1)) for _, left in parts)
+        # Where points were measured all rows are beside one mean.
+        self.index = np.zeros(len(self.angles), int) if problem.n_stations else problem.index
+        self.scale = self._common_scale()
         points, places = self.points(), []  # first guess of every base
         for s in range(problem.n_stations):
             rows = rows_of(problem.stations, s)
             places.append(align(points[rows], problem.points[rows]))
         self.rotations = np.array([rotation for rotation, _ in places])
         self.x = np.concatenate([self.x, *([0, 0, 0, *shift] for _, shift in places)])
-        length = np.zeros_like(nominal)
-        long = self.kind == "length_mm"
-        length[long] = felt[long] * nominal[long]
-        slides = self.kind == "slide_scale"
-        if slides.any():  # beside the ways that they go short links carry no scale
-            length[slides] = felt[slides] * nominal[slides]
-            carried = length * nominal
-            length[carried < LONG_SHARE**2 * carried.max()] = 0.0
-        total = length @ nominal
-        self.scale = length / total if total > 0 else length
         self.reset_weights()
 
-    def _name_parameters(self, free):
+    def _name_parameters(self):
         """Names, nominal values, kinds and priors of the table and of the probe of each tool."""
-        arm, problem = self.nominal_arm, self.problem
-        tools = in_brackets(problem.tool_labels, problem.n_tools)
+        arm, slides, problem = self.nominal_arm, self.nominal_arm.slides, self.problem
+        probes = in_brackets(problem.tool_labels, problem.n_tools)
         self.names = [f"{f}{i + 1}" for f in FIELDS[:-1] for i in range(arm.n_joints)]
-        self.nominal = np.concatenate([pack(arm), *[arm.probe] * (len(tools) - 1)])
-        lengths = np.array([not name.startswith(ANGLES) for name in self.names])
-        kind = np.full(len(lengths), "angle_rad", dtype=object)
-        slides = arm.slides
-        of_slides = np.isin(np.arange(len(kind)) % arm.n_joints, slides)
+        table = np.concatenate([getattr(arm, name) for name in FIELDS[:-1]])
+        is_length = np.array([not name.startswith(ANGLES) for name in self.names])
+        of_slides = np.isin(np.arange(len(table)) % arm.n_joints, slides)
         # Where a slide stands says nothing of how long links are.
-        long = are_long(np.where(of_slides, 0.0, pack(arm)[: len(lengths)])[lengths])
-        kind[lengths] = np.where(long, "length_mm", "short_length_mm")
-        is_free = np.repeat(np.isin(FIELDS[:-1], list(free)), arm.n_joints)
-        if slides:
-            kind[of_slides] = np.where(lengths, "slide_mm", "slide_rad")[of_slides]
-            self.names += [f"scale{i + 1}" for i in slides]
-            kind = np.r_[kind, ["slide_scale"] * len(slides)]
-            scales = [i not in self.still and "d" in free for i in slides]
-            is_free = np.r_[is_free, np.array(scales, dtype=bool)]
-        n_probes = 3 * len(tools)
-        self.names += [f"probe_{axis}{label}" for label in tools for axis in "xyz"]
-        self.kind = np.r_[kind, ["probe_mm"] * n_probes]
-        self.is_free = np.r_[is_free, np.full(n_probes, "probe" in free)]
+        size = np.where(is_length & ~of_slides, np.abs(table), 0.0)
+        kind = np.where(size >= _LONG_SHARE * size.max(), "length_mm", "short_length_mm")
+        kind = np.where(is_length, kind, "angle_rad").astype(object)
+        kind[of_slides] = np.where(is_length, "slide_mm", "slide_rad")[of_slides]
+        is_free = np.repeat(np.isin(FIELDS[:-1], list(self.free)), arm.n_joints).tolist()
+        self.names += [f"scale{i + 1}" for i in slides]
+        self.names += [f"probe_{axis}{label}" for label in probes for axis in "xyz"]
+        self.kind = np.r_[kind, ["slide_scale"] * len(slides), ["probe_mm"] * 3 * len(probes)]
+        is_free += [i not in self.still and "d" in self.free for i in slides]
+        self.is_free = np.array(is_free + ["probe" in self.free] * 3 * len(probes))
+        scales = np.abs(arm.joint_signs[slides])
+        self.nominal = np.concatenate([table, scales, *[arm.probe] * len(probes)])
         # Kinds whose common prior standard deviation is found by the evidence, and what counts.
         length, *_ = self.priors
-        given = *self.priors, length, "auto", "auto", SLIDE_SCALE
+        given = *self.priors, length, "auto", "auto", _SLIDE_SCALE
         priors = dict(zip(FOUND, given, strict=True))
         self.found = {kind: FOUND[kind] for kind, sd in priors.items() if sd == "auto"}
         sds = priors | {kind: guess for kind, (guess, *_) in self.found.items()}
         self.prior_sd = np.array([sds[kind] for kind in self.kind], dtype=float)
 
+    def _common_scale(self):
+        """Parts (n_parameters,) of the common scale of the long links, by which residuals count.
+
+        Each link as much as the data feel it: an offset along the first axis, which a single-point
+        test cannot feel, has no say.
+        """
+        every = np.ones(len(self.nominal), dtype=bool)
+        parts = self._beside_touched(self.x, every, self.touched(self.x, every))
+        felt: Any = sum(np.square(left[:, :, :-1]).sum(axis=(0, 1)) for _, left in parts)
+        slides = self.kind == "slide_scale"
+        length = np.where(slides | (self.kind == "length_mm"), felt * self.nominal, 0.0)
+        if slides.any():  # beside the ways that they go short links carry no scale
+            carried = length * self.nominal
+            length[carried < _LONG_SHARE**2 * carried.max()] = 0.0
+        total = length @ self.nominal
+        return length / total if total > 0 else length
+
+    @property
+    def mask(self):
+        """Free parameters of x."""
+        return self._with_bases(self.is_free)
+
+    def _with_bases(self, is_free):
+        """Free parameters of x: bases always are."""
+        return np.r_[is_free, np.ones(len(self.x) - len(is_free), bool)]
+
     def base_columns(self, station):
         """Columns of a station's base: rotation, then shift."""
         return len(self.nominal) + 6 * station + np.arange(6)
+
+    def correct(self, correction):
+        """Take other corrections (n, 3) of the points, mm, or None."""
+        self.correction: Any = correction
+        # Parameters that were looked at, the points there, and blocks of derivatives.
+        self.evaluated: Any = None, None, None
 
     def reset_weights(self):
         self.weights = np.ones(len(self.angles))
@@ -184,10 +180,9 @@ class Fit:
 
     def first_weights(self):
         """Weights of the rows by what they touched, without slips; None for measured points."""
-        index, points = self.problem.index, self.points()
         if self.problem.features:
-            return touch_weights(self.problem.features, index, points)
-        return None if self.problem.points is not None else slip_factors(points, index)
+            return self.problem.touched.weights(self.points())
+        return None if self.problem.n_stations else slip_factors(self.points(), self.index)
 
     def of(self, loss=None, free=None, **changes):
         """A fit of the same rows that has settled, with some of the problem changed."""
@@ -196,15 +191,23 @@ class Fit:
         return Fit(self.nominal_arm, problem, *how, self.priors, correction).run()
 
     def arm(self, tool=0):
-        return self.nominal_arm.replace(**unpack(self.x, self.nominal_arm, tool))
+        return self.nominal_arm.replace(**self._fields(self.x, tool))
 
-    def free_mask(self, is_free):
-        """Free parameters of x: bases always are."""
-        return np.r_[is_free, np.ones(len(self.x) - len(is_free), bool)]
+    def _fields(self, x, tool) -> dict[str, Any]:
+        """The fields of an arm, with the probe of a tool, by the parameters."""
+        arm, slides, start = (
+            self.nominal_arm,
+            self.nominal_arm.slides,
+            4 * self.nominal_arm.n_joints,
+        )
+        parts = [*np.split(x[:start], 4), x[start + len(slides) + 3 * tool :][:3]]
+        signs = np.sign(arm.joint_signs)
+        signs[slides] *= x[start : start + len(slides)]
+        return dict(zip(FIELDS, parts, strict=True)) | {"joint_signs": signs}
 
     def run(self, is_free=None):
         """Alternate least squares, and the weights and variances they imply, until they settle."""
-        mask = self.free_mask(self.is_free if is_free is None else is_free)
+        mask = self._with_bases(self.is_free if is_free is None else is_free)
         for rounds in range(MAX_ROUNDS):
             before = self.sigma
             if mask.any():
@@ -252,47 +255,38 @@ class Fit:
         the inverse root of the two takes a residual back to the size of the noise, in standard
         deviations.
         """
-        finite = np.zeros((len(covariance) + 1,) * 2)  # the last column are the residuals
-        finite[:-1, :-1] = np.where(np.isfinite(covariance), covariance, 0.0)
-        at, index = self.touched(self.x, mask), self.problem.index
+        finite = np.where(np.isfinite(covariance), covariance, 0.0)
+        at: Any = None if self.problem.n_stations else self.touched(self.x, mask)
         spread = np.empty(len(self.angles))
-        total = np.zeros(0) if index is None else np.bincount(index, self.weights)
-        for part, rows in self._weighted(self.x, mask, at):
-            taken = (rows.reshape(-1, len(finite)) @ finite).reshape(rows.shape)
-            taken = taken @ rows.swapaxes(1, 2)
+        total = np.bincount(self.index, self.weights)
+        for part, rows in self._data(self.x, mask, at):
+            columns, left = rows[:, :, :-1], rows[:, :, -1]
+            taken = (columns.reshape(-1, len(finite)) @ finite).reshape(columns.shape)
+            taken = taken @ columns.swapaxes(1, 2)
             if self.problem.features:
                 basis = at[-1].basis[part]
                 taken += basis @ basis.swapaxes(1, 2)
-            elif self.problem.points is None:
-                own = self.weights[part] / total[self.problem.index[part]]
+            elif not self.problem.n_stations:
+                own = self.weights[part] / total[self.index[part]]
                 taken += own[:, None, None] * np.eye(3)
             values, axes = np.linalg.eigh(taken)
-            along = np.einsum("nji,nj->ni", axes, rows[:, :, -1])
+            along = np.einsum("nji,nj->ni", axes, left)
             along /= np.sqrt(1 - np.clip(values, 0, _MOST_LEVERAGE))
             spread[part] = np.linalg.norm(along, axis=1)
         return spread
 
     def _weigh(self, spread=None):
         """Standard deviations of the data, and the weights of the rows."""
-        distances = self.robust_distances()
+        distances, used = self.robust_distances(), self.problem.informative
         seen = distances if spread is None else spread * self.sigma / np.sqrt(self.weights)
-        shown = np.broadcast_to(self.problem.n_shown, len(seen))
-        seen, shown = seen[self.problem.informative], shown[self.problem.informative]
         if self.loss == "squared":
-            sigma = np.sqrt(np.mean(seen**2) / shown.mean())
+            sigma = np.sqrt(np.mean(seen[used] ** 2) / self.problem.n_shown[used].mean())
         else:
             # Outliers would shift the median to larger ones of the others.
-            seen = self._of_three(seen, shown)
+            seen = self.as_of_three(seen)[used]
             sigma = robust_scale(seen[seen <= doubt_limit(seen, 0.0)], 3)
         self.sigma = max(sigma, _MIN_SIGMA_MM)
         self.weights = WEIGHTS[self.loss](self.as_of_three(distances) / self.sigma)
-
-    @staticmethod
-    def _of_three(distances, shown):
-        """Distances (n,) of rows that show so many coordinates, with the median of three."""
-        if np.all(shown == 3):
-            return distances
-        return distances * np.sqrt(chdtri(3, 0.5) / chdtri(shown, 0.5))
 
     def as_of_three(self, distances):
         r"""Distances (n,) as rare among normal errors in space as those of their rows are.
@@ -301,9 +295,9 @@ class Fit:
         (Wilson and Hilferty, Proc. National Academy of Sciences 17, 1931).
         """
         k, used = self.problem.n_shown, self.problem.informative
-        if np.ndim(k) == 0:
+        if np.all(k == 3):
             return distances
-        sigma = max(robust_scale(self._of_three(distances, k)[used], 3), _MIN_SIGMA_MM)
+        sigma = max(robust_scale(distances[used], k[used]), _MIN_SIGMA_MM)
         part = 2 / (9 * k)
         z = (np.cbrt(np.square(distances / sigma) / k) - (1 - part)) / np.sqrt(part)
         longer = sigma * np.sqrt(3 * (1 - 2 / 27 + z * np.sqrt(2 / 27)) ** 3)
@@ -367,24 +361,26 @@ class Fit:
 
     def located_at(self, x, rows):
         """Corrected points (m, 3) of some rows, and their derivatives by table and probes."""
-        arm, problem, angles = self.nominal_arm, self.problem, self.angles[rows]
-        n_table, n_parameters = len(pack(arm)) - 3, len(self.nominal)
-        points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, n_parameters))
+        problem, angles, n_table = (
+            self.problem,
+            self.angles[rows],
+            self.kind.tolist().index("probe_mm"),
+        )
+        points, jac = np.empty((len(angles), 3)), np.zeros((len(angles), 3, len(self.nominal)))
         tools = None if problem.tools is None else problem.tools[rows]
         for tool in range(problem.n_tools):
             of, start = rows_of(tools, tool), n_table + 3 * tool
-            one = arm.on_trial(**unpack(x, arm, tool))
-            points[of], own = table_jacobian(one, angles[of])
-            jac[of, :, :n_table] = own[:, :, :n_table]
-            jac[of, :, start : start + 3] = own[:, :, n_table:]
+            arm = self.nominal_arm.on_trial(**self._fields(x, tool))
+            points[of], own = table_jacobian(arm, angles[of])
+            jac[of, :, :n_table], jac[of, :, start : start + 3] = np.split(own, [n_table], axis=2)
         if self.correction is not None:
             points -= self.correction[rows]
         return points, jac
 
-    def _free_columns(self, x, mask):
+    def free_columns(self, x, mask):
         """Yield blocks of rows, and derivatives by what is free, the points as the last column.
 
-        Where the mask is longer than x, those by what `_misfit` tries stand between.
+        Where the mask is longer than x, those by what `misfit` tries stand between.
         """
         free, joints = np.flatnonzero(mask[: len(self.nominal)]), self.turning
         for part, points, jac in self.located(x):
@@ -397,78 +393,75 @@ class Fit:
                 columns[1:1] = [turns * factor for factor in by]
             yield part, np.concatenate(columns, axis=2)
 
-    def touched(self, x, mask, index=None) -> Any:
-        """What was touched, and what the free parameters move it by; None for measured points.
+    def touched(self, x, mask) -> Any:
+        """What was touched, and what the free parameters move it by.
 
         Of cones these are the fixed points (n_points, 3) and their derivatives. Of other features,
         the forms, what the parameters move their unknowns by, the root of the covariance of these,
         and for `_beside_touched` what is left of the rows, what the unknowns explain of a Jacobian,
-        and the `Whitening`. `index` (n,) numbers the fixed points, where it is not the problem's.
+        and the `Whitening`.
         """
-        problem, weights = self.problem, self.weights
-        if index is None:
-            if problem.n_stations:
-                return None
-            index = problem.index
-        if problem.features:
-            rows, forms = with_forms(problem.features, index, self.points(x), weights)
-            known = rows.directions @ rows.unknowns
-            whitened: Any = whitening(weights, rows.directions, index, known)
+        weights, index = self.weights, self.index
+        if self.problem.features:
+            rows = self.problem.touched.linearised(self.points(x), weights)
+            whitened: Any = Whitening(weights, rows.directions, index, rows.unknowns)
             explained: Any = 0.0
-            for part, columns in self._free_columns(x, mask):
+            for part, columns in self.free_columns(x, mask):
                 columns = whitened.basis[part].swapaxes(1, 2) @ (whitened.root[part] @ columns)
                 explained = explained + group_sums(columns, index[part], None, len(whitened.unit))
             moves = whitened.unit @ explained[:, :, :-1]
-            return forms, moves, whitened.unit, rows, explained, whitened
+            return rows.forms, moves, whitened.unit, rows, explained, whitened
         # Sums of differences from the first row, so that a large mean costs no digits.
         total = np.maximum(np.bincount(index, weights), 1e-300)[:, None, None]
         first: Any = None
         sums: Any = 0.0
-        for part, columns in self._free_columns(x, mask):
+        for part, columns in self.free_columns(x, mask):
             first = columns[0] if first is None else first
             sums = sums + group_sums(columns - first, index[part], weights[part], len(total))
         means = sums / total + first
         return means[:, :, -1], means[:, :, :-1], means
 
-    def _beside_touched(self, x, mask, at, index):
+    def _beside_touched(self, x, mask, at):
         """Yield blocks of rows, and their residuals (m, 3) as the last column of their Jacobian."""
-        for part, rows in self._free_columns(x, mask):
+        for part, rows in self.free_columns(x, mask):
             if self.problem.features:
                 *_, touched, explained, whitened = at
                 rows = touched.directions[part] @ rows
-                rows -= whitened.moves[part] @ explained[index[part]]
+                rows -= whitened.moves[part] @ explained[self.index[part]]
                 rows[:, :, -1] = touched.residual[part]
             else:
-                rows -= at[2][index[part]]
+                rows -= at[2][self.index[part]]
             yield part, rows
 
-    def _data(self, x, mask, at):
-        """Yield blocks of rows, and residuals in mm of the data as the last column of the Jacobian.
-
-        Derivatives by the turn of a base are those by a small turn after it.
-        """
-        problem = self.problem
-        if problem.points is None:
-            slope = self.scale[mask[: len(self.scale)]]
-            scale, by_length = self.scale @ x, np.flatnonzero(slope)
-            for part, rows in self._beside_touched(x, mask, at, problem.index):
-                if scale > 0:
-                    rows /= scale
-                    rows[:, :, by_length] -= rows[:, :, -1:] * (slope[by_length] / scale)
-                yield part, rows
-            return
-        n_table = np.count_nonzero(mask[: len(self.nominal)])
-        for part, columns in self._free_columns(x, mask):
+    def _beside_points(self, x, mask):
+        """The same of measured points. Derivatives by the turn of a base are those after it."""
+        problem, n_table = self.problem, np.count_nonzero(mask[: len(self.nominal)])
+        for part, columns in self.free_columns(x, mask):
             rows = np.insert(columns, [n_table] * 6 * problem.n_stations, 0.0, axis=2)
             stations = None if problem.stations is None else problem.stations[part]
             for s in range(problem.n_stations):
                 of, shift = rows_of(stations, s), x[self.base_columns(s)[3:]]
                 rows[of] = self._rotation(x, s) @ rows[of]
-                turned, first = rows[of, :, -1], n_table + 6 * s
-                for i, axis in enumerate(np.eye(3)):
-                    rows[of, :, first + i] = np.cross(axis, turned)
-                rows[of, :, first + 3 : first + 6] = np.eye(3)
+                first = n_table + 6 * s
+                turns = base_motions(rows[of, :, -1], 1.0)
+                rows[of, :, first : first + 6] = np.roll(turns, 3, axis=2)
                 rows[of, :, -1] += shift - problem.points[part][of]
+            yield part, rows
+
+    def _data(self, x, mask, at):
+        """Yield blocks of rows, and their residuals as the last column of the Jacobian.
+
+        In standard deviations of the rows; `at` is what was `touched`.
+        """
+        slope = self.scale[mask[: len(self.scale)]]
+        scale, by_length = self.scale @ x[: len(self.scale)], np.flatnonzero(slope)
+        is_tracked = self.problem.n_stations
+        parts = self._beside_points(x, mask) if is_tracked else self._beside_touched(x, mask, at)
+        for part, rows in parts:
+            if scale > 0 and not is_tracked:
+                rows /= scale
+                rows[:, :, by_length] -= rows[:, :, -1:] * (slope[by_length] / scale)
+            rows *= (np.sqrt(self.weights[part]) / self.sigma)[:, None, None]
             yield part, rows
 
     def known(self, lengths, at):
@@ -486,29 +479,23 @@ class Fit:
         forms, moves, unit, *_ = at
         found, slopes, variance = np.zeros(len(one)), np.zeros((len(one), moves.shape[2])), []
         for k, (i, j) in enumerate(zip(one, other, strict=True)):
-            found[k], *sides = known_length(forms[i], forms[j])
+            found[k], *sides = forms[i].length_to(forms[j])
             sides = [side[: moves.shape[1]] for side in sides]
             slopes[k] = sides[0] @ moves[i] + sides[1] @ moves[j]
             ends = zip((i, j), sides, strict=True)
             variance.append(sum(np.square(side @ unit[end]).sum() for end, side in ends))
         return found, slopes, self.sigma * np.sqrt(np.array(variance))
 
-    def _weighted(self, x, mask, at):
-        """As `_data`, in standard deviations of the rows."""
-        for part, rows in self._data(x, mask, at):
-            rows *= (np.sqrt(self.weights[part]) / self.sigma)[:, None, None]
-            yield part, rows
-
     def rows(self, x, mask, with_prior=True):
         """Yield the Jacobian, in blocks (m, k + 1), in standard deviations, the residuals last.
 
         Of the data, then of the known lengths, then of the prior.
         """
-        at = self.touched(x, mask)
-        for _, rows in self._weighted(x, mask, at):
+        at = None if self.problem.n_stations else self.touched(x, mask)
+        for _, rows in self._data(x, mask, at):
             yield rows.reshape(-1, rows.shape[2])
         if self.problem.lengths:
-            yield self._length_rows(at)
+            yield self.length_rows(at)
         is_free = mask[: len(self.nominal)]
         if with_prior and is_free.any():
             prior = np.zeros((is_free.sum(), mask.sum() + 1))
@@ -516,7 +503,7 @@ class Fit:
             prior[:, -1] = ((x[: len(is_free)] - self.nominal) / self.prior_sd)[is_free]
             yield prior
 
-    def _length_rows(self, at):
+    def length_rows(self, at):
         """The rows of the known lengths, as `rows` yields them."""
         found, slopes, _ = self.known(self.problem.lengths, at)
         sds = self.length_sd / np.sqrt(self.length_weights)
@@ -530,16 +517,15 @@ class Fit:
         x = (self.x if x is None else x)[: len(self.nominal)]
         if not np.array_equal(self.evaluated[0], x):
             deque(self.located(x), maxlen=0)
-        held: Any = self.evaluated
-        return held[1].copy()
+        return self.evaluated[1].copy()
 
     def residuals(self, weights=None):
         """Differences (n, 3) in mm, in the arm's frame, not divided by the scale."""
         points, problem = self.points(), self.problem
         if problem.features:
             weights = np.ones(len(points)) if weights is None else weights
-            return linearised(problem.features, problem.index, points, weights).residual
-        if problem.points is None:
+            return problem.touched.linearised(points, weights).residual
+        if not problem.n_stations:
             return centred(points, problem.index, weights)
         for s in range(problem.n_stations):
             rows, shift = rows_of(problem.stations, s), self.x[self.base_columns(s)[3:]]
@@ -554,77 +540,44 @@ class Fit:
         """Distances (n,) in mm from the weighted mean of the group, which outliers do not pull."""
         return np.linalg.norm(self.residuals(self.weights), axis=1)
 
-    def length_errors(self):
-        """Lengths between the centres of groups less the known ones, and sizes, mm."""
-        if not self.problem.lengths:
-            return np.empty(0)
-        return self._off(self._found()[0])
+    def lengths_found(self):
+        """Errors of known lengths, between the centres of groups, and of sizes, mm.
 
-    def _found(self):
-        """Known lengths and sizes as they are found, their slopes, and the sds of their ends."""
+        And the standard deviations of their ends, mm, which the touches leave.
+        """
+        if not self.problem.lengths:
+            return np.empty(0), np.empty(0)
         none = np.zeros(len(self.x), dtype=bool)
-        return self.known(self.problem.lengths, self.touched(self.x, none))
+        found, _, sd_of_ends = self.known(self.problem.lengths, self.touched(self.x, none))
+        return self._off(found), sd_of_ends
 
     def _off(self, found):
         """Errors (n,) of lengths as found, mm: of the side of the probe's ball that fits best."""
-        errors = []
-        for value, entry, by in zip(found, self.problem.lengths, self.problem.offsets, strict=True):
-            off = value - entry[2] - by
-            errors.append(off[np.argmin(np.abs(off))])
-        return np.array(errors)
+        each = zip(found, self.problem.lengths, self.problem.offsets, strict=True)
+        return np.array([min(mm - entry[2] - by, key=abs) for mm, entry, by in each])
 
-    def centres(self):
-        """The fixed points (n_points, 3) in mm."""
-        return group_means(self.points(), self.problem.index, self.weights)
+    @property
+    def stated_sd(self):
+        """Standard deviations (n,) of the known lengths as they are stated, mm."""
+        return np.array([entry[3] for entry in self.problem.lengths], dtype=float)
 
     def _new_length_weights(self):
         # A wrong length (one hole of a plate beside the right one) must not bend the arm.
-        self.length_sd = np.array([entry[3] for entry in self.problem.lengths])
-        if self.problem.features and self.problem.lengths:
-            # Of fewer touches, of one coordinate each, sizes are not as sure as they are stated.
-            self.length_sd = np.hypot(self.length_sd, self._found()[2])
-        return WEIGHTS[self.loss](np.abs(self.length_errors()) / self.length_sd)
+        errors, sd_of_ends = self.lengths_found()
+        # Of fewer touches, of one coordinate each, sizes are not as sure as they are stated.
+        self.length_sd = np.hypot(self.stated_sd, sd_of_ends * bool(self.problem.features))
+        return WEIGHTS[self.loss](np.abs(errors) / self.length_sd)
 
-    def sd_of_errors(self):
-        """Standard deviations of the errors of known lengths, of the two ends as well, mm."""
-        if not self.problem.lengths:
-            return np.empty(0)
-        sd = np.hypot([entry[3] for entry in self.problem.lengths], self._found()[2])
-        # What the table does not explain is much the same in all touches of a feature.
-        return np.hypot(sd, self.sigma) if self.problem.features else sd
-
-    def covariance(self, mask):
-        """Posterior covariance of the free parameters; infinite where nothing is known.
-
-        What the table does not explain is much the same in all poses of one position. A position at
-        the end of known lengths is therefore no better known than one of its points.
-        """
-        covariance = inverse_normal(triangle(self.rows(self.x, mask))[:, :-1])
-        if self.problem.lengths and not self.problem.features:
-            slopes = self._length_rows(self.touched(self.x, mask))[:, :-1]
-            sd = np.array([entry[3] for entry in self.problem.lengths])
-            centres = self.centres()
-            ends = np.zeros((len(sd), *centres.shape))
-            for k, (i, j, *_) in enumerate(self.problem.lengths):
-                gap = centres[i] - centres[j]
-                ends[k, i] = gap / max(np.linalg.norm(gap), 1e-12)
-                ends[k, j] = -ends[k, i]
-            ends *= (np.sqrt(self.length_weights) * self.sigma / sd)[:, None, None]
-            finite = np.where(np.isfinite(covariance), covariance, 0.0)
-            spread = finite @ slopes.T @ ends.reshape(len(sd), -1)
-            covariance = covariance + spread @ spread.T
-        return covariance
-
-    def _misfit(self, mask):
+    def misfit(self, mask):
         r"""What the table does not explain, and what it moves the free parameters by.
 
         It is no noise: at poses that are alike it is much the same. Angles of joints that turn are
         taken to be off by a cosine and a sine of themselves, as an eccentric scale makes them, and
         by the lever of gravity: A w, of one variance by the evidence. With C their covariance the
         parameters move by :math:`-C J'A w`. Returned are w, its standard deviation before the data,
-        rad, and C J'A (k, n_w).
+        rad, C J'A (k, n_w), and the mask of parameters with w behind them.
         """
-        k, every = np.count_nonzero(mask), self._with_misfit(mask)
+        k, every = np.count_nonzero(mask), np.r_[mask, np.ones(3 * len(self.turning), dtype=bool)]
         root = triangle(self.rows(self.x, every))
         # Beside the parameters; the last row is what neither explains.
         axes, size, seen_by = np.linalg.svd(root[k:, k:-1].T, full_matrices=False)
@@ -638,11 +591,7 @@ class Fit:
         sd = np.sqrt(variance * (1 + 2 / max(share.sum(), 1e-300)))
         covariance = inverse_normal(root[:, :k])
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-        return -axes @ found, sd, covariance @ root[:k, :k].T @ root[:k, k:-1]
-
-    def _with_misfit(self, mask):
-        """A mask of parameters and of what `_misfit` tries beside them."""
-        return np.r_[mask, np.ones(3 * len(self.turning), dtype=bool)]
+        return -axes @ found, sd, covariance @ root[:k, :k].T @ root[:k, k:-1], every
 
     def _take_best_table(self, mask):
         """Of touches, go on to the table that serves best at their poses.
@@ -652,12 +601,12 @@ class Fit:
         both do: within every feature, and between their means, beside a motion of the base. Known
         lengths count, and the prior.
         """
-        misfit, _, pulled = self._misfit(mask)
-        every, index, k = self._with_misfit(mask), self.problem.index, pulled.shape[0]
+        misfit, _, pulled, every = self.misfit(mask)
+        index, k = self.index, pulled.shape[0]
         count = np.bincount(index)[:, None, None]
         means: Any = sum(
             group_sums(columns, index[part], None, len(count))
-            for part, columns in self._free_columns(self.x, every)
+            for part, columns in self.free_columns(self.x, every)
         )
         means = means / count
         base = base_motions(means[:, :, -1], self.nominal_arm.reach_mm).reshape(-1, 6)
@@ -665,10 +614,10 @@ class Fit:
 
         def rows():
             yield (flat - base @ (base.T @ flat)) / self.sigma
-            for part, columns in self._free_columns(self.x, every):
+            for part, columns in self.free_columns(self.x, every):
                 yield (columns - means[index[part]]).reshape(-1, flat.shape[1]) / self.sigma
             if self.problem.lengths:
-                yield self._length_rows(self.touched(self.x, every))
+                yield self.length_rows(self.touched(self.x, every))
 
         root = triangle(rows())[:, :-1]
         both = np.vstack([root[:, :k], np.diag(1 / self.prior_sd[mask])])
@@ -677,23 +626,29 @@ class Fit:
         x[mask] += np.linalg.lstsq(both, target, rcond=1e-12)[0] - pulled @ misfit
         self._take(x)
 
-    def scaled_by_misfit(self, mask):
-        """By which parts what the table does not explain enlarges distances between the points.
 
-        Of each of w of one standard deviation, with what the parameters do against it, (n_w,).
-        """
-        _, sd, moved = self._misfit(mask)
-        points, n_table = self.points(), np.count_nonzero(mask[: len(self.nominal)])
-        away = points - points.mean(axis=0)
-        slopes: Any = sum(
-            np.einsum("nc,ncp->p", away[part], columns[:, :, :-1])
-            for part, columns in self._free_columns(self.x, self._with_misfit(mask))
-        )
-        # Places that are all near one another show nothing of the scale.
-        least = len(away) * (_NEAR_SHARE * self.nominal_arm.reach_mm) ** 2
-        slopes /= max(np.square(away).sum(), least)
-        larger = slopes[n_table:] - slopes[:n_table] @ moved[:n_table]
-        return sd * larger
+def rows_of(numbers, one):
+    """Rows of one tool or station, by the number of each row (n,), or None: all are."""
+    return slice(None) if numbers is None else np.flatnonzero(numbers == one)
+
+
+def in_brackets(labels, n):
+    """What follows the names of the parameters of each of n tools or stations."""
+    return [f"[{label}]" for label in labels] or [""] * n
+
+
+def table_jacobian(arm, angles):
+    """Points (n, 3) in mm, and their derivatives (n, 3, n_parameters).
+
+    By the table, the scales of what slides, and the probe.
+    """
+    points, jac = arm.parameter_jacobian(angles)
+    if slides := arm.slides:
+        n = len(arm.a)
+        along = jac[:, :, 2 * n : 3 * n][:, :, slides]
+        scales = along * (np.sign(arm.joint_signs) * arm.own_angles(angles))[:, None, slides]
+        jac = np.concatenate([jac[:, :, : 4 * n], scales, jac[:, :, 4 * n :]], axis=2)
+    return points, jac
 
 
 def triangle(blocks):
@@ -729,15 +684,6 @@ def gauss_newton_step(sums, damping, blocks):
     return step, float(-slope @ step)
 
 
-def doubt_limit(distances, sigma):
-    """Distance beyond which a row is better not learned from, though it may be sound.
-
-    As `outlier_limit`, with the slope of the tail as it was found: three in ten of small sets
-    without outliers have a row beyond it, which costs a fit next to nothing.
-    """
-    return outlier_limit(distances, sigma, _FALSE_NAMES, 0.0)
-
-
 def inverse_normal(root):
     """Inverse of ``root.T @ root`` of a `triangle`; infinite variances where it is singular."""
     size = np.linalg.norm(root, axis=0)
@@ -751,6 +697,15 @@ def inverse_normal(root):
     open_ = np.abs(vectors[~known]).max(axis=0, initial=0.0) > 1e-6
     covariance[open_, open_] = np.inf
     return covariance
+
+
+def doubt_limit(distances, sigma):
+    """Distance beyond which a row is better not learned from, though it may be sound.
+
+    As `outlier_limit`, with the slope of the tail as it was found: three in ten of small sets
+    without outliers have a row beyond it, which costs a fit next to nothing.
+    """
+    return outlier_limit(distances, sigma, _FALSE_NAMES, 0.0)
 
 
 def outlier_limit(distances, sigma, false_names=_FALSE_NAMES / 2, n_sd=_SDS_OF_TAILS):

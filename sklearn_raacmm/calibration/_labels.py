@@ -11,7 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, pdist
 
-from sklearn_raacmm.measurements import PRICE, touch_findings
+from sklearn_raacmm.measurements import PRICE
 from sklearn_raacmm.utils import Finding, encode_groups, group_means, row_numbers
 
 # Places are farther apart than the points of a nominal arm scatter: of four real Pandas 40 mm give
@@ -88,16 +88,17 @@ def label_findings(fit, result, numbers) -> Iterator[Finding]:
     if fit.problem.points is None:
         labels = encode_groups(result.groups)[0]
         far = np.isin(np.arange(len(numbers)), result.outliers)
-        if kinds := fit.problem.features:
-            touched = fit.problem.index, fit.points(), labels.tolist(), fit.problem.lengths
-            yield from touch_findings(kinds, *touched)
+        if fit.problem.features:
+            known = fit.points(), labels.tolist(), fit.problem.lengths
+            yield from fit.problem.touched.findings(*known)
             yield from _no_readings(fit.angles, far, numbers)
             return
         right = _right_labels(fit) if result.typical_scatter_mm > MUCH_SCATTER_MM else None
         sigma = result.outlier_limit_mm / _LIMIT_SDS
         yield from _wrong_labels(fit, right, labels, numbers, far, sigma)
         yield from _no_readings(fit.angles, far, numbers)
-        yield from _same_places(fit.centres(), labels, fit.sigma)
+        centres = group_means(fit.points(), fit.index, fit.weights)
+        yield from _same_places(centres, labels, fit.sigma)
 
 
 def _right_labels(fit):

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sklearn_raacmm.calibration._worth import covariance_of, errors_of_lengths
 from sklearn_raacmm.measurements import UNITS, likeliest
 from sklearn_raacmm.utils import Finding, floats, listed
 
@@ -40,7 +41,7 @@ def wrong_lengths(fit, bare, labels):
 
     `bare` is the fit without them; `labels` name the positions.
     """
-    lengths, mask = fit.problem.lengths, bare.free_mask(bare.is_free)
+    lengths, mask = fit.problem.lengths, bare.mask
     best = [_BEST_MM + _BEST_SHARE * entry[2] for entry in lengths]
     if wrong := [entry for entry, sd in zip(lengths, best, strict=True) if entry[3] < sd]:
         said = ", ".join(f"{_ends(one, labels)} to {one[3]:g} mm" for one in wrong)
@@ -48,7 +49,7 @@ def wrong_lengths(fit, bare, labels):
         yield Finding("sd-of-lengths", text, "Look at its standard deviation in the certificate.")
     scales = [one.scale @ one.x[: len(one.scale)] for one in (fit, bare)]
     change = scales[0] / scales[1] - 1 if scales[1] > 0 else 0.0
-    covariance = bare.covariance(mask)
+    covariance = covariance_of(bare)
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     scale = np.append(bare.scale, np.zeros(len(mask) - len(bare.scale)))[mask]
     sd, causes, off = np.sqrt(scale @ covariance @ scale), [], 0.0
@@ -68,7 +69,7 @@ def wrong_lengths(fit, bare, labels):
         )
         yield Finding(causes[0][0], text, advice, "repair", size_mm=off)
         return
-    yield from disagreeing(lengths, fit.length_errors(), fit.sd_of_errors(), labels)
+    yield from disagreeing(lengths, *errors_of_lengths(fit), labels)
 
 
 def disagreeing(

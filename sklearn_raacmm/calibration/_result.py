@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm
-from sklearn_raacmm.measurements import check_features, linearised
+from sklearn_raacmm.measurements import Features
 from sklearn_raacmm.utils import Finding, Floats, centred, encode_groups, floats, slip_factors
 
 # What the names of parameters that are angles begin with.
@@ -235,9 +235,9 @@ class CalibrationResult:
         if groups is not None:
             labels, codes = encode_groups(groups, len(angles))
             named = labels.tolist()
-            kinds = check_features([one for one in self.features if one[0] in named], named)[0]
             if self.features:
-                return linearised(kinds, codes, shown).residual
+                given = [one for one in self.features if one[0] in named]
+                return Features.stated(given, named, codes).linearised(shown).residual
             return centred(shown, codes, slip_factors(shown, codes))
         points = floats("points", points, 3)
         if len(points) != len(angles):

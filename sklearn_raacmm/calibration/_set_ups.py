@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sklearn_raacmm.calibration._problem import rows_of
+from sklearn_raacmm.calibration._fit import rows_of
 from sklearn_raacmm.measurements import LEAST_ROWS, base_motions, best_split
 from sklearn_raacmm.utils import Finding, row_numbers
 

@@ -18,14 +18,7 @@ from sklearn_raacmm.arm import FIELDS, Arm
 from sklearn_raacmm.calibration import are_wrong, calibrate, disagreeing, places_of
 from sklearn_raacmm.correction._change import transferred_model
 from sklearn_raacmm.error_model import ArmResidualRegressor, check_extra
-from sklearn_raacmm.measurements import (
-    KINDS,
-    known_length,
-    linearised,
-    order_explained_by,
-    position_residuals,
-    with_forms,
-)
+from sklearn_raacmm.measurements import Features, order_explained_by, position_residuals
 from sklearn_raacmm.metrics import gauge_lengths
 from sklearn_raacmm.utils import (
     Finding,
@@ -81,7 +74,7 @@ class Data:
         # As long as they were when they were measured. Of a ball and itself it is its size.
         ends = labels.tolist()
         self.lengths = [(ends[i], ends[j], *of) for i, j, *of in measured.lengths]
-        kinds = zip(ends, [kind for kind, _ in measured.features or []], strict=False)
+        kinds = zip(ends, measured.features or [], strict=False)
         self.kinds = {label: kind for label, kind in kinds if kind != "cone"}
         self.n_shown = np.broadcast_to(measured.n_shown, len(codes))
         self.held = self.n_shown == 3
@@ -161,14 +154,9 @@ class Data:
         rows = np.arange(len(self.angles)) if rows is None else rows
         if self.points is not None:
             return rows, rows[:0]
-        labels, codes = np.unique(self.positions[rows], return_inverse=True)
-        alone = (np.bincount(codes, minlength=len(labels)) <= self._unknown(labels))[codes]
+        touched = self._touched(rows)[1]
+        alone = ~touched.scatter[touched.codes]
         return rows[~alone], rows[alone]
-
-    def _unknown(self, labels):
-        """How many of its touches the form of a feature takes, of each label; of a cone one."""
-        kinds = (self.kinds.get(label) for label in labels.tolist())
-        return np.array([KINDS[kind].n_unknowns if kind else 1 for kind in kinds], dtype=int)
 
     def blocks(self):
         """Block of each row: positions at one place, of one block, or joined by lengths are one."""
@@ -198,30 +186,30 @@ class Data:
         """Points (n, 3) that the calibrated arm shows in these rows, mm, in the base frame."""
         return calibration.arm.points_at(self.angles[rows], self.probes(calibration, rows))
 
-    def _forms(self, rows):
-        """Labels of these rows, their codes, and the kind of each label."""
+    def _touched(self, rows):
+        """Labels of these rows, and the `Features` that they name."""
         labels, codes = encode_groups(self.positions[rows])
-        return labels, codes, [(self.kinds.get(label, "cone"), None) for label in labels.tolist()]
+        return labels, Features([self.kinds.get(label, "cone") for label in labels.tolist()], codes)
 
     def about(self, points, rows, robust=False):
         """Points (n, 3) of these rows less the mean of their position, or the nearest of its form.
 
         Those that are not slips, if `robust`, decide on the form.
         """
-        _, codes, kinds = self._forms(rows)
+        touched = self._touched(rows)[1]
         if not self.kinds:
-            return centred(points, codes)
-        return linearised(kinds, codes, points, None if robust else np.ones(len(codes))).residual
+            return centred(points, touched.codes)
+        return touched.linearised(points, None if robust else np.ones(len(points))).residual
 
     def length_errors(self, points, rows, entries, robust=False):
         """Errors of known lengths, mm, in points (n, 3) of these rows."""
-        labels, codes, kinds = self._forms(rows)
         if not self.kinds:
             found = gauge_lengths(points, self.positions[rows], [entry[:2] for entry in entries])
         else:
-            forms = with_forms(kinds, codes, points, None if robust else np.ones(len(codes)))[1]
+            labels, touched = self._touched(rows)
+            forms = touched.linearised(points, None if robust else np.ones(len(points))).forms
             form = dict(zip(labels.tolist(), forms, strict=True))
-            found = [known_length(form[a], form[b])[0] for a, b, *_ in entries]
+            found = [form[a].length_to(form[b])[0] for a, b, *_ in entries]
         return np.subtract(found, [mm for _, _, mm, _ in self.at_centres(entries)])
 
     def at_centres(self, lengths):
@@ -239,10 +227,10 @@ class Data:
         left, std, surface = left.copy(), std.copy(), ~self.held & np.isfinite(left).all(axis=1)
         distance = np.linalg.norm(left[surface], axis=1)
         out = left[surface] / np.maximum(distance, 1e-300)[:, None]
-        labels, codes = np.unique(self.positions[surface], return_inverse=True)
-        n, unknown = np.bincount(codes), self._unknown(labels)
-        free = np.where(n > unknown, (n - unknown) / n, np.nan)
-        std[surface, 0] = np.linalg.norm(out * std[surface], axis=1) * np.sqrt(free[codes])
+        touched = self._touched(surface)[1]
+        n, unknown = np.bincount(touched.codes), touched.n_unknowns
+        free = np.where(n > unknown, (n - unknown) / n, np.nan)[touched.codes]
+        std[surface, 0] = np.linalg.norm(out * std[surface], axis=1) * np.sqrt(free)
         left[surface] = np.nan
         left[surface, 0] = np.where(np.isfinite(std[surface, 0]), distance, np.nan)
         return left, std

@@ -22,14 +22,7 @@ from sklearn_raacmm.error_model import (
     known_lengths,
     touched_rows,
 )
-from sklearn_raacmm.measurements import (
-    Measurements,
-    base_motions,
-    check_length,
-    known_length,
-    medians_of,
-    with_forms,
-)
+from sklearn_raacmm.measurements import Measurements, base_motions, check_length, medians_of
 from sklearn_raacmm.utils import centred, encode_groups, floats, listed
 
 # How far base and tool may be from where they were registered, mm at the probe: six times what the
@@ -102,18 +95,16 @@ def for_centres(measured: Measurements, points: np.ndarray) -> dict[str, Any]:
     Of lengths that may be longer for the probe's own ball, those that fit the points (n, 3) best.
     """
     labels, lengths, sizes = measured.labels.tolist(), [], {}
-    kinds = measured.features or [("cone", None)] * len(labels)
-    forms = with_forms(kinds, measured.index, points)[1] if measured.lengths else []
+    forms = measured.touched.linearised(points).forms if measured.lengths else []
     for (i, j, mm, sd), longer in zip(measured.lengths, measured.offsets, strict=True):
-        off = known_length(forms[i], forms[j])[0] - mm
+        off = forms[i].length_to(forms[j])[0] - mm
         centres = mm + float(longer[np.argmin(np.abs(off - longer))]), sd
         if i == j:
             sizes[i] = centres
         else:
             lengths.append((labels[i], labels[j], *centres))
-    features = [
-        (labels[i], kind, *sizes.get(i, ())) for i, (kind, _) in enumerate(kinds) if kind != "cone"
-    ]
+    kinds = enumerate(measured.touched.kinds)
+    features = [(labels[i], kind, *sizes.get(i, ())) for i, kind in kinds if kind != "cone"]
     groups = measured.labels[measured.index]
     return {"groups": groups, "lengths": lengths, "features": features}
 

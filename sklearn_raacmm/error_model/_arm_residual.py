@@ -32,7 +32,6 @@ from sklearn_raacmm.error_model._left_out import (
     with_students_quantile,
 )
 from sklearn_raacmm.error_model._linear_model import LinearModel
-from sklearn_raacmm.error_model._moved import moved_fading, moved_model, turns_of
 from sklearn_raacmm.measurements import PointCorrectionMixin
 from sklearn_raacmm.utils import (
     Floats,
@@ -510,8 +509,8 @@ class ArmResidualRegressor(PointCorrectionMixin):
         check_arm(arm)
         old = self.linear_model_
         moved = copy(self)
-        moved.arm, moved.linear_model_ = arm, moved_model(old, arm, stated)
-        moved.fading_ = moved_fading(self.fading_, old.arm, arm)
+        moved.arm, moved.linear_model_ = arm, old.moved(arm, stated)
+        moved.fading_ = self.fading_.moved(old.arm, arm)
         return moved
 
     def sample_y(
@@ -625,7 +624,7 @@ class ArmResidualRegressor(PointCorrectionMixin):
                 shift = in_rad.predict(rows)
                 if orientations is None:
                     return shift, None
-                return shift, in_rad.fading(rows)[:, None] * turns_of(linear, rows)
+                return shift, in_rad.fading(rows)[:, None] * linear.turns(rows)
 
         angles = angles_for(self.arm_, points, X[:, :n], orientations, correction)
         return self.arm_.in_unit(angles, self.angle_unit)

@@ -14,14 +14,11 @@ from sklearn_raacmm.arm import arm_for
 from sklearn_raacmm.error_model._columns import CAUSES, parsed
 from sklearn_raacmm.error_model._sums import Rows
 from sklearn_raacmm.measurements import (
-    check_features as check_touched,
+    Features,
     check_length,
     check_targets,
     find_dwells,
     found_positions,
-    touch_findings,
-    touch_weights,
-    with_forms,
 )
 from sklearn_raacmm.utils import (
     CENTRED,
@@ -121,18 +118,18 @@ def touched_rows(features, labels, codes, points, y, weights):
 
     And which rows are `held` in one point, (n,), and the `sizes` that are stated, as lengths.
     """
-    kinds, sizes = check_touched(features, labels.tolist())
-    weights = weights * touch_weights(kinds, codes, points)
-    rows, forms = with_forms(kinds, codes, points, weights)
-    held = np.array([kind == "cone" for kind, _ in kinds])
-    for finding in touch_findings(kinds, codes, points, labels.tolist()):
+    touched = Features.stated(features, labels.tolist(), codes)
+    weights = weights * touched.weights(points)
+    rows = touched.linearised(points, weights)
+    held = np.array([kind == "cone" for kind in touched.kinds])
+    for finding in touched.findings(points, labels.tolist()):
         finding.report()
     value, axes = np.linalg.eigh(rows.directions)
     shown = np.where(value[:, :, None] > 0.5, axes.swapaxes(1, 2), 0.0)
     y = np.where(held[codes][:, None], y, rows.residual)
-    of_surfaces = tuple(None if one else form for one, form in zip(held, forms, strict=True))
+    of_surfaces = tuple(None if one else form for one, form in zip(held, rows.forms, strict=True))
     of_rows = {"root": shown, "shown": shown, "unknowns": rows.unknowns, "forms": of_surfaces}
-    return y, of_rows | {"held": held[codes], "sizes": [entry[:4] for entry in sizes]}
+    return y, of_rows | {"held": held[codes], "sizes": [entry[:4] for entry in touched.sizes]}
 
 
 def _check_repeats(weights):

@@ -19,9 +19,9 @@ from itertools import compress, product
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dtrmm
 
 from sklearn_raacmm.arm import FIELDS, Arm, axis_vectors, joint_axes
-from sklearn_raacmm.error_model._factored import FactoredColumns, waves
 from sklearn_raacmm.utils import chunks
 
 ARCSEC = np.pi / 180 / 3600
@@ -52,9 +52,6 @@ _BASE = ("base_x", "base_y", "base_alpha", "base_beta")
 BASE_MOTIONS = ("d1", "theta_offset1", *_BASE)
 # Shorter lengths of the table do not grow: 1 mm of aluminium grows by 0.02 um per K.
 _LEAST_GROWING_MM = 1.0
-# Waves of one joint about one axis from which on a product per joint is faster than one selection
-# of all axes: ten times with 318 harmonics of a UR10.
-_LONG_RUN = 24
 # What the end of a cantilever under a load F there slopes by beside the turn F L^2 / (3 E I) that
 # moves it, in parts of that: F L^2 / (6 E I).
 _OF_END = 0.5
@@ -62,6 +59,8 @@ _OF_END = 0.5
 _OF_BASE_MM = 500.0
 # Poses of which all axes are held at a time, to take the levers of the joints from them: 4 MB.
 _CHUNK = 4096
+# Poses whose columns are made at a time for their product with coefficients.
+_POSES = 512
 # What a column may be: the word, and behind some the number of a joint or an axis.
 _NAME = re.compile(
     r"temperature|time|payload|base height"
@@ -345,6 +344,101 @@ def parsed(name, n_joints):
     return kind, "xyz".index(axis) if axis else int(joint or 0) - 1
 
 
+def waves(theta: np.ndarray, orders: np.ndarray, out: Any = None) -> np.ndarray:
+    """exp(i k theta), (n, n_orders) complex; orders 1 to K by doubling, those beyond one by one."""
+    n = int(np.count_nonzero(orders == np.arange(1, len(orders) + 1)))
+    if out is None:
+        out = np.empty((len(theta), len(orders)), dtype=complex)
+    if n:
+        out.real[:, 0], out.imag[:, 0] = np.cos(theta), np.sin(theta)
+    have = 1
+    while have < n:
+        more = min(have, n - have)
+        np.multiply(out[:, :more], out[:, have - 1 : have], out=out[:, have : have + more])
+        have += more
+    if n < len(orders):
+        phase = theta[:, None] * orders[n:]
+        np.cos(phase, out=out.real[:, n:])
+        np.sin(phase, out=out.imag[:, n:])
+    return out
+
+
+class FactoredColumns:
+    """Columns of the model at n poses, those of many waves of one joint as factors.
+
+    The waves of a joint share the vector by which a turn about its axis moves the probe. Products
+    with the columns are therefore taken with the waves first: one number for each pose, not three.
+    The waves (n, n_waves) come in runs, of which `spans` are the first and last columns and
+    `vectors` (n, 3, n_runs) what they share; `rest` (n, 3, m) are the columns after them.
+    """
+
+    def __init__(self, spans: list[Any], vectors: Any, waves: Any, rest: np.ndarray) -> None:
+        self.spans: list[Any] = spans
+        self.vectors: Any = vectors
+        self.waves: Any = waves
+        self.rest: np.ndarray = rest
+
+    def dot(self, coef: np.ndarray) -> np.ndarray:
+        """``columns @ coef``, (n, 3)."""
+        n, _, m = self.rest.shape
+        out = (self.rest.reshape(3 * n, m) @ coef[len(coef) - m :]).reshape(n, 3)
+        for i, (start, end) in enumerate(self.spans):
+            out += self.vectors[:, :, i] * (self.waves[:, start:end] @ coef[start:end])[:, None]
+        return out
+
+    def squares(self, root: "Root") -> np.ndarray:
+        """Squared lengths (n, 3) of ``columns @ half``, of which `root` is made."""
+        n, _, m = self.rest.shape
+        # One product of all rows takes a quarter of the time of one for each pose.
+        dots = root.product(self.rest.reshape(3 * n, m)).reshape(n, 3, -1)
+        if not self.spans:
+            return np.einsum("ncr,ncr->nc", dots, dots)
+        runs = [slice(*span) for span in self.spans]
+        shared = np.stack([self.waves[:, run] @ root.shared[run] for run in runs], axis=1)
+        dots += self.vectors @ shared
+        squares = np.einsum("ncr,ncr->nc", dots, dots)
+        for i, (run, covariance) in enumerate(zip(runs, root.beside, strict=True)):
+            products = self.waves[:, run] @ covariance
+            products *= self.waves[:, run.start :]
+            starts = [start - run.start for start, _ in self.spans[i:]]
+            of_pairs = np.add.reduceat(products, starts, axis=1)
+            both = self.vectors[:, :, i:] @ of_pairs[:, :, None]
+            squares += self.vectors[:, :, i] * both[:, :, 0]
+        return np.maximum(squares, 0.0, out=squares)
+
+
+class Root:
+    """A root (n_columns, r) of a covariance, arranged for `FactoredColumns.squares`.
+
+    Any root gives the same squares, and a triangle takes half of the products. Where waves come in
+    runs, the first columns of the triangle are those that the other columns of the model have:
+    `own` and, of the waves, `shared`. What the waves have beside that is taken by its covariance:
+    products of two waves are one number for each pose, not three. `beside` has a part for each run,
+    its rows and the columns from its first on: what stands behind the run counts twice.
+    """
+
+    def __init__(self, half: np.ndarray, spans: list[Any]) -> None:
+        m = len(half)
+        n_waves = spans[-1][1] if spans else 0
+        order = np.roll(np.arange(m), -n_waves)
+        root = np.asarray(np.linalg.qr(half[order].T, mode="r")).T
+        n_own = m - n_waves
+        self.own: np.ndarray = np.ascontiguousarray(root[:n_own, :n_own])
+        self.shared: np.ndarray = np.ascontiguousarray(root[n_own:, :n_own])
+        alone = root[n_own:, n_own:]
+        self.beside: list[np.ndarray] = []
+        for start, end in spans:
+            part = alone[start:end] @ alone[start:].T
+            part[:, end - start :] *= 2.0
+            self.beside.append(part)
+
+    def product(self, rows: np.ndarray) -> np.ndarray:
+        """``rows @ own``: of a triangle, half of the products are none."""
+        if self.own.shape[0] != self.own.shape[1]:
+            return rows @ self.own
+        return np.asarray(dtrmm(1.0, self.own.T, rows.T)).T
+
+
 def columns_of(arm: Arm, terms: Terms) -> "Columns":
     """Columns of an arm, which are made once."""
     return _alone(arm, *terms[1:]).with_harmonics(terms.harmonics)
@@ -460,13 +554,17 @@ class Columns:
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Columns at rows, (n, 3, n_columns)."""
-        plan = self._plan
-        out = np.empty((len(rows), 3, plan.rest + len(plan.which)))
-        found = self.factored(rows, out[:, :, plan.rest :])
+        out = np.empty((len(rows), 3, self.n_waves + len(self.others)))
+        found = self.factored(rows, out[:, :, self.n_waves :])
         for i, (start, end) in enumerate(found.spans):
             vector, waves = found.vectors[:, :, i, None], found.waves[:, None, start:end]
             np.multiply(vector, waves, out=out[:, :, start:end])
         return out
+
+    def dot(self, rows: np.ndarray, coef: np.ndarray) -> np.ndarray:
+        """``columns @ coef`` at rows, (n, 3), a few of them at a time."""
+        parts = chunks(len(rows), _POSES)
+        return np.concatenate([self.factored(rows[part]).dot(coef) for part in parts])
 
     def factored(self, rows: np.ndarray, out: np.ndarray | None = None) -> FactoredColumns:
         """Columns at rows, not multiplied out; the rest of them in `out`, where that is given."""
@@ -474,22 +572,24 @@ class Columns:
         angles, values, probes = self._parts(rows)
         vectors, places = axis_vectors(self.arm, angles, probes)
         phase = self.arm.phases(angles)
-        wave = np.empty((len(angles), plan.rest + 2 * len(plan.wave_order)))
+        wave = np.empty((len(angles), self.n_waves))
         for start, end in plan.spans:
             joint, orders = self.terms.harmonics[start // 2 : end // 2].T
             waves(phase[:, joint[0]], orders, wave[:, start:end].view(complex))
-        phase = phase[:, plan.wave_joint] * plan.wave_order
-        np.cos(phase, out=wave[:, plan.rest :: 2])
-        np.sin(phase, out=wave[:, plan.rest + 1 :: 2])
         factor = plan.unit[None].repeat(len(angles), axis=0)
         if len(plan.load_at):
-            up = self.upright(vectors).T[:, :, None] if self.arm.up_frame else self.up
-            factor[:, plan.loads] *= _torques(plan, up, vectors, places)
+            # See `_gravity`.
+            up = self.upright(vectors) if self.arm.up_frame else self.up
+            across = np.cross(up[..., None, :], np.eye(3)).swapaxes(-1, -2)
+            lever = places.take(plan.load_at, axis=2) - places.take(plan.load_frame, axis=2)
+            torques = vectors.take(plan.load_x, axis=2) * (across @ lever)
+            factor[:, plan.loads] *= torques.sum(axis=1)
         if len(plan.grows):
             along = np.take(vectors, plan.which[plan.grows], axis=2)
             far = places[:, :, plan.grows_to] - places[:, :, plan.grows_to - 1]
             factor[:, plan.grows] *= np.einsum("ncp,ncp->np", along, far)
-        factor[:, plan.waves] *= wave[:, plan.rest :]
+        phase = phase[:, plan.wave_joint] * plan.wave_order
+        factor[:, plan.waves] *= np.stack([np.cos(phase), np.sin(phase)], 2).reshape(len(rows), -1)
         if self.terms.extra:
             if probes is not None:  # each grows in proportion to itself
                 grown = plan.grown_axis
@@ -498,10 +598,8 @@ class Columns:
             factor[:, plan.pushes] *= np.einsum("ncp,nc->np", vectors[:, :, plan.push_turn], force)
             factor[:, plan.given] *= values[:, plan.by] - plan.means[plan.by]
         rest = np.multiply(vectors.take(plan.which, axis=2), factor[:, None], out=out)
-        if not plan.spans:
-            return FactoredColumns([], None, None, rest)
         along = vectors.take(plan.run_which, axis=2) * plan.run_unit
-        return FactoredColumns(plan.spans, along, wave[:, : plan.rest], rest)
+        return FactoredColumns(plan.spans, along, wave, rest)
 
 
 def torque_axis(table: np.ndarray) -> np.ndarray:
@@ -518,19 +616,15 @@ class _Plan:
         axis = 3 * table["frame"] + table["axis"]
         shifts = np.isin(table["kind"], (SHIFT, LEAN, GROW))
         which = axis + n_axes * shifts  # into the `axis_vectors`
-        # Runs of columns (first, last): many waves that share one vector.
-        self.spans, self.rest = [], 0
-        n_joints = len(np.unique(columns.terms.harmonics[:, 0]))
-        if n_waves and n_waves >= _LONG_RUN * n_joints:
-            ends = np.flatnonzero(np.diff(which[:n_waves], append=-1)) + 1
-            self.spans = list(zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True))
-            self.rest = n_waves  # columns from here on are selected by `which`
-        firsts = [start for start, _ in self.spans]
+        # Runs of columns (first, last): the waves of a joint, which share one vector.
+        firsts = np.flatnonzero(np.diff(which[:n_waves], prepend=-1))
+        ends = [*firsts[1:].tolist(), n_waves]
+        self.spans = list(zip(firsts.tolist(), ends, strict=True)) if n_waves else []
         self.run_which, self.run_unit = which[firsts], table["unit"][firsts]
-        rest, axis = table[self.rest :], axis[self.rest :]
+        rest, axis = table[n_waves:], axis[n_waves:]
         cosines = rest[rest["order"] > 0]
         self.wave_joint, self.wave_order = cosines["joint"], cosines["order"]
-        self.which, self.unit = which[self.rest :], rest["unit"]
+        self.which, self.unit = which[n_waves:], rest["unit"]
         self.waves = _places(rest["order"])
         self.loads = _places(np.isin(rest["kind"], OF_LOADS))
         self.load_x = n_axes + torque_axis(rest[self.loads])  # axis u, into the vectors
@@ -544,21 +638,8 @@ class _Plan:
         self.means = np.array([reference[0] for _, reference in columns.terms.extra])
         # Growth of the probe.
         grows = [c.family == TEMPERATURE and c.name[:6] == "probe_" for c in columns.others]
-        self.grown = n_waves - self.rest + np.flatnonzero(grows)
+        self.grown = np.flatnonzero(grows)
         self.grown_axis = rest["axis"][self.grown]
-
-
-def _torques(plan, up, vectors, places):
-    """Torque (n, n_loads) of each load about its axis: see `_gravity`."""
-    torques, u = 0.0, vectors.take(plan.load_x, axis=2)
-    lever = places.take(plan.load_at, axis=2)
-    lever -= places.take(plan.load_frame, axis=2)
-    for k in (0, 1, 2):
-        if up.ndim == 1 and up[k] == 0:
-            continue
-        i, j = (k + 1) % 3, (k + 2) % 3
-        torques = torques + up[k] * (u[:, j] * lever[:, i] - u[:, i] * lever[:, j])
-    return torques
 
 
 def _places(wanted):

@@ -8,35 +8,33 @@ function of every joint's angle, all low orders together, is the field.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 
-from sklearn_raacmm.arm import turn_mm
-from sklearn_raacmm.error_model._blocks import of_blocks
+from sklearn_raacmm.arm import axis_vectors, turn_mm
 from sklearn_raacmm.error_model._columns import (
     FAMILIES,
     FAMILIES_OF_EXTRA,
     KINEMATICS,
+    LOAD,
     Columns,
     columns_of,
     parsed,
 )
 from sklearn_raacmm.error_model._linear_model import NOTHING_SEEN, LinearModel, ranges_of
-from sklearn_raacmm.error_model._noise import even_noise, joint_noise
-from sklearn_raacmm.error_model._sums import Rows, explicit_gram, less_constants, without_motions
-from sklearn_raacmm.error_model._vertical import better_vertical
-from sklearn_raacmm.inference import (
-    Problem,
-    State,
-    Structures,
-    beside_field,
-    combined,
-    refit,
-    search,
-    sums_of_gram,
-    sums_of_pairs,
+from sklearn_raacmm.error_model._sums import (
+    even_noise,
+    explicit_gram,
+    joint_noise,
+    less_constants,
+    motions_of,
+    of_blocks,
+    without_motions,
 )
+from sklearn_raacmm.inference import Problem, Structures, Sums, combined, root_of
 from sklearn_raacmm.utils import (
     TUKEY_CUT,
     Finding,
@@ -89,9 +87,8 @@ _REFIT_STEPS = 1
 # Where more than this share of the poses has new weights, all are summed up anew: of positions with
 # offsets the old and the new ones are, which costs twice as much.
 _MANY_CHANGED = 0.5
-# Poses whose columns are made at a time, most poses of which all are held (some 50 MB), and poses
-# whose residuals are expected together.
-_POSES, _HELD_POSES, _TOGETHER = 256, 5000, 2**15
+# Poses whose residuals are expected together.
+_TOGETHER = 2**15
 # Rows by which the noise of the joints is found: 1000 tell a standard deviation to 2 %. And those
 # by which the share of it is found that coefficients follow.
 _ENOUGH, _ENOUGH_FOLLOWED = 1000, 300
@@ -104,8 +101,6 @@ ROUNDED = 1e-12
 # 3, 15 and 105; beyond the limit c the density is next to nothing.
 _C2 = TUKEY_CUT**2
 _SHARE_OF_NOISE = (3 - 30 / _C2 + 105 / _C2**2) / (3 * (1 - 6 / _C2 + 15 / _C2**2))
-
-_search = stage("choice of structures")(search)
 
 # Noise variances over those of constants of positions that are compared: smaller constants than the
 # noise are not told from what a model that is not complete leaves alike at the rows of a position.
@@ -124,6 +119,25 @@ _LEAST_MEANS, _PRICE_OF_DEVIATIONS = 1e-6, 30.0
 # The fewest positions at which a share of the correction is found: of three the rest is hardly the
 # model that is judged. With fewer it is used as a whole, if it helped at each of them.
 LEAST_POSITIONS = 4
+
+# Poses of which a direction is found at most: more take time and turn it by less than a degree.
+_ENOUGH_TURNED = 600
+# Log evidence that another direction has to add, in nats: of upright arms, real and simulated, it
+# came to at most 10; of those inclined by 45 degrees or on a wall to at least 135. Cosine of 2
+# degrees: gravity's columns change by less than 4 % (``benchmarks/bench_after_the_lab.py mounts``).
+_PRICE_OF_VERTICAL, _NEAR = 20.0, np.cos(np.deg2rad(2))
+# Where the fit leaves less than this share of the residuals there is nothing to be gained.
+_NOTHING_LEFT = 1e-3
+# Variances of gravity's columns that are compared, in square arc seconds.
+_VARIANCES = 10.0 ** np.arange(-4.0, 6.5, 0.5)
+# Directions that are compared, on a spiral over half a sphere, for opposite ones count as the same.
+# From the best one the search goes in steps that begin and end at these angles, rad.
+_HEIGHT = (np.arange(48) + 0.5) / 48
+_TURN = np.pi * (1 + 5**0.5) * 48 * _HEIGHT
+_DIRECTIONS = np.column_stack([np.cos(_TURN), np.sin(_TURN), np.zeros(48)])
+_DIRECTIONS = np.sqrt(1 - _HEIGHT**2)[:, None] * _DIRECTIONS + np.outer(_HEIGHT, [0, 0, 1])
+_FIRST_STEP, _LAST_STEP = 0.2, 0.002
+_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def offered_harmonics(angles, orders, arm=None):
@@ -207,17 +221,6 @@ def smooth_shares(order: np.ndarray) -> np.ndarray:
     return np.where(order <= _FIELD_ORDER, share, 0.0)
 
 
-class Fitted(NamedTuple):
-    """A fitted model, how it was found, and of what."""
-
-    model: LinearModel
-    state: State
-    pose_weight: np.ndarray  # (n,) what the robust weights left of each row
-    rows: Rows
-    columns: Columns  # their harmonics are those that were offered
-    structures: Structures
-
-
 def fit_rows(rows, positions, columns, with_field, up=None):
     """Fit the model, constants of the positions and, where the data show it, another vertical.
 
@@ -227,7 +230,7 @@ def fit_rows(rows, positions, columns, with_field, up=None):
     s / v.
 
     `positions` (n,) count from 0; None: there are no constants. Where more data have shown the
-    vertical, it is `up` of their `Terms`. Returns a `Fitted`, whose rows are those given less their
+    vertical, it is `up` of their `Terms`. Returns a `Fit`, whose rows are those given less their
     constants, or with positions of which nothing is known.
     """
     terms, known, looked, turned = columns.terms, np.inf, 0, 0
@@ -239,7 +242,7 @@ def fit_rows(rows, positions, columns, with_field, up=None):
     may_differ = LEAST_POSITIONS <= n_positions <= len(rows.y) / 2
     while True:
         given = rows if np.isinf(known) else rows._replace(codes=positions, known=known)
-        fitted = fit_linear_model(given, columns, with_field)
+        fitted = Fit(given, columns, with_field)
         rows = rows._replace(noise=fitted.rows.noise, root=fitted.rows.root)
         if may_differ and looked < _CONSTANT_ROUNDS:
             last, known, looked = known, _known_of_constants(rows, positions, fitted), looked + 1
@@ -282,9 +285,9 @@ def _less_constants(rows, positions, fitted, known):
     weight = "doubt" if size > 2 * scatter else "note"
     if scatter > ROUNDED * rows.arm.reach_mm:  # else there is nothing to tell them from
         Finding("constants-of-positions", said, advice, weight, size_mm=size).report()
-    if not known:
-        return fitted
-    return fitted._replace(rows=rows._replace(y=rows.y - constants[positions]))
+    if known:
+        fitted.rows = rows._replace(y=rows.y - constants[positions])
+    return fitted
 
 
 def _known_of_constants(rows, positions, fitted):
@@ -301,10 +304,8 @@ def _known_of_constants(rows, positions, fitted):
     weight = rows.weights.mean()
     rows = rows._replace(weights=rows.weights / weight)
     state = fitted.state._replace(noise_variance=fitted.state.noise_variance / weight)
-    few, structures, lines = of_pairs(fitted.columns, fitted.structures, state.lines, state.pairs)
-
-    whole = explicit_gram(rows._replace(codes=positions), few.at)
-    gram, of_positions, precision = whole
+    few, structures, lines = fitted.of_pairs(state.lines, state.pairs)
+    gram, of_positions, precision = explicit_gram(rows._replace(codes=positions), few.at)
     assert of_positions is not None
     n, n_observations = precision.size, 3.0 * rows.weights.sum()
 
@@ -312,9 +313,10 @@ def _known_of_constants(rows, positions, fitted):
         share = precision / np.maximum(precision + known, _TINY)
         left = less_constants(gram, of_positions, share)
         n_left = n_observations if known else n_observations - n
-        sums = sums_of_gram(left, len(state.pairs), n_left)
-        sums = sums if known else without_motions(sums, few)
-        return refit(sums, structures, state, lines, _CONSTANT_STEPS).log_evidence
+        sums = Sums.of_gram(left, len(state.pairs), n_left)
+        problem = Problem(sums if known else without_motions(sums, few), structures)
+        found = problem.with_variances(problem.with_lines(state, lines), _CONSTANT_STEPS)
+        return found.log_evidence
 
     found = {np.inf: evidence(np.inf)}
     for known in _KNOWN.tolist():
@@ -332,71 +334,129 @@ def _known_of_constants(rows, positions, fitted):
     return np.inf if known == _KNOWN[0] else known * weight
 
 
-@stage("linear error model")
-def fit_linear_model(rows, columns, with_field):
-    """Fit the model to rows of weights above 0, with robust weights of the poses: a `Fitted`.
+class Fit:
+    """Fit to rows of weights above 0, with robust weights of the poses.
 
     The harmonics of the columns are those that are offered; `with_field` allows a smooth function
-    of each angle. Families of extra columns that are not worth their price stay out.
+    of each angle. Families of extra columns that are not worth their price stay out. The `state`
+    is that of the `structures` that were chosen, `pose_weight` (n,) what the robust weights have
+    left of each row, and `rows` are whitened by the noise that was found.
     """
-    extra: Any = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA)
-    unused: list[Any] = []
-    while True:
-        structures = structures_of(columns, with_field, unused)
-        # From the rows as they were: what is left out of the model leaves no trace in their noise.
-        state, factor, whitened = _fit(rows, columns, structures)
-        of_family = {f: np.flatnonzero(columns.family == f) for f in extra.difference(unused)}
-        gains = [(state.gain_of(of), f) for f, of in of_family.items()]
-        gain, least = min(gains, default=(np.inf, None))
-        if gain >= _PRICE_OF_EXTRA:
-            break
-        unused.append(least)
-    model = model_of(whitened.weighted(factor), columns, state)
-    if np.any(factor < 1):
-        model = model.with_noise(model.noise_variance / _SHARE_OF_NOISE)
-    return Fitted(model, state, factor, whitened, columns, structures)
 
+    @stage("linear error model")
+    def __init__(self, rows: Any, columns: Columns, with_field: bool) -> None:
+        self.columns: Columns = columns
+        self.levers: np.ndarray = columns.levers(rows.X)
+        if rows.noise is None:
+            rows = rows._replace(noise=even_noise(self.levers, rows.weights))
+        extra: Any = set(columns.family.tolist()) & set(FAMILIES_OF_EXTRA)
+        unused: list[Any] = []
+        while True:
+            self.structures: Structures = structures_of(columns, with_field, unused)
+            # From the rows as they were: what is left out of the model leaves no trace in their
+            # noise.
+            self.rows: Any = rows
+            self._choose()
+            of_family = {f: np.flatnonzero(columns.family == f) for f in extra.difference(unused)}
+            gains = [(self.state.gain_of(of), f) for f, of in of_family.items()]
+            gain, least = min(gains, default=(np.inf, None))
+            if gain >= _PRICE_OF_EXTRA:
+                break
+            unused.append(least)
+        model = model_of(self.rows.weighted(self.pose_weight), columns, self.state)
+        if np.any(self.pose_weight < 1):
+            model = model.with_noise(model.noise_variance / _SHARE_OF_NOISE)
+        self.model: LinearModel = model
 
-def _fit(rows, columns, structures):
-    """Choose structures, and go on from there with the weights and the noise that this has shown.
+    def _choose(self):
+        """Choose structures, and again with the weights and the noise that this has shown."""
+        rows, columns = self.rows, self.columns
+        self.pose_weight: np.ndarray = np.ones(len(rows.weights))
+        if rows.codes is not None:  # one slip of metres would shift all others of its position
+            self.pose_weight = slip_factors(rows.y, rows.codes, rows.weights)
+        start = self.pose_weight
+        self._sum_up()
+        self._search()
+        if self.structures.share is not None:
+            self._sum_up_changed()
+            found = self._beside_field()
+            if found.with_field:
+                self.state: Any = found
+                self._settle()
+        for of_noise, of_weights in _CHANGES:
+            noise = _noise_of(self.rows.weighted(self.pose_weight), columns, self.state)
+            if np.abs(noise.shares - self.rows.noise.shares).sum() > of_noise:
+                root = noise.roots(self.levers, rows.shown)
+                self.rows = self.rows._replace(noise=noise, root=root)
+                self._sum_up()
+            elif np.abs(self.pose_weight - start).mean() > of_weights:
+                self._sum_up_changed()
+            else:
+                break
+            start = self.pose_weight
+            self._search(self.state)
+            if np.abs(self.pose_weight - start).mean() < _SETTLED_CHOICE:
+                break  # of the same weights the noise is nearly the same
 
-    Returns the state, the factors of the weights, and the rows, whitened.
-    """
-    factor = np.ones(len(rows.weights))
-    if rows.codes is not None:  # one slip of metres would shift all others of its position
-        factor = slip_factors(rows.y, rows.codes, rows.weights)
-    levers = columns.levers(rows.X)
-    if rows.noise is None:
-        rows = rows._replace(noise=even_noise(levers, rows.weights))
-    start, sums = factor, rows.weighted(factor).sums(columns)
-    state = _search(Problem(sums, structures))
-    state, new = _settled(rows, columns, structures, state, factor, sums)
-    if structures.share is not None:
-        sums, factor = _reweighted(rows, columns, sums, factor, new), new
-        found = _beside_field(rows, columns, structures, sums, state, factor)
-        if found is not None and found.with_field:
-            state, new = _settled(rows, columns, structures, found, factor, sums)
-    for of_noise, of_weights in _CHANGES:
-        noise = _noise_of(rows.weighted(new), columns, state)
-        if np.abs(noise.shares - rows.noise.shares).sum() > of_noise:
-            rows = rows._replace(noise=noise, root=noise.roots(levers, rows.shown))
-            sums = rows.weighted(new).sums(columns)
-        elif np.abs(new - start).mean() > of_weights:
-            sums = _reweighted(rows, columns, sums, factor, new)
-        else:
-            break
-        start = factor = new
-        state = _search(Problem(sums, structures), state)
-        state, new = _settled(rows, columns, structures, state, factor, sums)
-        if np.abs(new - start).mean() < _SETTLED_CHOICE:
-            break  # of the same weights the noise is nearly the same
-    return state, new, rows
+    def _sum_up(self):
+        self.summed: np.ndarray = self.pose_weight  # the factors of the weights in `sums`
+        self.sums: Sums = self.rows.weighted(self.summed).sums(self.columns)
+
+    def _sum_up_changed(self):
+        self.sums = reweighted(self.rows, self.columns, self.sums, self.summed, self.pose_weight)
+        self.summed = self.pose_weight
+
+    @stage("choice of structures")
+    def _search(self, state=None):
+        self.state = Problem(self.sums, self.structures).search(state)
+        self._settle()
+
+    @stage("variance of the field")
+    def _beside_field(self):
+        """The state beside the field, whose size is found with sums of the field alone."""
+        state, problem = self.state, Problem(self.sums, self.structures)
+        pairs = problem.pairs_and_shares(state.lines, True)[0]
+        few, structures, lines = self.of_pairs(state.lines, pairs)
+        if self.rows.codes is None:
+            some = self.sums.of_pairs(pairs)
+        else:  # rows of the Gram matrix of all candidates cost more than sums of these
+            some = self.rows.weighted(self.summed).sums(few)
+        alone = state._replace(lines=lines, pairs=lines)
+        return problem.beside_field(state, Problem(some, structures), alone)
+
+    def of_pairs(
+        self, lines: np.ndarray, pairs: np.ndarray
+    ) -> tuple[Columns, Structures, np.ndarray]:
+        """Columns, structures, and which are lines, where some pairs are the only candidates."""
+        few = self.columns.with_harmonics(self.columns.terms.harmonics[pairs])
+        share = None if self.structures.share is None else self.structures.share[pairs]
+        structures = self.structures._replace(price=self.structures.price[pairs], share=share)
+        return few, structures, np.flatnonzero(np.isin(pairs, lines))
+
+    def _settle(self):
+        """Let the robust weights of a choice settle, and its variances with them."""
+        rows, chosen, pairs = self.rows, self.state.lines, self.state.pairs
+        few, structures, lines = self.of_pairs(chosen, pairs)
+        some = self.sums.of_pairs(pairs)
+        for _ in range(_ROUNDS):
+            old = self.pose_weight
+            left = rows.whitening(old).centred(rows.y - _expected(rows, few, self.state))
+            left = left if rows.root is None else np.einsum("nij,nj->ni", rows.root, left)
+            weighed = bool(np.any(old < 1))
+            new = tukey_weights(left, rows.weights, weighed=weighed, n_coordinates=rows.rank)
+            new = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
+            if np.all(new == old):
+                break
+            some = reweighted(rows, few, some, old, new)
+            problem = Problem(some, structures)
+            state = problem.with_variances(problem.with_lines(self.state, lines), _REFIT_STEPS)
+            self.state, self.pose_weight = state._replace(lines=chosen, pairs=pairs), new
 
 
 def _noise_of(rows, columns, state):
     """`Noise` about the choice of a state, without what coefficients and unknowns follow of it."""
     few, rows = columns.with_harmonics(columns.terms.harmonics[state.pairs]), _some(rows, _ENOUGH)
-    left = rows.whitening().centred(rows.y - _expected(rows, few)(state))
+    left = rows.whitening().centred(rows.y - _expected(rows, few, state))
     some = _some(rows, _ENOUGH_FOLLOWED)
     whitened, J = some.whitening(), columns.levers(some.X)
     shapes = whitened.root @ np.concatenate([J, np.broadcast_to(np.eye(3), (len(J), 3, 3))], axis=2)
@@ -418,50 +478,7 @@ def _some(rows, n):
     return rows.at(codes % max(len(codes) // n, 1) == 0)
 
 
-@stage("variance of the field")
-def _beside_field(rows, columns, structures, sums, state, factor):
-    """As `beside_field`, with sums of the field alone."""
-    problem = Problem(sums, structures)
-    pairs = problem.pairs_and_shares(state.lines, True)[0]
-    few, of_field, lines = of_pairs(columns, structures, state.lines, pairs)
-    # With offsets, rows of the Gram matrix of all candidates cost more than sums of these.
-    again = rows.codes is not None
-    some = rows.weighted(factor).sums(few) if again else sums_of_pairs(sums, pairs)
-    alone = state._replace(lines=lines, pairs=lines)
-    return beside_field(problem, state, Problem(some, of_field), alone)
-
-
-def of_pairs(columns, structures, lines, pairs):
-    """Columns, structures, and which are lines, where some pairs are the only candidates."""
-    few = columns.with_harmonics(columns.terms.harmonics[pairs])
-    share = None if structures.share is None else structures.share[pairs]
-    structures = structures._replace(price=structures.price[pairs], share=share)
-    return few, structures, np.flatnonzero(np.isin(pairs, lines))
-
-
-def _settled(rows, columns, structures, state, factor, sums):
-    """A choice with robust weights that have settled: state and factors of the weights.
-
-    `sums` are those of all that is offered, with these factors.
-    """
-    chosen, pairs = state.lines, state.pairs
-    few, structures, lines = of_pairs(columns, structures, state.lines, pairs)
-    expected, some = _expected(rows, few), sums_of_pairs(sums, pairs)
-    for _ in range(_ROUNDS):
-        left = rows.whitening(factor).centred(rows.y - expected(state))
-        left = left if rows.root is None else np.einsum("nij,nj->ni", rows.root, left)
-        old, weighed = factor, bool(np.any(factor < 1))
-        new = tukey_weights(left, rows.weights, weighed=weighed, n_coordinates=rows.rank)
-        factor = np.where(np.abs(new - old) < _SETTLED_WEIGHT, old, new)
-        if np.all(factor == old):
-            break
-        some = _reweighted(rows, few, some, old, factor)
-        state = refit(some, structures, state, lines, _REFIT_STEPS)
-        state = state._replace(lines=chosen, pairs=pairs)
-    return state, factor
-
-
-def _reweighted(rows, columns, sums, old, new):
+def reweighted(rows: Any, columns: Columns, sums: Sums, old: np.ndarray, new: np.ndarray) -> Sums:
     """Sums at new factors of the weights, of those at old ones, by the poses that have changed.
 
     Where positions have offsets all rows of a position change together.
@@ -476,42 +493,16 @@ def _reweighted(rows, columns, sums, old, new):
     part, old, new = rows.at(changed), old[changed], new[changed]
     if rows.codes is None:  # the difference is enough
         old, new = np.maximum(old - new, 0.0), np.maximum(new - old, 0.0)
-    parts = [(sums, 1)]
-    for factor, sign in ((old, -1), (new, 1)):
-        if factor.any():
-            parts.append((part.weighted(factor).sums(columns), sign))
-    return combined(*zip(*parts, strict=True))
+    factors = [(factor, sign) for factor, sign in ((old, -1), (new, 1)) if factor.any()]
+    parts = [part.weighted(factor).sums(columns) for factor, _ in factors]
+    return combined([sums, *parts], [1, *(sign for _, sign in factors)])
 
 
-def _expected(rows, columns):
-    """Function of a state of these columns: the residuals (n, 3) that it expects at the rows."""
-    n = len(rows.X)
-    given = ((columns, rows.X[of], n <= _HELD_POSES) for of in chunks(n, _TOGETHER))
-    blocks = of_blocks(_Expected, given, rows.by_dask, hold=True)
-
-    def expected(state):
-        coef = np.roll(state.coef, columns.n_waves)
-        given = ((block, coef) for block in blocks)
-        return np.concatenate([*of_blocks(_Expected.dot, given, rows.by_dask)])
-
-    return expected
-
-
-class _Expected:
-    """Columns at rows, which are not multiplied out, and are held unless there are many poses."""
-
-    def __init__(self, columns, X, is_held):
-        self.columns, self.X = columns, X
-        self.held = [*self._made()] if is_held else None
-
-    def _made(self):
-        return ((part, self.columns.factored(self.X[part])) for part in chunks(len(self.X), _POSES))
-
-    def dot(self, coef):
-        found = np.empty((len(self.X), 3))
-        for part, factored in self._made() if self.held is None else self.held:
-            found[part] = factored.dot(coef)
-        return found
+def _expected(rows, columns, state):
+    """The residuals (n, 3) that a state of these columns expects at the rows."""
+    coef = np.roll(state.coef, columns.n_waves)
+    given = [(columns, rows.X[of], coef) for of in chunks(len(rows.X), _TOGETHER)]
+    return np.concatenate([*of_blocks(Columns.dot, given, rows.by_dask)])
 
 
 def model_of(rows, columns, state):
@@ -541,3 +532,100 @@ def model_of(rows, columns, state):
     if rows.codes is None:
         return model
     return model.constrained(rows.X, rows.weights, rows.codes, keep_scale=not rows.lengths)
+
+
+@stage("direction of gravity")
+def better_vertical(fitted):
+    """A direction against gravity of higher evidence than that of a fit, or ().
+
+    Harmonics and variances of the fit stay, but that of gravity. To turn the direction round
+    changes signs only: of both the one is taken along which the arm gives way.
+    """
+    rows, state = fitted.rows.weighted(fitted.pose_weight), fitted.state
+    # Gravity along another direction looks like noise of the joints.
+    rows = rows._replace(root=rows.shown)
+    size = np.square(fitted.rows.y).mean()
+    if size == 0 or state.noise_variance < _NOTHING_LEFT**2 * size:
+        return ()
+    if len(rows.X) > _ENOUGH_TURNED:
+        rows = rows.at(np.arange(0, len(rows.X), -(-len(rows.X) // _ENOUGH_TURNED)))
+    few = fitted.columns.with_harmonics(fitted.columns.terms.harmonics[state.pairs])
+    loads = np.flatnonzero(few.table["kind"] == LOAD)
+    if rows.y.shape[1] * len(np.unique(rows.X, axis=0)) < len(loads):
+        return ()  # along any direction so many columns explain so few poses
+    left = _left_of_gravity(rows, few, loads, state)
+
+    def evidence(up):
+        return _evidence_and_coef(up, *left)[0]
+
+    stated, price = (
+        few.up,
+        0.0 if few.terms.up else _PRICE_OF_VERTICAL,
+    )  # one that has paid is made better
+    up = max([stated, *_DIRECTIONS], key=evidence)
+    across = _FIRST_STEP * np.linalg.svd(up[None])[2][1:]
+
+    def turned(two):
+        there = up + two @ across
+        return there / np.linalg.norm(there)
+
+    simplex = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"initial_simplex": simplex, "xatol": _LAST_STEP / _FIRST_STEP, "fatol": 0.01}
+    up = turned(
+        minimize(lambda two: -evidence(turned(two)), simplex[0], method="Nelder-Mead",
+                 options=options).x
+    )  # fmt: skip
+    higher, coef = _evidence_and_coef(up, *left)
+    if higher - evidence(stated) < price:
+        return ()
+    # A probe sags, whatever the pose: the arm measures it above where it is.
+    columns = columns_of(rows.arm, few.terms._replace(up=tuple(up.tolist())))
+    above = columns.at(rows.X)[:, :, loads] @ coef
+    upright = columns.upright(axis_vectors(rows.arm, rows.X[:, : rows.arm.n_joints])[0])
+    up = up * np.sign((above * upright).sum())
+    return () if stated @ up > _NEAR else tuple(up.tolist())
+
+
+def _left_of_gravity(rows, columns, loads, state):
+    """What the other columns leave of those of gravity: products (3, L, 3, L), and (3, L) with y.
+
+    Of the L columns `loads` along x, y and z each, over the noise variance. The others stay as the
+    fit has them, even if they depend on the vertical.
+    """
+    axes = [columns_of(rows.arm, columns.terms._replace(up=axis)).alone for axis in _AXES]
+    n, size, n_waves = len(columns.table), len(loads), columns.n_waves
+
+    def columns_at(X):
+        of_gravity = [axis.at(X)[:, :, loads - n_waves] for axis in axes]
+        return np.concatenate([columns.at(X), *of_gravity], axis=2)
+
+    gram = less_constants(*explicit_gram(rows, columns_at)[:2])
+    if rows.codes is not None and not rows.known and columns.terms.kinematics:
+        motions = motions_of(columns.alone)
+        keep = np.eye(len(gram))
+        keep[n_waves:n, n_waves:n] -= motions @ motions.T
+        gram = keep @ gram @ keep
+    gram /= state.noise_variance
+    rest = np.setdiff1d(np.arange(n), loads)
+    of_axes = np.arange(n, n + 3 * size + 1)  # and y
+    S = gram[np.ix_(rest, rest)]
+    S[np.diag_indices(len(S))] += 1 / np.roll(state.prior, n_waves)[rest]
+    beside = gram[np.ix_(rest, of_axes)]
+    beside = solve_triangular(root_of(S), beside, trans="T", check_finite=False)
+    left = gram[np.ix_(of_axes, of_axes)] - beside.T @ beside
+    return left[:-1, :-1].reshape(3, size, 3, size), left[:-1, -1].reshape(3, size)
+
+
+def _evidence_and_coef(up, products, moments):
+    """Log evidence of gravity along a direction, at its best variance, and the coefficients.
+
+    With S the products along it and r those with y that is ``v r' inv(I + v S) r / 2 - log det(I +
+    v S) / 2`` at the variance v.
+    """
+    value, vectors = np.linalg.eigh(np.einsum("a,aibj,b->ij", up, products, up))
+    value, r = np.maximum(value, 0.0), up @ moments @ vectors
+    v = _VARIANCES[:, None]
+    evidence = 0.5 * (v * np.square(r) / (1 + v * value) - np.log1p(v * value)).sum(axis=1)
+    best = np.argmax(evidence)
+    v = _VARIANCES[best]
+    return float(evidence[best]), vectors @ (v * r / (1 + v * value))

@@ -10,18 +10,18 @@ whole has found.
 # SPDX-License-Identifier: BSD-3-Clause
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import digamma, gammaln
 from scipy.stats import norm, t
 
-from sklearn_raacmm.error_model._blocks import of_blocks
+from sklearn_raacmm.arm import Arm
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of, of_pairs
-from sklearn_raacmm.error_model._sums import parts_of_positions
-from sklearn_raacmm.inference import Problem, combined, search_at
+from sklearn_raacmm.error_model._fit import HIGHEST_OF_FEW, LEAST_POSITIONS, model_of
+from sklearn_raacmm.error_model._sums import of_blocks, parts_of_positions
+from sklearn_raacmm.inference import Problem, combined
 from sklearn_raacmm.utils import Finding, centred, chunks, group_means, stage
 
 # Blocks left out in turn; and parts of all positions, each between others, in their order along x.
@@ -119,6 +119,18 @@ class Fading:
         near = self.near_mm**4
         nearness = near / np.maximum(near + doubt**4, 1e-300)
         return self.most * (self.far + (1 - self.far) * nearness)
+
+    def moved(self, old: Arm, new: Arm) -> Self:
+        """Fading that takes no more of a correction than with the old probe.
+
+        A longer probe makes every standard deviation larger, and the errors with it: that is no
+        reason to take the correction back. Those of the last joint grow as its lever does, others
+        less.
+        """
+        levers = [np.hypot(arm.a[-1], arm.d[-1]) + np.linalg.norm(arm.probe) for arm in (old, new)]
+        ratio = max(float(levers[1] / levers[0]), 1.0) if levers[0] > 0 else 1.0
+        lengths = {name: ratio * getattr(self, name) for name in ("size_mm", "known_mm", "near_mm")}
+        return replace(self, **lengths)
 
 
 class Judgement(NamedTuple):
@@ -294,7 +306,7 @@ def leave_out(fitted, positions, between=False):
     if not low.any():  # only high ones are offered
         low[:] = True
     pairs = np.flatnonzero(low)
-    columns, structures, lines = of_pairs(offered, fitted.structures, state.lines, pairs)
+    columns, structures, lines = fitted.of_pairs(state.lines, pairs)
     start = state._replace(noise_variance=model.noise_variance, lines=lines)
     used = rows._replace(weights=rows.weights * fitted.pose_weight, lengths=())
     parts = {
@@ -307,7 +319,7 @@ def leave_out(fitted, positions, between=False):
     for block in np.unique(blocks).tolist():
         # A block of outliers alone teaches nothing, but its errors are asked for.
         sums = combined((whole, parts[block]), (1, -1)) if block in parts else whole
-        best = search_at(Problem(sums, structures), start)
+        best = Problem(sums, structures).search_at(start)
         rest = model_of(used.at((blocks != block) & kept), columns, best)
         of = np.flatnonzero(blocks == block)
         together = chunks(len(of), _TOGETHER)

@@ -13,12 +13,7 @@ from sklearn_raacmm.inference._linear import (
     Structures,
     Sums,
     combined,
-    evidence_variance,
-    refit,
     root_of,
-    sums_of_gram,
-    sums_of_pairs,
 )
-from sklearn_raacmm.inference._search import beside_field, search, search_at
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -18,18 +18,7 @@ from sklearn_raacmm.measurements._explanations import (
     medians_of,
     of_own_points,
 )
-from sklearn_raacmm.measurements._features import (
-    KINDS,
-    Form,
-    check_features,
-    check_length,
-    known_length,
-    linearise,
-    linearised,
-    touch_findings,
-    touch_weights,
-    with_forms,
-)
+from sklearn_raacmm.measurements._features import Features, Form, check_length
 from sklearn_raacmm.measurements._measurements import Measurements, given_causes
 from sklearn_raacmm.measurements._moved_positions import moved_positions
 from sklearn_raacmm.measurements._order import (
@@ -41,6 +30,6 @@ from sklearn_raacmm.measurements._order import (
 from sklearn_raacmm.measurements._point_correction import PointCorrectionMixin, found_positions
 from sklearn_raacmm.measurements._residuals import position_residuals
 from sklearn_raacmm.measurements._targets import base_motions, check_targets
-from sklearn_raacmm.measurements._whitening import whitening
+from sklearn_raacmm.measurements._whitening import Whitening
 
 __all__ = [name for name in dir() if name[0] != "_"]  # pyright: ignore[reportUnsupportedDunderAll]

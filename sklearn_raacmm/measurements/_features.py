@@ -1,17 +1,17 @@
 """Features that a probe touched, and known lengths: what a touch shows, and what is unknown.
 
-Every kind of feature is one entry of `KINDS`. A touch of a surface shows how far the probe is from
+Every kind of feature is one class in `KINDS`. A touch of a surface shows how far the probe is from
 it, along its normal; a probe in a cone shows where it is in all three directions.
 """
 
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import MAX_LENGTH_MM
 from sklearn_raacmm.utils import Finding, listed, slip_factors, tukey_weights
@@ -46,15 +46,13 @@ _NO_GROWTH = (_REFERENCE_C, _STEEL)  # of an entry without temperature
 _LABELS_SHOWN = 12
 
 
-Features = Sequence[tuple[str, float | None]]  # kind and size of each, None where it is unknown
-
-
 class Linearised(NamedTuple):
-    """Touches of a feature about its fitted form, (n, ...), or of several features, (g, n, ...)."""
+    """Touches of features about their fitted forms, (n, ...) or (g, n, ...) of g of one kind."""
 
     residual: np.ndarray  # (n, 3) mm, the point less the nearest one of the form
     directions: np.ndarray  # (n, 3, 3) projection on the directions that a touch shows
     unknowns: np.ndarray  # (n, 3, q) what a unit of each unknown moves the touched point by, mm
+    forms: Any = ()  # the `Form` of each feature
 
 
 class Form(NamedTuple):
@@ -64,64 +62,202 @@ class Form(NamedTuple):
     size: Any = None  # mm, of a sphere
     axes: Any = None  # (3, 3) columns: the normal of a plane, and two directions in it
 
+    def length_to(self, other: "Form") -> tuple[float, np.ndarray, np.ndarray]:
+        """Length to another feature, mm, and its slopes by the unknowns of either, (4,) each.
 
-class Kind(NamedTuple):
-    """What is special of one kind of feature.
+        Between centres, or across planes along their common normal. Of a feature to itself it is
+        its size, with the slopes in the first.
+        """
+        if other is self:
+            return float(self.size), np.eye(4)[3], np.zeros(4)
+        gap, slopes = self.centre - other.centre, np.zeros((2, 4))
+        normals = [form.axes[:, 0] for form in (self, other) if form.axes is not None]
+        mean = np.sum([n * np.sign(n @ normals[0]) for n in normals], axis=0) if normals else gap
+        along = mean / max(np.linalg.norm(mean), 1e-12)
+        along = along if along @ gap >= 0 else -along
+        for form, sign, slope in zip((self, other), (1, -1), slopes, strict=True):
+            if form.axes is None:
+                slope[:3] = sign * along
+            else:  # a turn of one of two planes turns the common normal by half
+                same = form.axes[:, 0] @ along
+                slope[:3] = sign * same, *(-np.sign(same) / len(normals) * (gap @ form.axes[:, 1:]))
+        return float(gap @ along), slopes[0], slopes[1]
 
-    ``fit(points, size, weights, through)`` is the `Form` of least squares, or the one through as
-    many points with weight as it has unknowns, and ``rows(points, form)`` are the `Linearised`
-    touches. Where the touches are on a `part` of the feature that is too small, a `simpler` form
-    explains them as well; they leave it in the `flat` directions in which they spread least.
+
+class Features:
+    """What rows are touches of: features of one kind or several, fitted without a model of the arm.
+
+    `kinds` are names of `KINDS`, and `codes` (n,) number the feature of each row. Of what was
+    stated, `sizes` are (number, number, size, standard deviation, sign of the probe's own ball in
+    the size, or 0 where no side is said), mm.
     """
 
-    fit: Callable[..., Form]
-    rows: Callable[..., Linearised]
-    n_unknowns: int
-    n_shown: int  # coordinates that a touch shows
-    has_size: bool = False
-    flat: int = 0
-    simpler: str = ""
-    part: str = ""
+    def __init__(self, kinds: Sequence[str], codes: np.ndarray) -> None:
+        self.kinds, self.codes = list(kinds), codes
+        self.sizes: list[tuple[int, int, float, float, int]] = []
 
+    @classmethod
+    def stated(
+        cls, features: Iterable[Sequence[Any]], labels: Sequence[Hashable], codes: np.ndarray
+    ) -> "Features":
+        """What was touched under each of the labels, a cone where nothing is said.
 
-def check_features(
-    features: Iterable[Sequence[Any]], labels: Sequence[Hashable]
-) -> tuple[list[tuple[str, None]], list[tuple[int, int, float, float, int]]]:
-    """What was touched under each of the labels, and the sizes that are stated.
+        `features` are (label, kind), (label, kind, size, standard deviation) or with "outside" or
+        "inside", the side that was touched.
+        """
+        found, named = cls(["cone"] * len(labels), codes), set()
+        number = {label: i for i, label in enumerate(labels)}
+        for entry in listed("features", features):
+            try:
+                label, kind, *stated = entry
+                size, sd = (float(stated[0]), float(stated[1])) if stated else (1.0, 1.0)
+                side = _SIDES[stated[2]] if stated[2:] else 0
+            except (TypeError, ValueError, IndexError, KeyError):
+                raise ValueError(
+                    "each of features must be (label, kind), perhaps with size and standard "
+                    f'deviation in mm, and then "outside" or "inside", got {entry!r:.80}.'
+                ) from None
+            if kind not in KINDS:
+                raise ValueError(f"a feature is a {', '.join(KINDS)}, got {entry!r:.80}.")
+            if label not in number:
+                raise ValueError(f"features name {label!r}, which has no rows.")
+            if label in named:
+                raise ValueError("features name a label twice.")
+            if stated and not KINDS[kind].has_size:
+                raise ValueError(f"a {kind} has no size, got {entry!r:.80}.")
+            if not (0 < size < np.inf and 0 < sd < np.inf):
+                raise ValueError(
+                    f"size and standard deviation of a feature must be above 0, got {entry!r:.80}."
+                )
+            named.add(label)
+            i = number[label]
+            found.kinds[i] = kind
+            if stated:
+                found.sizes.append((i, i, size, sd, side))
+        return found
 
-    `features` are (label, kind), (label, kind, size, standard deviation) or with "outside" or
-    "inside", the side that was touched. The first list has (kind, None) for each label, a cone
-    where nothing is said; the second (number, number, size, standard deviation, sign of the probe's
-    own ball in the size, or 0 where no side is said).
-    """
-    found, sizes = dict.fromkeys(range(len(labels)), "cone"), []
-    features, number = listed("features", features), {label: i for i, label in enumerate(labels)}
-    for entry in features:
-        try:
-            label, kind, *stated = entry
-            size, sd = (float(stated[0]), float(stated[1])) if stated else (1.0, 1.0)
-            side = _SIDES[stated[2]] if stated[2:] else 0
-        except (TypeError, ValueError, IndexError, KeyError):
-            raise ValueError(
-                "each of features must be (label, kind), perhaps with size and standard deviation "
-                f'in mm, and then "outside" or "inside", got {entry!r:.80}.'
-            ) from None
-        if kind not in KINDS:
-            raise ValueError(f"a feature is a {', '.join(KINDS)}, got {entry!r:.80}.")
-        if label not in number:
-            raise ValueError(f"features name {label!r}, which has no rows.")
-        if stated and not KINDS[kind].has_size:
-            raise ValueError(f"a {kind} has no size, got {entry!r:.80}.")
-        if not (0 < size < np.inf and 0 < sd < np.inf):
-            raise ValueError(
-                f"size and standard deviation of a feature must be above 0, got {entry!r:.80}."
-            )
-        found[number[label]] = kind
-        if stated:
-            sizes.append((number[label], number[label], size, sd, side))
-    if len({entry[0] for entry in features}) < len(features):
-        raise ValueError("features name a label twice.")
-    return [(kind, None) for kind in found.values()], sizes
+    @property
+    def n_shown(self) -> np.ndarray:
+        """How many coordinates a touch of each feature shows, (n_features,)."""
+        return np.array([KINDS[kind].n_shown for kind in self.kinds], dtype=int)
+
+    @property
+    def n_unknowns(self) -> np.ndarray:
+        """How many numbers of each feature are unknown, (n_features,)."""
+        return np.array([KINDS[kind].n_unknowns for kind in self.kinds], dtype=int)
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """Whether touches of each feature can scatter about it, (n_features,)."""
+        count = np.bincount(self.codes, minlength=len(self.kinds))
+        return count * self.n_shown > self.n_unknowns
+
+    @cached_property
+    def _alike(self):
+        """Of each kind its features, the rows (g, n) of each, and which of these are used.
+
+        Features of one kind are fitted together. Those of fewer rows are filled up with their first
+        one, without weight.
+        """
+        order, found = np.argsort(self.codes, kind="stable"), {}
+        ends = np.searchsorted(self.codes[order], np.arange(len(self.kinds) + 1))
+        for kind in dict.fromkeys(self.kinds):
+            members = np.flatnonzero([one == kind for one in self.kinds])
+            counts = ends[members + 1] - ends[members]
+            place = np.arange(counts.max(initial=0))
+            used = place < counts[:, None]
+            found[kind] = members, order[ends[members][:, None] + np.where(used, place, 0)], used
+        return found
+
+    def linearised(self, points: np.ndarray, weights: np.ndarray | None = None) -> Linearised:
+        """The rows about the forms that are fitted to their points (n, 3), mm.
+
+        Unknowns are filled up with columns of zeros to the largest number that a feature has.
+        Without weights (n,) those of `weights` are taken.
+        """
+        n, q = len(points), self.n_unknowns.max(initial=0)
+        forms: list[Any] = [None] * len(self.kinds)
+        whole = Linearised(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, q)), forms)
+        weights = self.weights(points) if weights is None else weights
+        for kind, (members, rows, used) in self._alike.items():
+            form = KINDS[kind].fit(points[rows], weights[rows] * used)
+            part, own = KINDS[kind].rows(points[rows], form), rows[used]
+            whole.residual[own], whole.directions[own] = part.residual[used], part.directions[used]
+            whole.unknowns[own, :, : part.unknowns.shape[-1]] = part.unknowns[used]
+            for i, code in enumerate(members.tolist()):
+                parts: Any = (value if value is None else value[i] for value in form)
+                forms[code] = Form(*parts)
+        return whole
+
+    def weights(self, points: np.ndarray) -> np.ndarray:
+        """Weights (n,) of the touches, 0 for slips, without any model of the arm.
+
+        Points of cones are weighed by `slip_factors`, touches of a surface by a robust fit of it.
+        """
+        weights = np.ones(len(points))
+        cones = np.isin(self.codes, [i for i, kind in enumerate(self.kinds) if kind == "cone"])
+        codes = np.unique(self.codes[cones], return_inverse=True)[1]
+        weights[cones] = slip_factors(points[cones], codes)
+        for code, kind in enumerate(self.kinds):
+            if KINDS[kind].flat:
+                own = self.codes == code
+                weights[own] = _weights_of_surface(KINDS[kind], points[own])
+        return weights
+
+    def few(self, labels: Sequence[Hashable]) -> Iterator[Finding]:
+        """Yield surfaces that have too few touches; `labels` are the names of the features."""
+        for code in np.flatnonzero(~self.scatter).tolist():
+            kind, label = self.kinds[code], labels[code]
+            if kind != "cone":
+                text = (
+                    f"The {kind} {label} has {np.sum(self.codes == code)} touches, but "
+                    f"{self.n_unknowns[code]} numbers of it are unknown: its touches say nothing."
+                )
+                yield Finding("few-touches", text, "Touch it more often.", positions=(label,))
+
+    def findings(
+        self,
+        points: np.ndarray,
+        labels: Sequence[Hashable],
+        lengths: Sequence[tuple[int, int, float, float]] = (),
+    ) -> Iterator[Finding]:
+        """Yield features whose touches do not show what they are, such as a ball touched on a cap.
+
+        And planes that are not parallel, though one of the `lengths` is between them. `labels` are
+        the names of the features, and `points` (n, 3) those of an arm that is calibrated.
+        """
+        for code in np.flatnonzero(self.scatter).tolist():
+            if not (of := KINDS[kind := self.kinds[code]]).flat:
+                continue
+            own, label = points[self.codes == code], labels[code]
+            weights = _weights_of_surface(of, own)
+            left = np.square(of.rows(own, of.fit(own, weights)).residual).sum(axis=1)
+            away = own - _mean(own, weights)
+            spread = np.linalg.eigvalsh((weights[:, None] * away).T @ away)[: of.flat].sum()
+            # Standard deviations, as of fits whose unknowns have taken a part.
+            free = np.maximum(weights.sum() - np.array([of.n_unknowns, 4 - of.flat]), 1.0)
+            form, simpler = np.sqrt(np.array([weights @ left, max(spread, 0.0)]) / free)
+            if form + _NOTHING_MM > _TELLS_APART * simpler:
+                text = (
+                    f"The {kind} {label} was touched on {of.part} only: a {of.simpler} leaves "
+                    f"{simpler:.2g} mm of its {len(own)} touches, and a {kind} {form:.2g} mm."
+                )
+                advice = "Touch all of it that the probe can reach."
+                yield Finding("touches-alike", text, advice, positions=(label,), size_mm=form)
+        ends = [(i, j) for i, j, *_ in lengths if i != j]
+        pairs = [pair for pair in ends if all(self.kinds[code] == "plane" for code in pair)]
+        forms = self.linearised(points).forms if pairs else []
+        for pair in pairs:
+            one, other = (forms[code].axes[:, 0] for code in pair)
+            turn = np.arccos(min(abs(one @ other), 1.0))
+            if turn > _NOT_PARALLEL:
+                names = tuple(labels[code] for code in pair)
+                text = (
+                    f"A length is known between the planes {names[0]} and {names[1]}, which are "
+                    f"turned by {np.rad2deg(turn):.2g} degrees to each other."
+                )
+                advice = "It needs parallel planes: look at the labels."
+                yield Finding("planes-not-parallel", text, advice, "repair", positions=names)
 
 
 def check_length(entry: Sequence[Any], labels: Sequence[Hashable]) -> tuple[int, int, float, float]:
@@ -161,141 +297,6 @@ def check_length(entry: Sequence[Any], labels: Sequence[Hashable]) -> tuple[int,
     return labels.index(first), labels.index(second), length, sd
 
 
-def linearise(
-    kind: str, points: np.ndarray, size: ArrayLike | None = None, weights: np.ndarray | None = None
-) -> Linearised:
-    """Touches of a feature about the form that is fitted to them.
-
-    Parameters
-    ----------
-    kind : str
-        A name of `KINDS`: "cone" (a point that is held: its place is unknown, 3), "plane" (unknown
-        are its shift along the normal in mm, and two turns in rad) or "sphere" (its centre in mm,
-        and its size).
-    points : ndarray of shape (n, 3) or (g, n, 3)
-        Where the arm says that the centre of the probe was, mm; of g features of one kind.
-    size : float or ndarray of shape (g,), default=None
-        Diameter of the sphere on which the centre of the probe was, mm: the form has this size,
-        and the last unknown is by how many mm the true one is larger. None: the form has the size
-        that fits best.
-    weights : ndarray of shape (n,) or (g, n), default=None
-        Weights of the touches in the fit. None: all count alike, slips, too; see `touch_weights`.
-
-    Returns
-    -------
-    Linearised
-        Residual (n, 3) in mm, directions (n, 3, 3), and unknowns (n, 3, q); (g, n, ...) of several.
-    """
-    weights = np.ones(points.shape[:-1]) if weights is None else weights
-    return KINDS[kind].rows(points, KINDS[kind].fit(points, size, weights))
-
-
-def linearised(
-    features: Features, codes: np.ndarray, points: np.ndarray, weights: np.ndarray | None = None
-) -> Linearised:
-    """Rows (n, 3) of several features, (kind, size) each, by the feature of each row, `codes` (n,).
-
-    Unknowns are filled up with columns of zeros to the largest number that a feature has. Features
-    of one kind are fitted together. Without weights (n,) those of `touch_weights` are taken.
-    """
-    return with_forms(features, codes, points, weights)[0]
-
-
-def with_forms(
-    features: Features, codes: np.ndarray, points: np.ndarray, weights: np.ndarray | None = None
-) -> tuple[Linearised, list[Form]]:
-    """Rows as `linearised` has them, and the form of each feature."""
-    n, q = len(points), max((KINDS[kind].n_unknowns for kind, _ in features), default=0)
-    whole = Linearised(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, q)))
-    weights = touch_weights(features, codes, points) if weights is None else weights
-    alike: dict[tuple[str, bool], list[int]] = {}
-    for code, (kind, size) in enumerate(features):
-        alike.setdefault((kind, size is None), []).append(code)
-    order, forms = np.argsort(codes, kind="stable"), [Form(np.zeros(3))] * len(features)
-    ends = np.searchsorted(codes[order], np.arange(len(features) + 1))
-    for (kind, is_open), members in alike.items():
-        of = np.array(members)
-        counts = ends[of + 1] - ends[of]
-        place = np.arange(counts.max(initial=0))
-        used = place < counts[:, None]
-        # Features of fewer rows are filled up with their first one, without weight.
-        rows = order[ends[of][:, None] + np.where(used, place, 0)]
-        sizes = None if is_open else np.array([features[code][1] for code in members])
-        form = KINDS[kind].fit(points[rows], sizes, weights[rows] * used)
-        part, own = KINDS[kind].rows(points[rows], form), rows[used]
-        whole.residual[own], whole.directions[own] = part.residual[used], part.directions[used]
-        whole.unknowns[own, :, : part.unknowns.shape[-1]] = part.unknowns[used]
-        for i, code in enumerate(members):
-            each: Any = (None if value is None else value[i] for value in form)
-            forms[code] = Form(*each)
-    return whole, forms
-
-
-def touch_weights(features: Features, codes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Weights (n,) of the touches of several features, 0 for slips, without any model of the arm.
-
-    Parameters as in `linearised`. Points of cones are weighed by `slip_factors`, touches of a
-    surface by a robust fit of it.
-    """
-    weights = np.ones(len(points))
-    cones = np.isin(codes, [i for i, (kind, _) in enumerate(features) if kind == "cone"])
-    weights[cones] = slip_factors(points[cones], np.unique(codes[cones], return_inverse=True)[1])
-    for code, (kind, size) in enumerate(features):
-        if KINDS[kind].flat:
-            own = codes == code
-            weights[own] = _touch_weights(KINDS[kind], points[own], size)
-    return weights
-
-
-def _touch_weights(of, points, size):
-    """Weights (n,) of the touches of one surface.
-
-    The fit starts from the form through a few touches that half of all are nearest to, and then
-    weighs the touches by Tukey's biweight.
-    """
-    n = len(points)
-    if n < of.n_unknowns + 3:  # too few to say which of them is a slip
-        return np.ones(n)
-
-    def left(weights, through=False):  # (..., n) mm
-        many = np.broadcast_to(points, (*weights.shape, 3))
-        form = of.fit(many, size, weights, through)
-        return np.linalg.norm(of.rows(many, form).residual, axis=-1)
-
-    order = np.random.default_rng(0).random((_SAMPLES, n)).argsort(axis=1)
-    off = left((order < of.n_unknowns).astype(float), through=True)
-    halves = np.median(off, axis=1)
-    best = int(np.argmin(halves))
-    weights = (off[best] <= halves[best]).astype(float)
-    for _ in range(_ROUNDS):
-        before, weights = weights, tukey_weights(left(weights)[:, None])
-        if np.array_equal(weights, before):
-            break
-    return weights
-
-
-def known_length(one: Form, other: Form) -> tuple[float, np.ndarray, np.ndarray]:
-    """Length between two features, mm, and its slopes by the unknowns of either, (4,) each.
-
-    Between centres, or across planes along their common normal. Of a feature and itself it is its
-    size, with the slopes in the first.
-    """
-    if one is other:
-        return float(one.size), np.eye(4)[3], np.zeros(4)
-    gap, slopes = one.centre - other.centre, np.zeros((2, 4))
-    normals = [form.axes[:, 0] for form in (one, other) if form.axes is not None]
-    mean = np.sum([n * np.sign(n @ normals[0]) for n in normals], axis=0) if normals else gap
-    along = mean / max(np.linalg.norm(mean), 1e-12)
-    along = along if along @ gap >= 0 else -along
-    for form, sign, slope in zip((one, other), (1, -1), slopes, strict=True):
-        if form.axes is None:
-            slope[:3] = sign * along
-        else:  # a turn of one of two planes turns the common normal by half
-            same = form.axes[:, 0] @ along
-            slope[:3] = sign * same, *(-np.sign(same) / len(normals) * (gap @ form.axes[:, 1:]))
-    return float(gap @ along), slopes[0], slopes[1]
-
-
 def probe_offsets(kinds: Sequence[str], tip_diameter: float, sign: int = 0) -> np.ndarray:
     """By how many mm a length is longer for the centre of the probe, as its sides may be.
 
@@ -307,145 +308,128 @@ def probe_offsets(kinds: Sequence[str], tip_diameter: float, sign: int = 0) -> n
     return tip_diameter * np.array([sign] if sign else sides, dtype=float)
 
 
-def touch_findings(
-    features: Features,
-    codes: np.ndarray,
-    points: np.ndarray | None,
-    labels: Sequence[Hashable],
-    lengths: Sequence[tuple[int, int, float, float]] = (),
-) -> Iterator[Finding]:
-    """Yield features whose touches do not show what they are: a ball on a cap, a plane on a line.
+def _weights_of_surface(of, points):
+    """Weights (n,) of the touches of one surface.
 
-    And planes that are not parallel, though one of the `lengths` is between them. `features` are
-    (kind, size) each and `labels` their names, `codes` (n,) the feature of each row. Without points
-    (n, 3), of an arm that is not calibrated, those that have too few touches.
+    The fit starts from the form through a few touches that half of all are nearest to, and then
+    weighs the touches by Tukey's biweight.
     """
-    for code, ((kind, size), label) in enumerate(zip(features, labels, strict=True)):
-        rows, of = np.flatnonzero(codes == code), KINDS[kind]
-        n_unknown = of.n_unknowns - (of.has_size and size is not None)
-        if not of.flat or (points is not None and len(rows) <= n_unknown):
-            continue
-        if points is None:
-            if len(rows) <= n_unknown:
-                text = (
-                    f"The {kind} {label} has {len(rows)} touches, but {n_unknown} numbers of it "
-                    "are unknown: its touches say nothing."
-                )
-                yield Finding("few-touches", text, "Touch it more often.", positions=(label,))
-            continue
-        own = points[rows]
-        weights = _touch_weights(of, own, size)
-        left = np.square(linearise(kind, own, size, weights).residual).sum(axis=1)
-        away = own - _mean(own, None, weights)
-        spread = np.linalg.eigvalsh((weights[:, None] * away).T @ away)[: of.flat].sum()
-        # Standard deviations, as of fits whose unknowns have taken a part.
-        free = np.maximum(weights.sum() - np.array([n_unknown, 4 - of.flat]), 1.0)
-        form, simpler = np.sqrt(np.array([weights @ left, max(spread, 0.0)]) / free)
-        if form + _NOTHING_MM > _TELLS_APART * simpler:
-            text = (
-                f"The {kind} {label} was touched on {of.part} only: a {of.simpler} leaves "
-                f"{simpler:.2g} mm of its {len(own)} touches, and a {kind} {form:.2g} mm."
-            )
-            advice = "Touch all of it that the probe can reach."
-            yield Finding("touches-alike", text, advice, positions=(label,), size_mm=form)
-    ends = [entry[:2] for entry in lengths if entry[0] != entry[1]]
-    pairs = [pair for pair in ends if all(features[code][0] == "plane" for code in pair)]
-    if points is None or not pairs:
-        return
-    forms = with_forms(features, codes, points)[1]
-    for pair in pairs:
-        one, other = (forms[code].axes[:, 0] for code in pair)
-        turn = np.arccos(min(abs(one @ other), 1.0))
-        if turn > _NOT_PARALLEL:
-            names = tuple(labels[code] for code in pair)
-            text = (
-                f"A length is known between the planes {names[0]} and {names[1]}, which are turned "
-                f"by {np.rad2deg(turn):.2g} degrees to each other."
-            )
-            advice = "It needs parallel planes: look at the labels."
-            yield Finding("planes-not-parallel", text, advice, "repair", positions=names)
+    n = len(points)
+    if n < of.n_unknowns + 3:  # too few to say which of them is a slip
+        return np.ones(n)
 
+    def left(weights):  # (..., n) mm
+        many = np.broadcast_to(points, (*weights.shape, 3))
+        return np.linalg.norm(of.rows(many, of.fit(many, weights)).residual, axis=-1)
 
-def _mean(points, size, weights):
-    total = weights.sum(axis=-1)[..., None]
-    return np.einsum("...n,...nc->...c", weights, points) / total
-
-
-def _point(points, size, weights, through=False):
-    return Form(_mean(points, size, weights))
-
-
-def _point_rows(points, form):
-    whole = np.broadcast_to(np.eye(3), (*points.shape, 3))
-    return Linearised(points - form.centre[..., None, :], whole, whole)
-
-
-def _plane(points, size, weights, through=False):
-    centre = _mean(points, size, weights)
-    away = points - centre[..., None, :]
-    spread = np.einsum("...n,...nc,...nd->...cd", weights, away, away)
-    return Form(centre, axes=np.linalg.eigh(spread)[1])
-
-
-def _plane_rows(points, form):
-    axes = form.axes
-    along = (points - form.centre[..., None, :]) @ axes  # (..., n, 3): off the plane, and in it
-    normal = np.broadcast_to(axes[..., None, :, 0], points.shape)
-    turned = np.concatenate([np.ones_like(along[..., :1]), along[..., 1:]], axis=-1)
-    directions = normal[..., :, None] * normal[..., None, :]
-    unknowns = normal[..., :, None] * turned[..., None, :]
-    return Linearised(along[..., :1] * normal, directions, unknowns)
-
-
-def _sphere(points, size, weights, through=False):
-    """The sphere of least squares of the distances of the points from it."""
-    mean = _mean(points, size, weights)
-    away = points - mean[..., None, :]
-    ones = np.ones_like(away[..., :1])
-
-    def solved(columns, target, weights=weights):
-        sides = np.swapaxes(weights[..., None] * columns, -1, -2)
-        normal = sides @ columns
-        ridge = _RIDGE * np.trace(normal, axis1=-2, axis2=-1)[..., None, None]
-        normal = normal + (ridge + _LEAST_SQUARE) * np.eye(columns.shape[-1])
-        return np.linalg.solve(normal, sides @ target[..., None])[..., 0]
-
-    # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit. Touches
-    # of something else, far away, would count by the fourth power of their distance.
-    square = np.square(away).sum(axis=-1)
-    usual = np.median(square, axis=-1, keepdims=True) + _LEAST_SQUARE
-    less = weights / np.square(np.maximum(square / usual, 1.0))
-    found = solved(np.concatenate([2 * away, ones], axis=-1), square, less)
-    centre = found[..., :3]
-    radius = np.sqrt(np.maximum(found[..., 3] + np.square(centre).sum(axis=-1), _LEAST_SQUARE))
-    if size is not None:  # a sphere of another size through the same touches is on the same line
-        centre, radius = centre * (size / 2 / radius)[..., None], size / 2 + 0 * radius
-    for _ in range(0 if through else _MOST_STEPS):
-        off = away - centre[..., None, :]
-        distance = np.linalg.norm(off, axis=-1)
-        outward = off / np.maximum(distance, _LEAST_SQUARE)[..., None]
-        columns = outward if size is not None else np.concatenate([outward, ones], axis=-1)
-        step = solved(columns, distance - radius[..., None])
-        centre, radius = centre + step[..., :3], radius + step[..., 3:].sum(axis=-1)
-        if (np.abs(step).max(axis=-1) <= _SETTLED * np.abs(radius)).all():
+    order = np.random.default_rng(0).random((_SAMPLES, n)).argsort(axis=1)
+    off = left((order < of.n_unknowns).astype(float))
+    halves = np.median(off, axis=1)
+    best = int(np.argmin(halves))
+    weights = (off[best] <= halves[best]).astype(float)
+    for _ in range(_ROUNDS):
+        before, weights = weights, tukey_weights(left(weights)[:, None])
+        if np.array_equal(weights, before):
             break
-    return Form(centre + mean, 2 * radius)
+    return weights
 
 
-def _sphere_rows(points, form):
-    off = points - form.centre[..., None, :]
-    distance = np.linalg.norm(off, axis=-1)[..., None]
-    outward = off / np.maximum(distance, _LEAST_SQUARE)
-    directions = outward[..., :, None] * outward[..., None, :]
-    shift = np.broadcast_to(np.eye(3), directions.shape)
-    unknowns = np.concatenate([shift, outward[..., :, None] / 2], axis=-1)
-    return Linearised((distance - form.size[..., None, None] / 2) * outward, directions, unknowns)
+def _mean(points, weights):
+    return np.einsum("...n,...nc->...c", weights, points) / weights.sum(axis=-1)[..., None]
 
 
-KINDS: dict[str, Kind] = {
-    "cone": Kind(_point, _point_rows, 3, 3),
-    "plane": Kind(_plane, _plane_rows, 3, 1, flat=2, simpler="line", part="a line"),
-    "sphere": Kind(
-        _sphere, _sphere_rows, 4, 1, has_size=True, flat=1, simpler="plane", part="a small cap"
-    ),
-}
+def _on_surface(off, normal, by):
+    """Touches `off` (..., n) mm along a normal, on which unknowns move them `by` (..., n, q)."""
+    along = normal[..., :, None]
+    residual = off[..., None] * normal
+    return Linearised(residual, along * normal[..., None, :], along * by[..., None, :])
+
+
+class Cone:
+    """A point that is held: its place is unknown.
+
+    As of every kind ``fit(points, weights)`` is the `Form` of least squares, and
+    ``rows(points, form)`` are the `Linearised` touches. Where the touches are on a `part` of the
+    feature that is too small, a `simpler` form explains them as well; they leave it in the `flat`
+    directions in which they spread least.
+    """
+
+    n_unknowns, n_shown = 3, 3  # `n_shown`: coordinates that a touch shows
+    has_size, flat, simpler, part = False, 0, "", ""
+
+    def fit(self, points, weights):
+        return Form(_mean(points, weights))
+
+    def rows(self, points, form):
+        whole = np.broadcast_to(np.eye(3), (*points.shape, 3))
+        return Linearised(points - form.centre[..., None, :], whole, whole)
+
+
+class Plane:
+    """Unknown are its shift along the normal in mm, and two turns in rad."""
+
+    n_unknowns, n_shown = 3, 1
+    has_size, flat, simpler, part = False, 2, "line", "a line"
+
+    def fit(self, points, weights):
+        centre = _mean(points, weights)
+        away = points - centre[..., None, :]
+        spread = np.einsum("...n,...nc,...nd->...cd", weights, away, away)
+        return Form(centre, axes=np.linalg.eigh(spread)[1])
+
+    def rows(self, points, form):
+        along = (points - form.centre[..., None, :]) @ form.axes  # off the plane, and in it
+        normal = np.broadcast_to(form.axes[..., None, :, 0], points.shape)
+        turned = np.concatenate([np.ones_like(along[..., :1]), along[..., 1:]], axis=-1)
+        return _on_surface(along[..., 0], normal, turned)
+
+
+class Sphere:
+    """Unknown are its centre and its size, mm: the diameter of the sphere of the probe's centre."""
+
+    n_unknowns, n_shown = 4, 1
+    has_size, flat, simpler, part = True, 1, "plane", "a small cap"
+
+    def fit(self, points, weights):
+        """The sphere of least squares of the distances of the points from it."""
+        mean = _mean(points, weights)
+        away = points - mean[..., None, :]
+        ones = np.ones_like(away[..., :1])
+
+        def solved(columns, target, weights=weights):
+            sides = np.swapaxes(weights[..., None] * columns, -1, -2)
+            normal = sides @ columns
+            ridge = _RIDGE * np.trace(normal, axis1=-2, axis2=-1)[..., None, None]
+            normal = normal + (ridge + _LEAST_SQUARE) * np.eye(4)
+            return np.linalg.solve(normal, sides @ target[..., None])[..., 0]
+
+        # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in its unknowns and starts the geometric fit.
+        # Touches of something else, far away, would count by the fourth power of their distance.
+        square = np.square(away).sum(axis=-1)
+        usual = np.median(square, axis=-1, keepdims=True) + _LEAST_SQUARE
+        less = weights / np.square(np.maximum(square / usual, 1.0))
+        found = solved(np.concatenate([2 * away, ones], axis=-1), square, less)
+        centre = found[..., :3]
+        radius = np.sqrt(np.maximum(found[..., 3] + np.square(centre).sum(axis=-1), _LEAST_SQUARE))
+        for _ in range(_MOST_STEPS):
+            outward, distance = _outward(away, centre)
+            step = solved(np.concatenate([outward, ones], axis=-1), distance - radius[..., None])
+            centre, radius = centre + step[..., :3], radius + step[..., 3]
+            if (np.abs(step).max(axis=-1) <= _SETTLED * np.abs(radius)).all():
+                break
+        return Form(centre + mean, 2 * radius)
+
+    def rows(self, points, form):
+        outward, distance = _outward(points, form.centre)
+        by = np.concatenate([outward, np.full_like(outward[..., :1], 0.5)], axis=-1)
+        return _on_surface(distance - form.size[..., None] / 2, outward, by)
+
+
+def _outward(points, centre):
+    """Unit vectors (..., n, 3) from a centre to points, and their distances (..., n)."""
+    off = points - centre[..., None, :]
+    distance = np.linalg.norm(off, axis=-1)
+    return off / np.maximum(distance, _LEAST_SQUARE)[..., None], distance
+
+
+KINDS: dict[str, Any] = {"cone": Cone(), "plane": Plane(), "sphere": Sphere()}

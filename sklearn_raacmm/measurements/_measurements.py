@@ -5,6 +5,7 @@
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sklearn_raacmm.arm import Arm, check_angles, slides_of
 from sklearn_raacmm.measurements._dwells import Dwells, find_poses, within_turn
-from sklearn_raacmm.measurements._features import KINDS, check_features, check_length, probe_offsets
+from sklearn_raacmm.measurements._features import Features, check_length, probe_offsets
 from sklearn_raacmm.utils import encode_groups, floats, listed
 
 
@@ -36,7 +37,7 @@ class Measurements:
         deviations; of a feature and itself, its size.
     offsets : list of ndarray
         Of each length, by how many mm it may be longer for the centre of the probe's own ball.
-    features : list of (str, None) or None
+    features : list of str or None
         Kind of what each number of `index` is; None: fixed points.
     tools, tool_labels, stations, station_labels : ndarray of shape (n,) or None, and tuple
         Numbers of the tool and of the set-up of each row, and what they are called.
@@ -70,21 +71,48 @@ class Measurements:
     labels: Any = None
     tool_labels: tuple[Hashable, ...] = ()
     station_labels: tuple[Hashable, ...] = ()
-    features: list[tuple[str, None]] | None = None
+    features: list[str] | None = None
     offsets: Any = None
     extra: dict[str, np.ndarray] = field(default_factory=dict)
     poses: Any = None
     stated: tuple[Any, ...] = ()
     joint_types: str = ""
-    # What follows from these, of use to a calibration.
-    n_tools: int = field(init=False)
-    n_stations: int = field(init=False)
-    n_shown: int | np.ndarray = field(
-        init=False
-    )  # coordinates that a row shows, one for all or (n,)
-    informative: np.ndarray = field(init=False)  # (n,) whether a row can scatter
-    n_informative: int = field(init=False)
-    n_coordinates: int = field(init=False)  # less those that the unknowns of what was touched take
+
+    @cached_property
+    def touched(self) -> Features:
+        """The features that rows are touches of: cones where nothing is said."""
+        return Features(self.features or ["cone"] * (int(self.index.max()) + 1), self.index)
+
+    @property
+    def n_tools(self) -> int:
+        return max(len(self.tool_labels), 1)
+
+    @property
+    def n_stations(self) -> int:
+        """How many bases are unknown: none where nothing but labels was given."""
+        return 0 if self.points is None else max(len(self.station_labels), 1)
+
+    @cached_property
+    def n_shown(self) -> np.ndarray:
+        """How many coordinates each row shows, (n,)."""
+        if not self.features:
+            return np.full(len(self.angles), 3)
+        return self.touched.n_shown[self.index]
+
+    @cached_property
+    def informative(self) -> np.ndarray:
+        """Whether each row can scatter, (n,): one point is its own mean, and shows no precision."""
+        if self.points is not None or self.index is None:
+            return np.ones(len(self.angles), dtype=bool)
+        return self.touched.scatter[self.index]
+
+    @property
+    def n_coordinates(self) -> int:
+        """Coordinates that rows show, less those that the unknowns of what was touched take."""
+        taken = 0
+        if self.points is None and self.index is not None:
+            taken = self.touched.n_unknowns[self.touched.scatter].sum()
+        return int(self.n_shown[self.informative].sum() - taken)
 
     @classmethod
     def of(
@@ -157,7 +185,14 @@ class Measurements:
             named = found["labels"].tolist()
             found["lengths"] = [check_length(entry, named) for entry in lengths]
             if features:
-                found |= _touched(features, named, found["lengths"], tip_diameter)
+                touched = Features.stated(features, named, found["index"])
+                ends = [[touched.kinds[i] for i in entry[:2]] for entry in found["lengths"]]
+                offsets = [probe_offsets(pair, tip_diameter) for pair in ends]
+                offsets += [
+                    probe_offsets(["sphere"], tip_diameter, one[4]) for one in touched.sizes
+                ]
+                found["lengths"] += [one[:4] for one in touched.sizes]
+                found |= {"features": touched.kinds, "offsets": offsets, "stated": tuple(features)}
         elif lengths or features:
             raise ValueError("lengths and features are of groups: give groups, labels of rows.")
         whole = cls(angles, points=points, **found, extra=given_causes(extra, n))
@@ -225,37 +260,14 @@ class Measurements:
             some["labels"] = self.labels[kept]
             named = set(some["labels"].tolist())
             some["stated"] = tuple(one for one in self.stated if one[0] in named)
-        every = np.arange(len(angles))
-        return replace(self, angles=angles, extra=extra, poses=Dwells(every, every), **some)
+        return replace(self, angles=angles, extra=extra, poses=None, **some)
 
     def __post_init__(self) -> None:
-        n, n_unknown = len(self.angles), 0
-        found: dict[str, Any] = {}
-        found["n_tools"] = 1 if self.tools is None else int(self.tools.max()) + 1
-        found["n_stations"] = 0
-        found["n_shown"] = 3
-        if self.points is not None:
-            found["n_stations"] = 1 if self.stations is None else int(self.stations.max()) + 1
-        used = np.ones(n, dtype=bool)
-        if self.points is None and self.index is not None:
-            count = np.bincount(self.index)
-            kinds = [KINDS[kind] for kind, _ in self.features or [("cone", None)] * len(count)]
-            shown, unknown = np.array([(of.n_shown, of.n_unknowns) for of in kinds]).T
-            # One point is its own mean: its zero residual must not pass for precision.
-            known = count * shown > unknown
-            used, n_unknown = known[self.index], int(unknown[known].sum())
-            if self.features:
-                found["n_shown"] = shown[self.index]
-        found["informative"] = used
-        found["n_informative"] = int(used.sum())
-        of_rows = np.broadcast_to(found["n_shown"], n)
-        found["n_coordinates"] = int(of_rows[used].sum()) - n_unknown
         if self.offsets is None:
-            found["offsets"] = [np.zeros(1)] * len(self.lengths)
+            object.__setattr__(self, "offsets", [np.zeros(1)] * len(self.lengths))
         if self.poses is None:
-            found["poses"] = Dwells(np.arange(n), np.arange(n))
-        for name, value in found.items():
-            object.__setattr__(self, name, value)
+            every = np.arange(len(self.angles))
+            object.__setattr__(self, "poses", Dwells(every, every))
 
     def __repr__(self) -> str:
         parts = [f"{len(self.angles)} rows of {self.angles.shape[1]} joints"]
@@ -268,16 +280,6 @@ class Measurements:
 
 _ROWS = ("index", "points", "tools", "stations")
 _PARTS = ("points", "lengths", "features", "tools", "stations", "extra")
-
-
-def _touched(features, named, lengths, tip_diameter):
-    """Kinds of what was touched, lengths and sizes, and by how much these may be longer."""
-    kinds, sizes = check_features(features, named)
-    ends = [[kinds[i][0] for i in entry[:2]] for entry in lengths]
-    offsets = [probe_offsets(pair, tip_diameter) for pair in ends]
-    offsets += [probe_offsets(["sphere"], tip_diameter, entry[4]) for entry in sizes]
-    every = [*lengths, *(entry[:4] for entry in sizes)]
-    return {"features": kinds, "lengths": every, "offsets": offsets, "stated": tuple(features)}
 
 
 def given_causes(extra: Mapping[str, ArrayLike] | None, n_rows: int) -> dict[str, np.ndarray]:

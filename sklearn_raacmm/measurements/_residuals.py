@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sklearn_raacmm.measurements._features import check_features, linearised, touch_weights
+from sklearn_raacmm.measurements._features import Features
 from sklearn_raacmm.utils import Floats, centred, check_weights, encode_groups, floats, slip_factors
 
 
@@ -71,8 +71,7 @@ def position_residuals(
             f"weight: {shown}. The residual of a lone point from its own mean is zero whatever "
             "the arm does; leave these positions out."
         )
-    kinds = check_features(features, labels.tolist())[0]
-    if all(kind == "cone" for kind, _ in kinds):
+    touched = Features.stated(features, labels.tolist(), codes)
+    if set(touched.kinds) == {"cone"}:
         return centred(points, codes, weight * slip_factors(points, codes, weight))
-    counted = touch_weights(kinds, codes, points)
-    return linearised(kinds, codes, points, weight * counted).residual
+    return touched.linearised(points, weight * touched.weights(points)).residual

@@ -12,7 +12,7 @@ is added to T, and draws them to 0.
 # Authors: The sklearn_raacmm developers
 # SPDX-License-Identifier: BSD-3-Clause
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,16 +22,44 @@ from sklearn_raacmm.utils import group_sums
 _ROUNDING = 1e-12
 
 
-class Whitening(NamedTuple):
-    """What whitens rows, and the basis of what the unknowns of their features explain."""
+class Whitening:
+    """What whitens rows, and the basis of what the unknowns of their features explain.
 
-    root: np.ndarray  # (n, 3, 3) with the root of the weight, 0 along what a row does not show
-    feature: Any  # (n,) from 0; None: no row has unknowns
-    unit: Any  # (n_features, q, q) E: unknowns by what makes their precision 1
-    moves: Any  # (n, 3, q) B E
-    basis: Any  # (n, 3, q) W B E
-    precision: Any  # (n_features, q) of the unknowns, along those of E
-    n_observations: float  # less what the unknowns have taken
+    Rows of some weights (n,), whose noise has the `root` (n, 3, 3) or is I. `unknowns` (n, 3, q)
+    are what one of each unknown of the `feature` (n,) does to a row: None is a shift, of which
+    `known` is the precision beforehand. `rank` says how many numbers a row shows.
+    """
+
+    def __init__(
+        self,
+        weights: np.ndarray,
+        root: np.ndarray | None = None,
+        feature: np.ndarray | None = None,
+        unknowns: np.ndarray | None = None,
+        known: float = 0.0,
+        rank: np.ndarray | float = 3.0,
+    ) -> None:
+        # With the root of the weight, 0 along what a row does not show.
+        self.root = np.sqrt(weights)[:, None, None] * (np.eye(3) if root is None else root)
+        self.feature: Any = feature  # (n,) from 0; None: no row has unknowns
+        self.unit: Any = None  # (n_features, q, q) E: unknowns by what makes their precision 1
+        self.moves: Any = None  # (n, 3, q) B E
+        self.basis: Any = None  # (n, 3, q) W B E
+        self.precision: Any = None  # (n_features, q) of the unknowns, along those of E
+        self.n_observations = float(np.sum(rank * weights))  # less what the unknowns have taken
+        if feature is None:
+            return
+        side = self.root if unknowns is None else self.root @ unknowns
+        value, axes = np.linalg.eigh(group_sums(side.swapaxes(1, 2) @ side, feature))
+        shown = value > _ROUNDING * np.maximum(value[:, -1:], 1e-300)
+        taken = 0 if known else np.count_nonzero(shown)
+        self.n_observations = max(self.n_observations - taken, 0.0)
+        self.precision = value = np.where(shown, value, 0.0) + known
+        size = np.where(value > 0, 1 / np.sqrt(np.where(value > 0, value, 1.0)), 0.0)
+        self.unit = axes * size[:, None]
+        of_row = self.unit[feature]
+        self.moves = of_row if unknowns is None else unknowns @ of_row
+        self.basis = side @ of_row
 
     def explained(self, whitened: np.ndarray) -> np.ndarray:
         """Sums over each feature of products of the basis with columns, (n_features, q, m)."""
@@ -55,34 +83,3 @@ class Whitening(NamedTuple):
     def unknowns(self, columns: np.ndarray) -> np.ndarray:
         """The unknowns (n_features, q, m) that explain columns (n, 3, m)."""
         return self.unit @ self.explained(self.root @ columns)
-
-
-def whitening(
-    weights: np.ndarray,
-    root: np.ndarray | None = None,
-    feature: np.ndarray | None = None,
-    unknowns: np.ndarray | None = None,
-    known: float = 0.0,
-    rank: np.ndarray | float = 3.0,
-) -> Whitening:
-    """`Whitening` of rows of some weights (n,), whose noise has the `root` (n, 3, 3) or is I.
-
-    `unknowns` (n, 3, q) are what one of each unknown of the `feature` (n,) does to a row: None is a
-    shift, of which `known` is the precision beforehand. `rank` says how many numbers a row shows.
-    """
-    scale = np.sqrt(weights)[:, None, None]
-    root = scale * (np.eye(3) if root is None else root)
-    n_observations = float(np.sum(rank * weights))
-    if feature is None:
-        return Whitening(root, None, None, None, None, None, n_observations)
-    side = root if unknowns is None else root @ unknowns
-    total = group_sums(side.swapaxes(1, 2) @ side, feature)
-    value, axes = np.linalg.eigh(total)
-    shown = value > _ROUNDING * np.maximum(value[:, -1:], 1e-300)
-    n_observations -= 0 if known else np.count_nonzero(shown)
-    value = np.where(shown, value, 0.0) + known
-    unit = axes * np.where(value > 0, 1 / np.sqrt(np.where(value > 0, value, 1.0)), 0.0)[:, None]
-    of_row = unit[feature]
-    moves = of_row if unknowns is None else unknowns @ of_row
-    basis = side @ of_row
-    return Whitening(root, feature, unit, moves, basis, value, max(n_observations, 0.0))

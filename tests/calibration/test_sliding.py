@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm, Measurements, calibrate
-from sklearn_raacmm.calibration._problem import pack, table_jacobian, unpack
+from sklearn_raacmm.calibration._fit import Fit
 
 RAIL = Arm.from_name("ur10_rail").replace(probe=(20, 30, 100))
 
@@ -50,12 +50,14 @@ def test_what_a_rail_parallel_to_another_cannot_show_is_said():
 
 
 def test_derivatives_are_those_of_differences():
-    arm, q, step = RAIL, RAIL.random_poses(10), 1e-6
-    jacobian = table_jacobian(arm, q)[1]
-    x = pack(arm)
-    assert jacobian.shape == (10, 3, len(x)) == (10, 3, 32)
-    for i, unit in enumerate(np.eye(len(x))):
-        ends = [arm.replace(**unpack(x + way * unit, arm)).forward(q) for way in (step, -step)]
+    measured = Measurements(RAIL.random_poses(10), np.arange(10) // 5, joint_types="PRRRRRR")
+    fit, step = Fit(RAIL, measured, "squared"), 1e-6
+    points, jacobian = fit.located_at(fit.nominal, slice(None))
+    assert_allclose(points, RAIL.forward(measured.angles), atol=1e-9)
+    assert jacobian.shape == (10, 3, len(fit.nominal)) == (10, 3, 32)
+    for i, unit in enumerate(np.eye(32)):
+        steps = (fit.nominal + way * unit for way in (step, -step))
+        ends = [fit.located_at(x, slice(None))[0] for x in steps]
         assert_allclose(jacobian[:, :, i], (ends[0] - ends[1]) / (2 * step), atol=2e-5, rtol=1e-6)
 
 

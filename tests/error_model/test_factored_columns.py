@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm import Arm
 from sklearn_raacmm.error_model import LinearModel, Terms
-from sklearn_raacmm.error_model._columns import columns_of
-from sklearn_raacmm.error_model._factored import Root
+from sklearn_raacmm.error_model._columns import Root, columns_of
 
 ARM = Arm.from_name("ur10", joint_signs=[1, -1, 1, 1, 1, -1], probe=(3.0, -8.0, 120.0))
 EXTRA = (("temperature", (20.0,)), ("direction 2", (0.0,)), ("force x", (1.5,)))

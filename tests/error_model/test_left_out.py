@@ -14,7 +14,7 @@ from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.error_model import Fading, Terms, interval_scales
 from sklearn_raacmm.error_model._columns import columns_of
-from sklearn_raacmm.error_model._fit import fit_linear_model
+from sklearn_raacmm.error_model._fit import Fit
 from sklearn_raacmm.error_model._left_out import (
     _blocks,
     find_fading,
@@ -93,7 +93,7 @@ def test_models_without_a_block_are_those_of_a_fit_without_it(single_point):
     weights = np.random.default_rng(0).uniform(0.5, 2, len(y))
     rows = Rows(test.arm, test.data, y, weights, test.groups if single_point else None)
     terms = Terms(np.empty((0, 2), int), False, True, False)
-    fitted = fit_linear_model(rows, columns_of(test.arm, terms), with_field=False)
+    fitted = Fit(rows, columns_of(test.arm, terms), with_field=False)
     correction, doubt, deviations = leave_out(fitted, test.groups)
     model = fitted.model
     blocks = _blocks(test.arm.forward(test.data), test.groups, weights)

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.datasets import make_single_point
-from sklearn_raacmm.error_model import _blocks, _fit, _left_out, _sums
+from sklearn_raacmm.error_model import _fit, _left_out, _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.utils import centred
 
@@ -50,9 +50,9 @@ def test_dask_gives_the_model_of_the_same_rows_in_memory(known, small_blocks, mo
     test.target[:] = centred(test.target, test.groups)
     options = {"groups": test.groups, "lengths": test.lengths} if known else {"groups": False}
     calls = []
-    one_thread = _blocks._with_one_thread
+    one_thread = _sums._with_one_thread
     monkeypatch.setattr(
-        _blocks, "_with_one_thread", lambda *given: calls.append(given) or one_thread(*given)
+        _sums, "_with_one_thread", lambda *given: calls.append(given) or one_thread(*given)
     )
     whole = fitted(test, np.asarray, **options)
     assert not calls

@@ -6,9 +6,8 @@ import pytest
 from sklearn_raacmm import Arm, ArmResidualRegressor
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._fit import structures_of
-from sklearn_raacmm.error_model._noise import Noise, even_noise, joint_noise
-from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.inference import Problem, search
+from sklearn_raacmm.error_model._sums import Noise, Rows, even_noise, joint_noise
+from sklearn_raacmm.inference import Problem
 
 ARM = Arm.from_name("aacmm6")
 
@@ -120,7 +119,7 @@ def test_the_size_of_all_noise_changes_no_choice():
         root = size * noise.roots(ARM.jacobian(angles))
         rows = Rows(ARM, angles, y, np.ones(200), np.arange(200) // 20, root=root)
         structures = structures_of(columns, True, [])
-        found.append(search(Problem(rows.sums(columns), structures)))
+        found.append(Problem(rows.sums(columns), structures).search())
     one, two = found
     assert [1, 5] in offered[one.lines].tolist()
     np.testing.assert_array_equal(two.lines, one.lines)

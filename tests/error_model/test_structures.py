@@ -6,7 +6,7 @@ import pytest
 from sklearn_raacmm import ArmResidualRegressor
 from sklearn_raacmm.error_model import Terms
 from sklearn_raacmm.error_model._columns import ARCSEC, columns_of
-from sklearn_raacmm.error_model._fit import fit_linear_model, offered_harmonics
+from sklearn_raacmm.error_model._fit import Fit, offered_harmonics
 from sklearn_raacmm.error_model._sums import Rows
 
 from ._arms import ARM, draw_angles
@@ -65,7 +65,7 @@ def test_a_model_is_not_sure_of_angles_where_it_has_no_poses():
     train = np.setdiff1d(np.flatnonzero(~in_gap), near)
     columns = columns_of(ARM, Terms(offered_harmonics(theta[train], 48), False, False, False))
     rows = Rows(ARM, theta[train], y[train], np.ones(len(train)), None)
-    model = fit_linear_model(rows, columns, with_field=True).model
+    model = Fit(rows, columns, with_field=True).model
     assert model.prior_sd["smooth"] > 1
     z = {}
     for name, rows in (("near", near), ("gap", np.flatnonzero(in_gap))):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_raacmm.error_model import _sums
 from sklearn_raacmm.error_model._columns import Terms, columns_of
-from sklearn_raacmm.error_model._fit import _reweighted
+from sklearn_raacmm.error_model._fit import reweighted
 from sklearn_raacmm.error_model._sums import (
     Rows,
     _of_orders,
@@ -93,7 +93,7 @@ def test_sums_at_new_weights_are_those_of_all_rows(codes, known):
     factors[2][[3, 15, 27, 39, 51]] = 0.0  # position 3
     sums = rows.weighted(factors[0]).sums(columns)
     for old, new in pairwise(factors):
-        sums = _reweighted(rows, columns, sums, old, new)
+        sums = reweighted(rows, columns, sums, old, new)
         expected = rows.weighted(new).sums(columns)
         for found, wanted in zip(sums[:7], expected[:7], strict=True):
             assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())

@@ -9,9 +9,8 @@ from sklearn_raacmm.datasets import SimulatedArm, make_features, make_single_poi
 from sklearn_raacmm.error_model._checks import check_fit
 from sklearn_raacmm.error_model._columns import Terms, columns_of
 from sklearn_raacmm.error_model._left_out import beside_table
-from sklearn_raacmm.error_model._noise import Noise
-from sklearn_raacmm.error_model._sums import candidate_sums, length_equations
-from sklearn_raacmm.measurements import known_length, with_forms
+from sklearn_raacmm.error_model._sums import Noise, candidate_sums, length_equations
+from sklearn_raacmm.measurements import Features
 
 
 def rows_of(test, **fit):
@@ -81,13 +80,14 @@ def test_stated_sizes_and_lengths_are_those_of_forms_fitted_anew():
     w = np.random.default_rng(0).normal(0, 0.5, len(columns.others))
     moved = test.arm.forward(test.data) - columns.at(test.data) @ w
     codes, weights = rows.codes, np.ones(len(moved))
-    kinds = [(entry[1], None) for entry in test.features]
+    kinds = [entry[1] for entry in test.features]
     order = np.argsort([np.flatnonzero(test.groups == label)[0] for label in labels])
-    forms = with_forms([kinds[i] for i in order], codes, moved, weights)[1]
-    before = with_forms([kinds[i] for i in order], codes, test.arm.forward(test.data), weights)[1]
+    both = Features([kinds[i] for i in order], codes)
+    forms = both.linearised(moved, weights).forms
+    before = both.linearised(test.arm.forward(test.data), weights).forms
     for (i, j, stated, _), row, value in zip(rows.lengths, extra.rows, extra.values, strict=True):
-        expected = known_length(forms[i], forms[j])[0] - stated
-        change = expected - (known_length(before[i], before[j])[0] - stated)
+        expected = forms[i].length_to(forms[j])[0] - stated
+        change = expected - (before[i].length_to(before[j])[0] - stated)
         assert value - row @ w == pytest.approx(expected, abs=0.03 * abs(change) + 1e-4)
 
 

@@ -13,8 +13,8 @@ from sklearn_raacmm import Arm, ArmResidualRegressor, calibrate, plan_poses, pos
 from sklearn_raacmm.datasets import SimulatedArm, make_single_point
 from sklearn_raacmm.error_model import _fit
 from sklearn_raacmm.error_model._columns import LOAD, Terms, columns_of
+from sklearn_raacmm.error_model._fit import _VARIANCES, _evidence_and_coef, _left_of_gravity
 from sklearn_raacmm.error_model._sums import Rows
-from sklearn_raacmm.error_model._vertical import _VARIANCES, _evidence_and_coef, _left_of_gravity
 from sklearn_raacmm.utils import FindingWarning
 
 from ._arms import ARM, draw_angles

@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_raacmm.inference import (
-    Extra,
-    GramRows,
-    Problem,
-    Structures,
-    Sums,
-    search,
-    sums_of_gram,
-    sums_of_pairs,
-)
+from sklearn_raacmm.inference import Extra, GramRows, Problem, Structures, Sums
 from sklearn_raacmm.inference._linear import columns_of
 
 
@@ -52,7 +43,7 @@ def test_posterior_is_ridge_in_closed_form(toys, with_field):
 
 def test_variances_are_a_maximum_of_the_evidence(toys):
     toy = toys.drawn(1)
-    found = search(toy.problem)
+    found = toy.problem.search()
     best = toys.evidence_of_lines(toy, found.lines, found.variance, found.noise_variance)
     for which in range(3):
         for factor in (0.6, 1.6):
@@ -68,7 +59,7 @@ def test_variances_that_are_given_stay(toys):
     toy = toys.drawn(1)
     structures = toy.problem.structures
     given = structures._replace(given=np.array([0.07, np.nan, np.nan]))
-    assert search(Problem(toy.problem.sums, given)).variance[0] == 0.07
+    assert Problem(toy.problem.sums, given).search().variance[0] == 0.07
 
 
 def test_gains_are_differences_of_the_evidence(toys):
@@ -90,7 +81,7 @@ def test_other_observations_are_rows_of_their_own_variance(toys):
     toy, rng = toys.drawn(2), np.random.default_rng(7)
     rows, values = rng.normal(size=(5, 28)), rng.normal(size=5)
     extra = Extra(rows, values, np.full(5, 0.3), np.linspace(0.1, 2.0, 5))
-    found = search(Problem(toy.problem.sums._replace(extra=extra), toy.problem.structures))
+    found = Problem(toy.problem.sums._replace(extra=extra), toy.problem.structures).search()
     own = extra.variance + found.noise_variance * extra.share
     scale = np.sqrt(np.r_[np.full(len(toy.y), found.noise_variance), own])
     waves = columns_of(found.lines)
@@ -103,7 +94,7 @@ def test_other_observations_are_rows_of_their_own_variance(toys):
 def test_sums_of_one_gram_matrix_are_those_of_its_columns(toys):
     toy = toys.drawn(6)
     both = np.column_stack([toy.H, toy.A, toy.y])
-    found, expected = sums_of_gram(both.T @ both, 12, 80.0), toys.sums_of(toy.A, toy.H, toy.y)
+    found, expected = Sums.of_gram(both.T @ both, 12, 80.0), toys.sums_of(toy.A, toy.H, toy.y)
     for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
         assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
     assert_allclose(found.rows([7, 0]), expected.rows([7, 0]), atol=1e-12)
@@ -115,7 +106,7 @@ def test_sums_of_some_pairs_are_those_of_their_columns(toys):
     extra = Extra(rng.normal(size=(2, 28)), np.ones(2), np.ones(2), np.ones(2))
     sums = toys.sums_of(toy.A, toy.H, toy.y)._replace(extra=extra)
     some = toy.H[:, columns_of(pairs)]
-    found, expected = sums_of_pairs(sums, pairs), toys.sums_of(toy.A, some, toy.y)
+    found, expected = sums.of_pairs(pairs), toys.sums_of(toy.A, some, toy.y)
     for name in ("gram", "moment", "cross", "own", "candidate_moment", "square", "n_observations"):
         assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
     assert_allclose(found.rows([2, 0]), expected.rows([2, 0]), atol=1e-12)

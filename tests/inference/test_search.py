@@ -6,38 +6,37 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_raacmm.inference import Problem, beside_field, search, search_at
-from sklearn_raacmm.inference._linear import columns_of
-from sklearn_raacmm.inference._search import _Leftover, _pruned, net_evidence
+from sklearn_raacmm.inference import Problem
+from sklearn_raacmm.inference._linear import _Leftover, columns_of
 
 
 def test_a_line_raises_the_evidence_by_more_than_its_price(toys):
     toy = toys.drawn(0)
-    found = search(toy.problem)
+    found = toy.problem.search()
     v, noise = found.variance, found.noise_variance
     assert_array_equal(found.lines, [2, 5])
     whole = toys.evidence_of_lines(toy, found.lines, v, noise)
     for other in set(range(12)) - {2, 5}:
         assert toys.evidence_of_lines(toy, [2, 5, other], v, noise) - whole < np.log(12)
     assert np.all(found.gains > np.log(12))
-    assert net_evidence(toy.problem, found) == found.log_evidence - 2 * np.log(12)
-    once = search_at(toy.problem, found)
+    assert toy.problem.net_evidence(found) == found.log_evidence - 2 * np.log(12)
+    once = toy.problem.search_at(found)
     assert_array_equal(once.lines, [2, 5])
     assert_allclose(once.coef, found.coef)
 
 
 def test_a_choice_of_more_data_loses_what_is_needless_and_takes_what_is_missing(toys):
     toy = toys.drawn(3)
-    found = search(toy.problem)
+    found = toy.problem.search()
     assert found.lines.tolist() == [2, 5]
     other = found._replace(lines=np.array([2, 7]), pairs=np.array([2, 7]))
-    assert search_at(toy.problem, other).lines.tolist() == [2, 5]
+    assert toy.problem.search_at(other).lines.tolist() == [2, 5]
 
 
 @pytest.mark.parametrize("price", [0.0, 1e9])
 def test_a_price_decides(toys, price):
     toy = toys.drawn(0)
-    found = search(Problem(toy.problem.sums, toys.structures(4, 12, price)))
+    found = Problem(toy.problem.sums, toys.structures(4, 12, price)).search()
     assert {2, 5} <= set(found.lines.tolist()) if price == 0 else len(found.lines) == 0
 
 
@@ -47,7 +46,7 @@ def test_all_of_several_that_are_repeated_are_found_once(toys):
     H = rng.normal(size=(120, 12))
     y = H @ np.repeat([2.0, 0.0, 1.0, 0.0, 0.5, 0.0], 2) + 0.1 * rng.normal(size=120)
     sums = toys.sums_of(rng.normal(size=(120, 2)), np.column_stack([H, H]), y)
-    found = search(Problem(sums, toys.structures(2, 12)))
+    found = Problem(sums, toys.structures(2, 12)).search()
     assert sorted(found.lines % 6) == [0, 2, 4]
 
 
@@ -61,12 +60,12 @@ def with_field(toys, seed, lines_only):
     share = np.linspace(1.0, 0.4, 30)
     share[7] = 0.0  # offered as a line only
     problem = Problem(toys.sums_of(A, H, y), toys.structures(4, 30, share=share))
-    lines = search(problem)
+    lines = problem.search()
     return (
         SimpleNamespace(A=A, H=H, y=y),
         share,
         lines,
-        beside_field(problem, lines, problem, lines),
+        problem.beside_field(lines, problem, lines),
     )
 
 
@@ -97,7 +96,7 @@ def test_the_field_has_the_evidence_of_its_own_prior(toys):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_field_where_there_are_lines_only(toys, seed):
-    assert with_field(toys, seed, lines_only=True)[-1] is None
+    assert not with_field(toys, seed, lines_only=True)[-1].with_field
 
 
 @pytest.mark.parametrize("chosen", [(), (3,), (1, 4)])
@@ -140,7 +139,7 @@ def test_a_state_without_needless_lines_is_that_of_the_others(toys, field):
     share[[2, 7]] = 0.0  # these are out where they are no lines
     problem = Problem(toys.sums_of(A, H, y), toys.structures(4, 10, share=share))
     variance, lines = np.array([0.7, 0.4, 0.01]), np.array([2, 3, 5, 7, 8])
-    found = _pruned(problem, problem.state(lines, field, variance, 0.09))
+    found = problem._pruned(problem.state(lines, field, variance, 0.09))
     assert 0 < len(found.lines) < 5
     anew = problem.with_lines(found, found.lines)
     assert_array_equal(found.pairs, anew.pairs)

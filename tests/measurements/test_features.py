@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
-from sklearn_raacmm.measurements import KINDS, linearise, linearised, touch_findings, touch_weights
+from sklearn_raacmm.measurements import Features
 from sklearn_raacmm.metrics import fit_sphere
 
 
@@ -25,24 +25,25 @@ def touches(kind, n=12, noise=0.005, seed=0, part=1.0):
     return points @ turn + rng.normal(0, 300, 3), normal @ turn
 
 
+def linearised(kind, points):
+    """Touches of one feature, all of which count alike."""
+    touched = Features([kind], np.zeros(len(points), dtype=int))
+    return touched.linearised(points, np.ones(len(points)))
+
+
 @pytest.mark.parametrize("kind", ["cone", "plane", "sphere"])
 def test_unknowns_are_the_derivatives_of_the_form(kind):
     """Moving a feature by its unknowns moves the nearest points as a search of it anew says."""
     points, _ = touches(kind, 20)
-    size = 30.01 if kind == "sphere" else None
-    rows = linearise(kind, points, size)
-    assert rows.unknowns.shape == (20, 3, KINDS[kind].n_unknowns)
+    rows = linearised(kind, points)
+    q = 4 if kind == "sphere" else 3
+    assert rows.unknowns.shape == (20, 3, q)
     along = rows.directions @ rows.residual[:, :, None]
     assert_allclose(along[:, :, 0], rows.residual, atol=1e-12)
-    step = 1e-4 * np.random.default_rng(1).normal(size=KINDS[kind].n_unknowns)
+    step = 1e-4 * np.random.default_rng(1).normal(size=q)
     if kind == "plane":
         step[1:] /= 50  # rad
-    if kind == "sphere":
-        # Of a known size: the touches of another sphere, its centre and size changed.
-        step[3] = 1e-4
-    moved = linearise(
-        kind, points + rows.unknowns @ step, None if size is None else size + step[-1]
-    )
+    moved = linearised(kind, points + rows.unknowns @ step)
     seen = rows.directions @ (moved.residual - rows.residual)[:, :, None]
     assert np.abs(seen).max() < 2e-3 * np.abs(step).max()
 
@@ -50,11 +51,11 @@ def test_unknowns_are_the_derivatives_of_the_form(kind):
 def test_forms_are_those_of_least_squares():
     """Against the sphere of `metrics` and a search of the plane by its angles."""
     points, _ = touches("sphere", 25)
-    rows = linearise("sphere", points)
+    rows = linearised("sphere", points)
     _, radius, distances = fit_sphere(points)
     assert_allclose(np.linalg.norm(rows.residual, axis=1), np.abs(distances - radius), atol=1e-9)
     points, _ = touches("plane", 25)
-    rows = linearise("plane", points)
+    rows = linearised("plane", points)
 
     def off(x):
         normal = np.array([np.sin(x[0]) * np.cos(x[1]), np.sin(x[0]) * np.sin(x[1]), np.cos(x[0])])
@@ -68,18 +69,16 @@ def test_forms_are_those_of_least_squares():
 
 
 def test_features_are_linearised_together_as_each_alone():
-    kinds = [("sphere", None), ("cone", None), ("plane", None), ("sphere", 30.0), ("plane", None)]
-    n = (9, 6, 20, 12, 7)
-    each = [
-        touches(kind, k, seed=i)[0] for i, ((kind, _), k) in enumerate(zip(kinds, n, strict=True))
-    ]
+    kinds, n = ["sphere", "cone", "plane", "sphere", "plane"], (9, 6, 20, 12, 7)
+    each = [touches(kind, k, seed=i)[0] for i, (kind, k) in enumerate(zip(kinds, n, strict=True))]
     codes = np.repeat(np.arange(5), n)
     order = np.random.default_rng(0).permutation(len(codes))
-    rows = linearised(kinds, codes[order], np.concatenate(each)[order], np.ones(len(codes)))
+    whole = Features(kinds, codes[order])
+    rows = whole.linearised(np.concatenate(each)[order], np.ones(len(codes)))
     assert rows.unknowns.shape == (54, 3, 4)
-    for code, ((kind, size), points) in enumerate(zip(kinds, each, strict=True)):
+    for code, (kind, points) in enumerate(zip(kinds, each, strict=True)):
         own = np.argsort(order)[codes == code]
-        alone = linearise(kind, points, size)
+        alone = linearised(kind, points)
         assert_allclose(rows.residual[own], alone.residual, atol=1e-9)
         assert_allclose(rows.directions[own], alone.directions, atol=1e-9)
         q = alone.unknowns.shape[2]
@@ -96,7 +95,7 @@ def test_slips_take_no_part_in_a_first_fit():
         points, normal = touches(kind, seed=seed)
         slipped = rng.choice(12, 3, replace=False)
         points[slipped] += rng.choice([-0.2, 0.2], (3, 1)) * normal[slipped]
-        weights = touch_weights([(kind, None)], np.zeros(12, dtype=int), points)
+        weights = Features([kind], np.zeros(12, dtype=int)).weights(points)
         kept += bool(weights[slipped].any())
     assert kept <= 1
 
@@ -110,12 +109,12 @@ def test_touches_on_too_small_a_part_are_named():
     line += np.random.default_rng(0).normal(0, 0.005, line.shape)
     names = ("cap", "ball", "plate", "edge", "one")
     parts = [cap, half, plane, line, half[:3]]
-    kinds = [("sphere", None), ("sphere", None), ("plane", None), ("plane", None), ("sphere", 30.0)]
-    codes = np.repeat(np.arange(5), [len(part) for part in parts])
-    found = list(touch_findings(kinds, codes, np.concatenate(parts), names))
+    kinds = ["sphere", "sphere", "plane", "plane", "sphere"]
+    touched = Features(kinds, np.repeat(np.arange(5), [len(part) for part in parts]))
+    found = list(touched.findings(np.concatenate(parts), names))
     assert [f.positions for f in found] == [("cap",), ("edge",)]
     assert {f.code for f in found} == {"touches-alike"}
     assert "was touched on a small cap only" in found[0].text
-    (few,) = touch_findings(kinds, codes, None, names)
+    (few,) = touched.few(names)
     assert (few.code, few.positions) == ("few-touches", ("one",))
-    assert "3 touches, but 3 numbers" in few.text
+    assert "3 touches, but 4 numbers" in few.text

@@ -82,7 +82,7 @@ def test_some_rows_keep_what_belongs_to_them():
     some = measured.at(rows)
     assert some.labels.tolist() == [1, 3, 5]
     assert some.tool_labels == (1, 3, 5)
-    assert [kind for kind, _ in some.features] == ["sphere", "cone", "plane"]
+    assert some.features == ["sphere", "cone", "plane"]
     assert some.lengths == [(0, 0, 30.0, 0.001)]
     assert [one[0] for one in some.stated] == [1, 5]
     # As from these rows alone.

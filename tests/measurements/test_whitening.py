@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_raacmm.measurements import whitening
+from sklearn_raacmm.measurements import Whitening
 
 
 def draw(seed=0, n=40, n_features=5, q=4):
@@ -33,7 +33,7 @@ def test_what_is_left_is_that_of_one_large_covariance(known, shifts):
     columns, root, unknowns, feature, weights, rank, covariance = draw()
     B = np.broadcast_to(np.eye(3), (len(feature), 3, 3)) if shifts else unknowns
     given = None if shifts else unknowns
-    found = whitening(weights, root, feature, given, known=known, rank=rank)
+    found = Whitening(weights, root, feature, given, known=known, rank=rank)
     n, q = len(feature), B.shape[2]
     whole = np.zeros((3 * n, 3 * n))
     precision = np.zeros((3 * n, 3 * n))
@@ -64,16 +64,16 @@ def test_what_is_left_is_that_of_one_large_covariance(known, shifts):
 def test_order_of_rows_and_size_of_all_noise_change_nothing():
     columns, root, unknowns, feature, weights, rank, _ = draw(1)
     order = np.random.default_rng(0).permutation(len(feature))
-    found = whitening(weights, root, feature, unknowns, rank=rank)
-    mixed = whitening(weights[order], root[order], feature[order], unknowns[order])
+    found = Whitening(weights, root, feature, unknowns, rank=rank)
+    mixed = Whitening(weights[order], root[order], feature[order], unknowns[order])
     assert_allclose(mixed.centred(columns[order]), found.centred(columns)[order], atol=1e-9)
-    twice = whitening(weights, 2 * root, feature, unknowns, rank=rank)
+    twice = Whitening(weights, 2 * root, feature, unknowns, rank=rank)
     assert_allclose(twice.deviations(columns), 2 * found.deviations(columns), atol=1e-9)
 
 
 def test_rows_without_unknowns_are_only_whitened():
     columns, root, _, _, weights, *_ = draw(2)
-    found = whitening(weights, root)
+    found = Whitening(weights, root)
     expected = np.sqrt(weights)[:, None, None] * (root @ columns)
     assert_allclose(found.deviations(columns), expected)
     assert found.centred(columns) is columns
