@@ -75,10 +75,8 @@ def choose_centers(problem, rows, structure, n_centers, max_centers, or_all, sca
         # Nothing varies: no centre is needed, and any is as good as another.
         return (rows[:most], "n_centers") if asked else (rows[:0], "criterion")
     # Outputs that share centres see the candidates alike: as the one that needs most of them.
-    ridge, rank = (
-        float(structure.alpha[of].min()),
-        _largest_rank(problem, rows, asked, most, or_all),
-    )
+    ridge = float(structure.alpha[of].min())
+    rank = _largest_rank(problem, rows, asked, most, or_all)
     coordinates, target, resolution, degrees, unseen = candidates_of(
         problem, rows, structure, ridge, rank, asked or None
     )

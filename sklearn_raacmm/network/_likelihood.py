@@ -332,15 +332,12 @@ class End(NamedTuple):
         return self.value + self.density
 
 
-def judge(task, kernel, theta, data, leave_out=True, K=None):
-    """How good an end is, by one factor for all that is asked; see `likelihoods`.
-
-    The kernel matrix K of these widths may be given.
-    """
+def judge(task, kernel, theta, data, leave_out=True):
+    """How good an end is, by one factor for all that is asked; see `likelihoods`."""
     log_width, log_alpha, ratio = task.unpack(theta)
-    K = covariance(data, kernel, log_width) if K is None else K
+    K, alphas = covariance(data, kernel, log_width), np.exp(log_alpha)
     try:
-        value, density, signals = likelihoods(data, K, np.exp(log_alpha), ratio, leave_out)
+        value, density, signals = likelihoods(data, K, alphas, ratio, leave_out)
     except LinAlgError:
         return End(kernel, theta, np.inf, np.inf, 0.0)
     no_slopes = np.zeros((len(signals), len(theta)))

@@ -13,6 +13,7 @@ leave-one-out predictions on these rows (`judge`).
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -280,13 +281,10 @@ def _warn_of_narrow(task, width):
 
 def _coarse(task, kernel, data, start=None):
     """Where the search for one kernel ends on few rows, from several starts and a given one."""
-    starts = [[task.start(c, a) for a in START_RIDGES] for c in START_WIDTHS]
+    starts = [task.start(*at) for at in product(START_WIDTHS, START_RIDGES)]
     if start is not None:
-        starts.append([_revived(task, task.pack(start))])
-    found = []
-    for alike in starts:  # but for the ridge
-        K = covariance(data, kernel, task.unpack(alike[0])[0])
-        found += [judge(task, kernel, theta, data, False, K) for theta in alike]
+        starts.append(_revived(task, task.pack(start)))
+    found = [judge(task, kernel, theta, data, leave_out=False) for theta in starts]
     # The likelihood may have two peaks, of functions as rough as the rows can show and of smooth
     # ones with more noise: what is left out decides, too.
     middle = task.start(WIDE, 1.0)[0] if task.n_widths else None
