@@ -92,10 +92,8 @@ class Network:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        shapes = _SHAPES | {"weights": ("k",)} if self.all_rows else _SHAPES | {"triangle": ("n",)}
-        shapes |= {
-            name: shape for name, shape in _MORE_SHAPES.items() if state.get(name) is not None
-        }
+        present = {n: shape for n, shape in _MORE_SHAPES.items() if state.get(n) is not None}
+        shapes = _SHAPES | present | ({"weights": ("k",)} if self.all_rows else {})
         sizes = {"d1": 1 + np.size(state.get("length_scale", ()))}
         check_shapes("Network", state, shapes, sizes, ("length_scale", "noise_variance"))
         known = np.arange(sizes["d1"] - 1.0) if self.ranks is None else np.unique(self.ranks[:, 0])
