@@ -22,13 +22,14 @@ from sklearn_raacmm.network._centers import MAX_CENTERS, MODERATE, choose_center
 from sklearn_raacmm.network._kernels import kernel_matrix, psd_root
 from sklearn_raacmm.network._likelihood import ALPHA_BOUNDS, LEAST_RIDGE
 from sklearn_raacmm.network._linear import (
+    Problem,
     first_weights,
     nested_least_squares,
+    prepare,
     triangular_factor,
     without_constants,
 )
 from sklearn_raacmm.network._posterior import Network, covariance_factor, pack, predict_mean
-from sklearn_raacmm.network._problem import Problem, prepare
 from sklearn_raacmm.network._ranks import mid_ranks
 from sklearn_raacmm.network._search import EXACT_ROWS, MARGIN, MARGIN_OF_TARGET, Structure, search
 from sklearn_raacmm.utils import (

@@ -9,7 +9,7 @@ from mpmath import mp, mpf
 from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _centers, _fit
 from sklearn_raacmm.network._kernels import kernel_matrix
-from sklearn_raacmm.network._problem import prepare
+from sklearn_raacmm.network._linear import prepare
 from sklearn_raacmm.network._rows import Rows
 from sklearn_raacmm.network._search import Structure
 from sklearn_raacmm.utils import centred

@@ -13,8 +13,7 @@ from sklearn_raacmm import RBFNetRegressor
 from sklearn_raacmm.network import _rows
 from sklearn_raacmm.network._kernels import kernel_matrix
 from sklearn_raacmm.network._likelihood import likelihoods, log_likelihood
-from sklearn_raacmm.network._linear import RIDGES, linear_evidence
-from sklearn_raacmm.network._problem import Problem, prepare
+from sklearn_raacmm.network._linear import RIDGES, Problem, linear_evidence, prepare
 from sklearn_raacmm.network._rows import Rows, distinct_rows
 
 
